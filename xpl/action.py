@@ -1,0 +1,134 @@
+"""Action steps and chunks: pack to a flat vector, unpack, check.
+
+A flat vector is [arm0, ee0] or [left arm, left ee, right arm, right ee]; the arm part is joint angles (rad) for joint
+control and a pose [x, y, z, qw, qx, qy, qz] for end-effector control. Source: spec/<version>/action.schema.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.embodiment import Embodiment
+
+
+class ActionError(ValueError):
+    """An action does not have the keys, dimensions or values of its embodiment and action type."""
+
+
+def action_dim(embodiment: Embodiment, action_type: str) -> int:
+    """Return the length of the flat action vector."""
+    return sum(embodiment.dims(action_type).values())
+
+
+def pack(values: Mapping[str, Any], embodiment: Embodiment, action_type: str, *, what: str = "action") -> np.ndarray:
+    """Return the flat vector of an action step (or of a state with the same keys).
+
+    Args:
+        values: maps each key to its values, arrays or lists; other keys are ignored.
+        embodiment: the robot.
+        action_type: "joint" or "ee".
+        what: how an error names the values.
+
+    Returns:
+        (D,) float32, D = `action_dim(embodiment, action_type)`.
+
+    Raises:
+        ActionError: if a key is missing, is not one-dimensional or has another dimension.
+    """
+    parts = []
+    for key, dim in embodiment.dims(action_type).items():
+        if key not in values:
+            raise ActionError(
+                f"{what} lacks {key!r}: {action_type} control of {embodiment.name} needs "
+                f"{', '.join(embodiment.dims(action_type))}; got {', '.join(map(str, values)) or 'nothing'}"
+            )
+        parts.append(_vector(values[key], dim, f"{what}[{key!r}] of {embodiment.name}"))
+    return np.concatenate(parts)
+
+
+def unpack(flat: Any, embodiment: Embodiment, action_type: str) -> dict[str, np.ndarray]:
+    """Return the action step of a flat vector; the inverse of `pack`.
+
+    Args:
+        flat: (D,) array or list.
+        embodiment: the robot.
+        action_type: "joint" or "ee".
+
+    Returns:
+        a new map from each key to its (dim,) float32 values.
+
+    Raises:
+        ActionError: if `flat` is not a vector of the embodiment's action dimension.
+    """
+    vector = _vector(flat, action_dim(embodiment, action_type), f"flat {action_type} action of {embodiment.name}")
+    step, start = {}, 0
+    for key, dim in embodiment.dims(action_type).items():
+        step[key] = vector[start : start + dim].copy()
+        start += dim
+    return step
+
+
+def check_step(step: Any, embodiment: Embodiment, action_type: str) -> None:
+    """Check one action step: exact keys, dimensions, finiteness, unit quaternions, gripper range.
+
+    Raises:
+        ActionError: with the first difference found.
+    """
+    if not isinstance(step, Mapping):
+        raise ActionError(f"an action step must be a map of arrays, got {type(step).__name__}")
+    dims = embodiment.dims(action_type)
+    extra = [str(key) for key in step if key not in dims]
+    if extra:
+        raise ActionError(
+            f"action step has {', '.join(extra)}, which {action_type} control of {embodiment.name} does not know: "
+            f"expected exactly {', '.join(dims)}"
+        )
+    flat = pack(step, embodiment, action_type, what="action step")
+    if not np.isfinite(flat).all():
+        bad = [key for key in dims if not np.isfinite(np.asarray(step[key], dtype=np.float64)).all()]
+        raise ActionError(f"action step holds NaN or infinity in {', '.join(bad)}: every value must be finite")
+    for arm in embodiment.arms:
+        _check_arm(step, arm.prefix, parallel=arm.gripper == "parallel_gripper")
+
+
+def check_chunk(chunk: Any, embodiment: Embodiment, action_type: str) -> None:
+    """Check an action chunk: a non-empty list whose steps all pass `check_step`.
+
+    Raises:
+        ActionError: naming the step and the difference.
+    """
+    if isinstance(chunk, (str, bytes, Mapping)) or not isinstance(chunk, Sequence):
+        raise ActionError(f"an action chunk must be a list of action steps, got {type(chunk).__name__}")
+    if not chunk:
+        raise ActionError("an action chunk must hold at least one action step, got an empty list")
+    for index, step in enumerate(chunk):
+        try:
+            check_step(step, embodiment, action_type)
+        except ActionError as error:
+            raise ActionError(f"step {index} of {len(chunk)}: {error}") from None
+
+
+def _check_arm(step: Mapping[str, Any], prefix: str, *, parallel: bool) -> None:
+    pose_key, ee_key = prefix + spec.State.EE_POSE, prefix + spec.State.EE_JOINT_STATE
+    if pose_key in step:
+        norm = float(np.linalg.norm(np.asarray(step[pose_key], dtype=np.float64)[spec.POSITION_DIM :]))
+        if abs(norm - 1.0) > spec.QUATERNION_TOLERANCE:
+            raise ActionError(f"{pose_key} must hold a unit quaternion [qw, qx, qy, qz], its norm is {norm:.4g}")
+    if parallel:
+        value = float(np.asarray(step[ee_key], dtype=np.float64)[0])
+        if not spec.GRIPPER_CLOSED - 1e-6 <= value <= spec.GRIPPER_OPEN + 1e-6:
+            raise ActionError(f"{ee_key} must lie between 0 (closed) and 1 (open), got {value:.4g}")
+
+
+def _vector(value: Any, dim: int, what: str) -> np.ndarray:
+    try:
+        array = np.asarray(value, dtype=np.float32)
+    except (TypeError, ValueError):
+        raise ActionError(f"{what} must be {dim} numbers, got {type(value).__name__}") from None
+    if array.shape != (dim,):
+        raise ActionError(f"{what} must have shape ({dim},), got {array.shape}")
+    return array

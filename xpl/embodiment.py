@@ -1,0 +1,137 @@
+"""Robots by name: dimensions, joint names, limits, gripper stroke and home pose.
+
+The facts are `spec/<version>/embodiments/*.yml`; what a maker does not publish is None.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Optional
+
+import numpy as np
+
+from xpl import _spec as spec
+
+
+class UnknownEmbodimentError(LookupError):
+    """No embodiment of this name is in the standard."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm and its end effector.
+
+    Attributes:
+        prefix: prefix of the arm's keys, "" or "left_" / "right_".
+        dof: number of arm joints.
+        ee_dim: number of end-effector values (1 for a parallel gripper).
+        joint_names: names of the joints, or None.
+        lower, upper: joint limits, (dof,) float64, rad, or None.
+        velocity: joint speed limits, (dof,) float64, rad/s, or None.
+        home: home pose, (dof,) float64, rad, or None.
+        gripper: "parallel_gripper" (0 closed, 1 open) or "hand" (radians).
+        stroke: opening between the fingers at gripper = 1, m, or None.
+    """
+
+    prefix: str
+    dof: int
+    ee_dim: int
+    joint_names: Optional[tuple[str, ...]]
+    lower: Optional[np.ndarray]
+    upper: Optional[np.ndarray]
+    velocity: Optional[np.ndarray]
+    home: Optional[np.ndarray]
+    gripper: str
+    stroke: Optional[float]
+
+
+@dataclass(frozen=True)
+class Embodiment:
+    """A robot: its arms in packing order, and the whole entry of the spec under `data`."""
+
+    name: str
+    arms: tuple[Arm, ...]
+    data: Mapping[str, Any]
+
+    @property
+    def prefixes(self) -> tuple[str, ...]:
+        """Prefixes of the arms' keys, in packing order."""
+        return tuple(arm.prefix for arm in self.arms)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Cameras that an environment of this embodiment is expected to have."""
+        return spec.CAMERAS[len(self.arms)]
+
+    def dims(self, action_type: str) -> dict[str, int]:
+        """Return the keys of an action step with their dimensions, in packing order.
+
+        Raises:
+            ValueError: if `action_type` is not one of the standard's.
+        """
+        if action_type not in spec.ACTION_KEYS:
+            raise ValueError(f"action_type must be one of {', '.join(spec.ACTION_TYPES)}, got {action_type!r}")
+        arm_key, ee_key = spec.ACTION_KEYS[action_type]
+        result = {}
+        for arm in self.arms:
+            result[arm.prefix + arm_key] = spec.POSE_DIM if arm_key == spec.State.EE_POSE else arm.dof
+            result[arm.prefix + ee_key] = arm.ee_dim
+        return result
+
+
+def embodiment_names() -> list[str]:
+    """Return the names of all embodiments, without aliases."""
+    return sorted(spec.EMBODIMENTS)
+
+
+@lru_cache(maxsize=None)
+def get_embodiment(name: str) -> Embodiment:
+    """Return the embodiment `name`, which may be an alias such as `dual_x5`.
+
+    Raises:
+        UnknownEmbodimentError: with the nearest names.
+    """
+    for entry in spec.EMBODIMENTS.values():
+        if name == entry["name"] or name in entry.get("aliases", ()):
+            return _from_entry(entry)
+    near = difflib.get_close_matches(str(name), spec.EMBODIMENTS, n=2, cutoff=0.3)
+    hint = f"; did you mean {' or '.join(near)}?" if near else ""
+    raise UnknownEmbodimentError(f"unknown embodiment {name!r}: known are {', '.join(embodiment_names())}{hint}")
+
+
+def _from_entry(entry: Mapping[str, Any]) -> Embodiment:
+    prefixes = spec.ARM_PREFIXES[len(entry["arms"])]
+    model, effector = entry["arm"], entry["end_effector"]
+    joints = model["joints"] or []
+    limits = _column(joints, "limits")
+    arms = tuple(
+        Arm(
+            prefix=prefix,
+            dof=model["dof"],
+            ee_dim=effector["dim"],
+            joint_names=tuple(joint["name"] for joint in joints) or None,
+            lower=None if limits is None else limits[:, 0],
+            upper=None if limits is None else limits[:, 1],
+            velocity=_column(joints, "velocity"),
+            home=None if model["home"] is None else _frozen(model["home"]),
+            gripper=effector["kind"],
+            stroke=effector["stroke"],
+        )
+        for prefix in prefixes
+    )
+    return Embodiment(name=entry["name"], arms=arms, data=entry)
+
+
+def _column(joints: list[dict[str, Any]], key: str) -> Optional[np.ndarray]:
+    """Return one property of all joints as an array, or None unless it is known for every joint."""
+    values = [joint.get(key) for joint in joints]
+    return None if not values or any(value is None for value in values) else _frozen(values)
+
+
+def _frozen(values: Any) -> np.ndarray:
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,123 @@
+"""Reading observations: state vector, images, instruction, environment index.
+
+Every reader raises one clear error if a field is missing or malformed, and none substitutes a default.
+Source: spec/<version>/observation.schema.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Optional
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.action import ActionError, pack
+from xpl.embodiment import Embodiment
+
+
+class ObservationError(ValueError):
+    """An observation lacks a field or holds one of another shape or type."""
+
+
+def pack_state(obs: Mapping[str, Any], embodiment: Embodiment, action_type: str) -> np.ndarray:
+    """Return proprioception as one vector, in the order of a flat action.
+
+    Returns:
+        (D,) float32: joint angles (rad) or poses, and grippers, by `action_type`.
+
+    Raises:
+        ObservationError: if the state, a key or a dimension is missing or wrong, or a value is not finite.
+    """
+    state = obs.get(spec.Obs.STATE)
+    if not isinstance(state, Mapping):
+        raise ObservationError(f"the observation has no {spec.Obs.STATE!r} map; it has {_names(obs)}")
+    try:
+        flat = pack(state, embodiment, action_type, what="state")
+    except ActionError as error:
+        raise ObservationError(str(error)) from None
+    if not np.isfinite(flat).all():
+        raise ObservationError("the state holds NaN or infinity")
+    return flat
+
+
+def get_image(obs: Mapping[str, Any], camera: str) -> np.ndarray:
+    """Return the RGB image of a camera, (H, W, 3) uint8, a view of the observation's own data where possible.
+
+    Raises:
+        ObservationError: if the camera is missing, still encoded, or not an RGB image.
+    """
+    vision = obs.get(spec.Obs.VISION)
+    if not isinstance(vision, Mapping) or camera not in vision:
+        raise ObservationError(f"the observation has no camera {camera!r}; it has {_names(vision)}")
+    image = color_of(vision[camera])
+    if image is None:
+        raise ObservationError(f"camera {camera!r} has no {spec.Camera.COLOR!r}; it has {_names(vision[camera])}")
+    if isinstance(image, (bytes, bytearray)):
+        raise ObservationError(f"camera {camera!r} is still encoded: the serving layer decodes images, an adapter does not")
+    array = np.asarray(image)
+    if array.ndim != 3 or array.shape[2] != spec.COLOR_CHANNELS or array.dtype != np.uint8:
+        raise ObservationError(f"camera {camera!r} must be (H, W, 3) uint8 RGB, got {array.shape} {array.dtype}")
+    return array
+
+
+def color_of(camera: Any) -> Any:
+    """Return the colour entry of one camera under any spelling the field uses, or None.
+
+    Readers meet `color`, its aliases, and an image placed directly under the camera's name.
+    """
+    if not isinstance(camera, Mapping):
+        return camera
+    for key in (spec.Camera.COLOR, *spec.READ_ALIASES[spec.Camera.COLOR]):
+        if camera.get(key) is not None:
+            return camera[key]
+    return None
+
+
+def get_instruction(obs: Mapping[str, Any]) -> Optional[str]:
+    """Return the instruction: `instruction`, or the first of `instructions`, or None if the observation has neither.
+
+    Raises:
+        ObservationError: if what is there is not text.
+    """
+    value = obs.get(spec.Obs.INSTRUCTION)
+    if value is None:
+        several = obs.get(spec.Obs.INSTRUCTIONS)
+        value = several[0] if isinstance(several, Sequence) and len(several) else None
+    if value is not None and not isinstance(value, str):
+        raise ObservationError(f"the instruction must be text, got {type(value).__name__}")
+    return value
+
+
+def env_indices(observations: Sequence[Mapping[str, Any]]) -> list[int]:
+    """Return the environment index of each observation of a batch.
+
+    Observations without `env_idx` count by position, but only if all of the batch lack it.
+
+    Raises:
+        ObservationError: if some but not all have an index, an index is repeated, or is not a non-negative integer.
+    """
+    given = [obs.get(spec.Obs.ENV_IDX) for obs in observations]
+    if all(index is None for index in given):
+        return list(range(len(given)))
+    if any(index is None for index in given):
+        raise ObservationError(f"either all observations of a batch carry env_idx or none does, got {given}")
+    indices = [env_index(index) for index in given]
+    if len(set(indices)) != len(indices):
+        raise ObservationError(f"an environment index is repeated in one batch: {indices}")
+    return indices
+
+
+def env_index(value: Any) -> int:
+    """Return one environment index as an int.
+
+    Raises:
+        ObservationError: unless it is a non-negative integer.
+    """
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < 0:
+        raise ObservationError(f"an environment index must be a non-negative integer, got {value!r}")
+    return int(value)
+
+
+def _names(value: Any) -> str:
+    return ", ".join(map(str, value)) or "nothing" if isinstance(value, Mapping) else "nothing"
