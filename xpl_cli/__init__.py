@@ -1,3 +1,5 @@
 """The `xpl` command line: scaffold, serve, audit and evaluate robot policies against one standard."""
 
-__version__ = "0.1.0"
+from xpl import __version__
+
+__all__ = ["__version__"]

@@ -59,6 +59,8 @@ def compile_source(version: str = spec.CURRENT) -> str:
         "TWIST_DIM": common["twist"]["x-array"]["shape"][0],
         "COLOR_CHANNELS": common["image"]["x-array"]["shape"][-1],
         "QUATERNION_TOLERANCE": float(conventions["pose"]["quaternion_tolerance"]),
+        "QUATERNION_REPAIR": float(conventions["pose"]["quaternion_repair"]),
+        "GRIPPER_OVERSHOOT": float(conventions["gripper"]["overshoot"]),
         "GRIPPER_CLOSED": float(conventions["gripper"]["closed"]),
         "GRIPPER_OPEN": float(conventions["gripper"]["open"]),
         "CAMERAS": {int(count): tuple(names) for count, names in conventions["cameras"]["by_arms"].items()},

@@ -1,0 +1,17 @@
+"""The environment's manifest, `env.yml`, parsed once."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+
+@cache
+def manifest() -> dict[str, Any]:
+    """Return `env.yml` as a map; callers do not change it."""
+    import yaml
+
+    text = Path(__file__).with_name("env.yml").read_text(encoding="utf-8")
+    parsed: dict[str, Any] = yaml.safe_load(text)
+    return parsed

@@ -1,0 +1,183 @@
+"""The scene around the task: table, room, arms at their mounts, cameras."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import rotation
+from xpl.kinematics import pose
+
+from .arms import ArmNames, add_arm, contact_bits
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from xpl.embodiment import Embodiment
+
+SOLID: dict[str, Any] = {"contype": 1, "conaffinity": 7}
+"""Contact bits of the world and of objects: they touch each other and every arm."""
+GHOST: dict[str, Any] = {"contype": 0, "conaffinity": 0}
+"""Contact bits of what is only seen, such as goal markers."""
+
+BACKDROP_GROUP = 1
+"""Geom group of room and table: large, still, convex. Cameras see them without casting rays through MuJoCo."""
+
+_TABLE, _FLOOR, _WALL = (0.74, 0.6, 0.44, 1.0), (0.47, 0.49, 0.52, 1.0), (0.72, 0.75, 0.77, 1.0)
+_OBJECT_FRICTION = (1.0, 0.02, 0.001)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene that a task may add to before it is compiled.
+
+    Attributes:
+        spec: the `mujoco.MjSpec`.
+        arms: names of the parts of each arm, in packing order.
+        bases: pose (7,) of each arm's base in the world.
+        table_top: height of the table's surface, m.
+    """
+
+    spec: Any
+    arms: tuple[ArmNames, ...]
+    bases: tuple[NDArray[np.float64], ...]
+    table_top: float
+
+    def add_box(
+        self, name: str, center: Sequence[float], half: Sequence[float], color: Sequence[float], *, yaw: float, mass: float
+    ) -> None:
+        """Add a box that can be moved, resting on the table at (x, y) `center`, turned about z by `yaw` rad."""
+        x, y = center
+        body = self.spec.worldbody.add_body(
+            name=name, pos=[x, y, self.table_top + half[2]], quat=[math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
+        )
+        body.add_freejoint(name=name)
+        body.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=list(half),
+            mass=mass,
+            rgba=list(color),
+            friction=list(_OBJECT_FRICTION),
+            condim=4,
+            **SOLID,
+        )
+
+    def add_marker(self, name: str, center: Sequence[float], half: Sequence[float], color: Sequence[float]) -> None:
+        """Add a flat rectangle of half size (x, y) on the table that is seen and not felt."""
+        thin = 0.0005
+        self.spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[*center, self.table_top + thin],
+            size=[*half, thin],
+            rgba=list(color),
+            **GHOST,
+        )
+
+
+def build_scene(embodiment: Embodiment, facts: Mapping[str, Any]) -> Scene:
+    """Build table, room, arms and cameras.
+
+    Args:
+        embodiment: the robot; its entry in the spec must have joint frames and mounts.
+        facts: the environment's manifest.
+    """
+    scene = mujoco.MjSpec()
+    scene.compiler.degree = False
+    _set_physics(scene.option, facts["physics"]["timestep"])
+    _add_room(scene.worldbody, facts["scene"])
+    table_top = facts["scene"]["table"]["top"]
+    bases = mounts(embodiment, table_top)
+    arms = []
+    for index, (prefix, base) in enumerate(zip(embodiment.prefixes, bases, strict=True)):
+        arms.append(add_arm(scene, embodiment.data, prefix, base, contact_bits(index)))
+    _add_cameras(scene, embodiment, facts["cameras"])
+    return Scene(spec=scene, arms=tuple(arms), bases=bases, table_top=table_top)
+
+
+def mounts(embodiment: Embodiment, table_top: float) -> tuple[NDArray[np.float64], ...]:
+    """Return the pose (7,) of each arm's base on the table; one arm stands in the middle between the two mounts."""
+    entries = [pose(entry["xyz"], entry["quaternion"]) for entry in embodiment.data["mounts"].values()]
+    if len(embodiment.arms) == 1:
+        entries = [pose(np.mean([entry[:3] for entry in entries], axis=0), entries[0][3:])]
+    for entry in entries:
+        entry[2] = table_top
+        entry[3:] = rotation.normalise(entry[3:])
+    return tuple(entries)
+
+
+def _set_physics(option: Any, timestep: float) -> None:
+    option.timestep = timestep
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # Elliptic cones and a high impedance ratio keep a held object from creeping out of the fingers.
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = 10.0
+    # A diverging simulation must be seen and reported; MuJoCo would silently start again from the first state.
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def _add_room(world: Any, scene: Mapping[str, Any]) -> None:
+    """Add floor, walls and table, so that no camera ever looks into the void."""
+    width, depth, height = scene["room"]["size"]
+    half = math.sqrt(0.5)
+    planes = {
+        "floor": ([0, 0, 0], [1, 0, 0, 0], (width, depth), _FLOOR, SOLID),
+        "ceiling": ([0, 0, height], [0, 1, 0, 0], (width, depth), _WALL, GHOST),
+        "wall_back": ([0, depth / 2, height / 2], [half, half, 0, 0], (width, height), _WALL, GHOST),
+        "wall_front": ([0, -depth / 2, height / 2], [half, -half, 0, 0], (width, height), _WALL, GHOST),
+        "wall_left": ([-width / 2, 0, height / 2], [half, 0, half, 0], (height, depth), _WALL, GHOST),
+        "wall_right": ([width / 2, 0, height / 2], [half, 0, -half, 0], (height, depth), _WALL, GHOST),
+    }
+    for name, (position, turn, extent, color, contact) in planes.items():
+        world.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            pos=position,
+            quat=turn,
+            size=[extent[0] / 2, extent[1] / 2, 0.1],
+            rgba=color,
+            group=BACKDROP_GROUP,
+            **contact,
+        )
+    table = scene["table"]
+    length, breadth, thickness = table["size"]
+    x, y = table["center"]
+    world.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        group=BACKDROP_GROUP,
+        pos=[x, y, table["top"] - thickness / 2],
+        size=[length / 2, breadth / 2, thickness / 2],
+        rgba=_TABLE,
+        friction=[0.8, 0.01, 0.001],
+        **SOLID,
+    )
+
+
+def _add_cameras(scene: Any, embodiment: Embodiment, cameras: Mapping[str, Any]) -> None:
+    """Add the embodiment's cameras: the head camera to the world, a wrist camera to each tool."""
+    head, *wrists = spec.CAMERAS[len(embodiment.arms)]
+    entry = cameras[head]
+    down = math.radians(entry["pitch_down_deg"])
+    _add_camera(scene.worldbody, head, entry, [1, 0, 0, 0, math.sin(down), math.cos(down)])
+    for prefix, name in zip(embodiment.prefixes, wrists, strict=True):
+        entry = cameras[name]
+        down = math.radians(entry["pitch_down_deg"])
+        _add_camera(scene.body(f"{prefix}tool"), name, entry, [0, -1, 0, math.sin(down), 0, math.cos(down)])
+
+
+def _add_camera(body: Any, name: str, entry: Mapping[str, Any], axes: Sequence[float]) -> None:
+    """Add one camera; `axes` are its right and its up."""
+    frame = np.array(axes, dtype=np.float64).reshape(2, 3)
+    matrix = np.stack([frame[0], frame[1], np.cross(frame[0], frame[1])], axis=-1)
+    body.add_camera(
+        name=name, pos=entry["position"], quat=rotation.from_matrix(matrix), fovy=entry["fovy_deg"]
+    )

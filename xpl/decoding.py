@@ -1,0 +1,93 @@
+"""From a model's flat rows to action steps: unpacking, repair of small numeric overshoot, temporal ensembling."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.action import ActionError, action_dim
+from xpl.embodiment import Embodiment
+
+
+def decode_rows(raw: Any, embodiment: Embodiment, action_type: str) -> list[dict[str, np.ndarray]]:
+    """Return the action steps of flat absolute actions.
+
+    Regressed values are never exact: quaternions are normalised, and a gripper command a little outside 0..1 is
+    clipped. What is too far off to be rounding (a gripper in metres or percent, a vanishing quaternion) is an error.
+
+    Args:
+        raw: (H, D) numbers.
+        embodiment: the robot.
+        action_type: "joint" or "ee".
+
+    Raises:
+        ActionError: if the width is not the embodiment's, or a value is not finite or beyond repair.
+    """
+    rows = np.asarray(raw, dtype=np.float32)
+    dim = action_dim(embodiment, action_type)
+    if rows.ndim != 2 or rows.shape[1] != dim:
+        raise ActionError(
+            f"{action_type} control of {embodiment.name} takes rows of {dim} values, the model gave {rows.shape}"
+        )
+    if not np.isfinite(rows).all():
+        raise ActionError("the model's output holds NaN or infinity")
+    columns: dict[str, np.ndarray] = {}
+    start = 0
+    dims = embodiment.dims(action_type)
+    for key, width in dims.items():
+        columns[key] = rows[:, start : start + width]
+        start += width
+    for arm in embodiment.arms:
+        pose, effector = arm.prefix + spec.State.EE_POSE, arm.prefix + spec.State.EE_JOINT_STATE
+        if pose in columns:
+            columns[pose] = _unit_poses(columns[pose], pose)
+        if arm.gripper == "parallel_gripper":
+            columns[effector] = _gripper(columns[effector], effector)
+    return [{key: values[index].copy() for key, values in columns.items()} for index in range(len(rows))]
+
+
+def _unit_poses(poses: np.ndarray, key: str) -> np.ndarray:
+    norms = np.linalg.norm(poses[:, spec.POSITION_DIM :], axis=1, keepdims=True)
+    if (norms < spec.QUATERNION_REPAIR).any():
+        raise ActionError(f"{key}: the quaternion [qw, qx, qy, qz] has norm {float(norms.min()):.3g}, it must be near 1")
+    return np.concatenate([poses[:, : spec.POSITION_DIM], poses[:, spec.POSITION_DIM :] / norms], axis=1)
+
+
+def _gripper(values: np.ndarray, key: str) -> np.ndarray:
+    low, high = spec.GRIPPER_CLOSED - spec.GRIPPER_OVERSHOOT, spec.GRIPPER_OPEN + spec.GRIPPER_OVERSHOOT
+    if values.min() < low or values.max() > high:
+        raise ActionError(
+            f"{key} must run from 0 (closed) to 1 (open), the model gave {float(values.min()):.3g} to "
+            f"{float(values.max()):.3g}: convert its scale in decode"
+        )
+    return np.clip(values, spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN)
+
+
+def ensemble(predictions: dict[int, np.ndarray], raw: np.ndarray, step: int, decay: float) -> np.ndarray:
+    """Return a chunk averaged with the earlier predictions of the same moments (temporal ensembling).
+
+    Weights are exp(-decay * i), i = 0 for the oldest prediction (Zhao et al. 2023, "Learning Fine-Grained Bimanual
+    Manipulation with Low-Cost Hardware", section 4.1). A moment is one observation.
+
+    Args:
+        predictions: earlier chunks of this environment by the step at which they were made; updated in place, and
+            emptied of those that no longer reach `step`.
+        raw: (H, D) newest chunk, made at `step`.
+        step: index of the newest observation in the episode.
+        decay: m of the formula, at least 0.
+
+    Returns:
+        (H, D) float64.
+    """
+    predictions[step] = np.asarray(raw, dtype=np.float64)
+    for made in [made for made, chunk in predictions.items() if made + len(chunk) <= step]:
+        del predictions[made]
+    averaged = np.empty_like(predictions[step])
+    for offset in range(len(averaged)):
+        moment = step + offset
+        rows = [chunk[moment - made] for made, chunk in sorted(predictions.items()) if moment - made < len(chunk)]
+        weights = np.exp(-decay * np.arange(len(rows)))
+        averaged[offset] = np.average(rows, axis=0, weights=weights)
+    return averaged

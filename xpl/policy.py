@@ -1,0 +1,267 @@
+"""The contract base class: everything adapters used to write again, written once.
+
+    a[t : t + H] = g_out(pi(g_in(o_t), s_t))
+
+`Policy` keeps the state of every environment under its index, answers the environments that were asked for, clears
+them at reset and seeds them. An adapter fills in g_in (`encode`), pi (`predict`) and g_out (`decode`).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Optional, TypeVar
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.action import ActionError, check_chunk
+from xpl.decoding import decode_rows, ensemble
+from xpl.embodiment import get_embodiment
+from xpl.observation import env_index, env_indices
+
+Observation = Mapping[str, Any]
+ActionStep = dict[str, np.ndarray]
+_Value = TypeVar("_Value")
+
+
+class PolicyStateError(RuntimeError):
+    """An operation came in an order that has no answer, such as get_action before update_obs."""
+
+
+class ConfigError(ValueError):
+    """A configuration value has the wrong type or is missing."""
+
+
+@dataclass
+class _Frame:
+    """One observation and, once it was needed, what `encode` made of it."""
+
+    obs: Observation
+    inputs: Any = None
+    encoded: bool = False
+
+
+@dataclass
+class _Environment:
+    """All that is remembered of one environment in one episode."""
+
+    rng: np.random.Generator
+    frames: deque[_Frame]
+    step: int = -1
+    predictions: dict[int, np.ndarray] = field(default_factory=dict)
+
+
+class Policy:
+    """Base class of adapters; a plain class with the same six operations is equally legal.
+
+    Construction calls `load(config)`. What the manifest declares (chunk, history, ensembling) arrives with the
+    configuration and is kept to.
+
+    Args:
+        config: values of deploy.yml after overrides. Read: `env_cfg_type` (names the embodiment), `action_type`, `seed`;
+            and `manifest`, the parsed policy.yml, where the adapter is served.
+
+    Attributes:
+        config: the configuration, without the manifest.
+        embodiment: the robot.
+        action_type: "joint" or "ee".
+        seed: the run seed; 0 is a seed like any other.
+        chunk: action steps that one call returns, or None where no manifest declares it.
+        history: observations that `predict` sees per environment.
+        policy_dir: folder of model.py; relative paths start there.
+
+    Raises:
+        ConfigError: if a value is missing or has the wrong type.
+        UnknownEmbodimentError: if `env_cfg_type` names no embodiment.
+    """
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        manifest = config.get("manifest") or {}
+        temporal = manifest.get("temporal") or {}
+        self.config = {key: value for key, value in config.items() if key != "manifest"}
+        self.chunk: Optional[int] = temporal.get("chunk")
+        self.history: int = temporal.get("history") or 1
+        self._ensembling: Optional[float] = temporal.get("ensembling")
+        self.action_type: str = self.setting(spec.Deploy.ACTION_TYPE, spec.DEPLOY_DEFAULTS[spec.Deploy.ACTION_TYPE])
+        if self.action_type not in spec.ACTION_TYPES:
+            raise ConfigError(f"action_type must be one of {', '.join(spec.ACTION_TYPES)}, got {self.action_type!r}")
+        name = self.config.get(spec.Deploy.ENV_CFG_TYPE)
+        if not isinstance(name, str):
+            raise ConfigError(f"env_cfg_type must name an embodiment, got {name!r}")
+        self.embodiment = get_embodiment(name)
+        self.seed: int = self.setting(spec.Deploy.SEED, spec.DEPLOY_DEFAULTS[spec.Deploy.SEED])
+        self.policy_dir = Path(str(sys.modules[type(self).__module__].__file__)).resolve().parent
+        self._environments: dict[int, _Environment] = {}
+        self._order: list[int] = []
+        self._episode = 0
+        self._observed = False
+        self.load(self.config)
+
+    # -- what an adapter fills in --------------------------------------------------------------------------------------
+
+    def load(self, config: Mapping[str, Any]) -> None:
+        """Build the native model. Import heavy libraries here, so that the module itself imports anywhere."""
+
+    def encode(self, obs: Observation, env: int) -> Any:
+        """Return the model's inputs for one observation (g_in). Pure: neither changes `obs` nor keeps state."""
+        raise NotImplementedError(f"{type(self).__name__} must define encode(obs, env)")
+
+    def predict(self, inputs: list[Any], envs: list[int]) -> Any:
+        """Run the model on a batch (pi), in one forward pass where it can.
+
+        Args:
+            inputs: what `encode` returned, one entry per environment. With history > 1 an entry is a list of
+                `history` encodings, oldest first; the first observation is repeated until the history is full.
+            envs: environment index of each entry; `self.rng(env)` is its random generator.
+
+        Returns:
+            (B, H, D) array, or a list of B arrays (H, D): flat actions in the order of `xpl.action.pack`.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define predict(inputs, envs)")
+
+    def decode(self, raw: np.ndarray, obs: Observation, env: int) -> list[ActionStep]:
+        """Return the action chunk of one environment (g_out).
+
+        The default reads each row of `raw`, (H, D), as a flat absolute action. Override it where the model predicts
+        something else, for example deltas to the state in `obs`, the newest observation.
+        """
+        return decode_rows(raw, self.embodiment, self.action_type)
+
+    def reset_env(self, env: int) -> None:
+        """Forget native state of one environment that the base class cannot see.
+
+        Called when an environment is first observed and at every reset. A failure is raised, never swallowed.
+        """
+
+    # -- help for adapters ---------------------------------------------------------------------------------------------
+
+    def setting(self, name: str, default: _Value) -> _Value:
+        """Return a configuration value; null means not given, and the type must be the default's.
+
+        Raises:
+            ConfigError: if the value's type differs, for example the string "false" where a flag is expected.
+        """
+        value = self.config.get(name)
+        if value is None:
+            return default
+        wanted = type(default)
+        if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if default is not None and type(value) is not wanted:
+            raise ConfigError(f"{name} must be a {wanted.__name__}, got {value!r} ({type(value).__name__})")
+        return value  # type: ignore[no-any-return]
+
+    def rng(self, env: int) -> np.random.Generator:
+        """Return the random generator of one environment, seeded by run seed, episode and environment index."""
+        return self._known(env).rng
+
+    # -- the operations of the wire ------------------------------------------------------------------------------------
+
+    def update_obs(self, obs: Observation) -> None:
+        """Take in the newest observation of one environment (`env_idx`, 0 if it has none)."""
+        index = obs.get(spec.Obs.ENV_IDX)
+        self._observe([obs], [0 if index is None else env_index(index)])
+
+    def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
+        """Take in the newest observation of several environments; their order is the batch order."""
+        self._observe(obs_list, env_indices(obs_list))
+
+    def get_action(self) -> list[ActionStep]:
+        """Return the action chunk of the environment that was observed last.
+
+        Raises:
+            PolicyStateError: before an observation, or after a batch of several.
+        """
+        if len(self._order) != 1:
+            had = f"the last batch held environments {self._order}" if self._order else "no observation since the last reset"
+            raise PolicyStateError(f"get_action answers one environment, but there was {had}")
+        return self.get_action_batch(self._order)[0]
+
+    def get_action_batch(self, env_idx_list: Optional[Sequence[int]] = None) -> list[list[ActionStep]]:
+        """Return the action chunks of exactly these environments, in this order.
+
+        Args:
+            env_idx_list: environments to answer; None means the last batch, [] is answered by [].
+
+        Raises:
+            PolicyStateError: if an environment is unknown or repeated, or nothing was observed.
+        """
+        if env_idx_list is None:
+            if not self._order:
+                raise PolicyStateError("get_action_batch() needs an observation since the last reset")
+            env_idx_list = self._order
+        envs = [env_index(index) for index in env_idx_list]
+        if len(set(envs)) != len(envs):
+            raise PolicyStateError(f"an environment is repeated in {envs}")
+        states = [self._known(env) for env in envs]
+        if not envs:
+            return []
+        inputs = [self._inputs(state, env) for state, env in zip(states, envs)]
+        rows = self._checked(self.predict(inputs, envs), envs)
+        return [self._decoded(raw, state, env) for raw, state, env in zip(rows, states, envs)]
+
+    def reset(self) -> None:
+        """Start a new episode in every environment. Calling it again changes nothing."""
+        known = list(self._environments)
+        self._environments.clear()
+        self._order = []
+        # Seeds depend on the episode; a client that resets twice must not get other ones.
+        self._episode += self._observed
+        self._observed = False
+        for env in known:
+            self.reset_env(env)
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _observe(self, observations: Sequence[Observation], envs: list[int]) -> None:
+        for env in envs:
+            if env not in self._environments:
+                self._environments[env] = self._new_environment(env)
+        for env, obs in zip(envs, observations):
+            state = self._environments[env]
+            state.frames.append(_Frame(obs))
+            state.step += 1
+        self._order = envs
+        self._observed = True
+
+    def _new_environment(self, env: int) -> _Environment:
+        self.reset_env(env)
+        rng = np.random.default_rng([self.seed % 2**63, self._episode, env])
+        return _Environment(rng=rng, frames=deque(maxlen=self.history))
+
+    def _known(self, env: int) -> _Environment:
+        if env not in self._environments:
+            known = sorted(self._environments)
+            raise PolicyStateError(f"environment {env} has no observation since the last reset; known are {known}")
+        return self._environments[env]
+
+    def _inputs(self, state: _Environment, env: int) -> Any:
+        for frame in state.frames:
+            if not frame.encoded:
+                frame.inputs, frame.encoded = self.encode(frame.obs, env), True
+        encodings = [frame.inputs for frame in state.frames]
+        if self.history == 1:
+            return encodings[-1]
+        return [encodings[0]] * (self.history - len(encodings)) + encodings
+
+    def _checked(self, raw: Any, envs: list[int]) -> list[np.ndarray]:
+        rows = [np.asarray(row) for row in raw]
+        if len(rows) != len(envs):
+            raise ActionError(f"predict must return one chunk per environment: expected {len(envs)}, got {len(rows)}")
+        for env, row in zip(envs, rows):
+            if row.ndim != 2:
+                raise ActionError(f"predict must return (H, D) per environment, got shape {row.shape} for {env}")
+            if self.chunk is not None and len(row) != self.chunk:
+                raise ActionError(f"the manifest declares chunks of {self.chunk} steps, predict returned {len(row)}")
+        return rows
+
+    def _decoded(self, raw: np.ndarray, state: _Environment, env: int) -> list[ActionStep]:
+        if self._ensembling is not None:
+            raw = ensemble(state.predictions, raw, state.step, self._ensembling)
+        steps = self.decode(raw, state.frames[-1].obs, env)
+        check_chunk(steps, self.embodiment, self.action_type)
+        return steps
