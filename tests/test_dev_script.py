@@ -54,20 +54,20 @@ class Checkout:
         path.write_text(text, encoding="utf-8")
         path.chmod(0o755)
 
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
-        """Start `./dev` from another folder."""
+    def start(self, *arguments: str, **env: str) -> subprocess.Popen[str]:
+        """Start `./dev` from another folder, in an environment of its own."""
         return subprocess.Popen(
             [self.folder / "dev", *arguments],
             cwd=self.folder.parent,
-            env={"PATH": str(self.tools), "HOME": os.environ.get("HOME", "/")},
+            env={"PATH": str(self.tools), "HOME": os.environ.get("HOME", "/"), **env},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
 
-    def dev(self, *arguments: str) -> tuple[int, str, str]:
+    def dev(self, *arguments: str, **env: str) -> tuple[int, str, str]:
         """Run `./dev` from another folder; return the exit code, stdout and stderr."""
-        process = self.start(*arguments)
+        process = self.start(*arguments, **env)
         out, err = process.communicate(timeout=60)
         return process.returncode, out, err
 
@@ -122,6 +122,12 @@ def test_a_machine_without_a_new_python_gets_one_clear_error(checkout: Checkout)
     assert not (checkout.folder / ".venv").exists()
 
 
+def test_a_named_interpreter_is_not_replaced_by_another(checkout: Checkout) -> None:
+    """Whoever names a Python that does not do is told so, although another one would."""
+    code, _, err = checkout.dev("setup", PYTHON="/no/such/python")
+    assert (code, "tried /no/such/python." in err) == (1, True)
+
+
 def test_a_command_keeps_folder_arguments_exit_code_and_process(checkout: Checkout) -> None:
     """`./dev xpl` becomes the tool: same process, so that signals reach it, and nothing is lost on the way."""
     checkout.dev("setup")
@@ -148,8 +154,10 @@ def test_lint_runs_all_tools_and_remembers_a_failure(checkout: Checkout) -> None
     """A finding of one tool does not hide those of the next."""
     checkout.dev("setup")
     checkout.script(checkout.folder / ".venv/bin/ruff", "#!/bin/bash\necho ruff $1\n[[ $1 != check ]]\n")
-    checkout.script(checkout.folder / ".venv/bin/mypy", "#!/bin/bash\necho mypy\n")
-    assert checkout.dev("lint") == (1, "ruff check\nruff format\nmypy\n", "")
+    checkout.script(checkout.folder / ".venv/bin/mypy", "#!/bin/bash\necho mypy $1; cat $1/*.py\n")
+    checkout.script(checkout.folder / "conformance/no-hang/rule.py", "rule\n")
+    code, out, _ = checkout.dev("lint")
+    assert (code, out) == (1, "ruff check\nruff format\nmypy \nmypy .mypy_cache/rules\nrule\n")
 
 
 def test_benchmarks_run_by_name_or_all(checkout: Checkout) -> None:

@@ -39,12 +39,15 @@ CONTENT = {
     "conformance/planted/bad/model.py": "def broken(:\n",
     "conformance/planted/bad/.env": "a dot-file",
     "conformance/planted/bad/data/points.npy": "a folder that is ignored elsewhere",
-    "conformance/planted/good/build/setup.sh": "likewise",
+    "conformance/planted/good/build/setup.sh": "#!/bin/sh",
     "templates/planted/.gitignore.jinja": "a dot-file template",
     "templates/planted/checkpoints/.gitkeep": "an empty file's usual name",
     "templates/planted/{{ name }}/deploy.yml.jinja": "a path with braces and a space",
 }
 """Files that packaging tools like to lose."""
+
+SCRIPT = "conformance/planted/good/build/setup.sh"
+"""The one among them that is executable."""
 
 JUNK = {
     "conformance/planted/__pycache__/rule.cpython-311.pyc": "bytecode",
@@ -80,6 +83,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, text in {**CONTENT, **JUNK}.items():
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         (copy / name).write_text(text, encoding="utf-8")
+    (copy / SCRIPT).chmod(0o755)
     return copy
 
 
@@ -124,7 +128,7 @@ class Installation:
         (site / "dependencies.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
         self.env = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
         self.env["PATH"] = f"{self.scripts}{os.pathsep}{self.env['PATH']}"
-        pip = [sys.executable, "-m", "pip", "--python", python, "install", "--no-index", "--no-deps"]
+        pip: list[str | Path] = [sys.executable, "-m", "pip", "--python", python, "install", "--no-index", "--no-deps"]
         _run(*pip, *options, distribution, cwd=folder, env=self.env)
 
     def run(self, *command: str | Path) -> subprocess.CompletedProcess[str]:
@@ -177,7 +181,9 @@ def test_the_wheel_holds_both_packages_whole(source: Path, wheel: Path) -> None:
 def test_the_source_distribution_builds_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path) -> None:
     """Nothing is lost on the way through an sdist, and the build is reproducible: the bytes are equal."""
     with tarfile.open(sdist) as archive:
-        archive.extractall(tmp_path, filter="data")
+        # As an argument, `filter` came with 3.11.4; set like this, older versions ignore it.
+        archive.extraction_filter = tarfile.data_filter if hasattr(tarfile, "data_filter") else None
+        archive.extractall(tmp_path)  # noqa: S202 - made by this test
     (unpacked,) = tmp_path.iterdir()
     assert _hatch("wheel", unpacked, tmp_path / "out").read_bytes() == wheel.read_bytes()
 
@@ -191,9 +197,10 @@ def test_the_source_distribution_installs(sdist: Path, tmp_path: Path) -> None:
 def test_the_installed_wheel_runs(installed: Installation) -> None:
     """The command starts from the installed files alone, and the content is found inside the package."""
     assert "audit" in installed.run("xpl", "--help").stdout
-    code = "import xpl, xpl_cli.content as c; print(xpl.__file__, c.room('spec'), c.room('envs'), sep='\\n')"
+    code = "import xpl, xpl_cli.content as c; print(xpl.__file__, c.room('spec'), c.room('conformance'), sep='\\n')"
     found = [Path(line) for line in installed.run("python", "-c", code).stdout.splitlines()]
     assert all(path.is_relative_to(installed.scripts.parent) and path.exists() for path in found)
+    assert os.access(found[-1].parent / SCRIPT, os.X_OK)
 
 
 @pytest.mark.timeout(300)

@@ -14,13 +14,14 @@ import mujoco
 import numpy as np
 
 from xpl import rotation
+from xpl.kinematics import pose
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-_LIGHT, _DARK, _FINGER = (0.86, 0.87, 0.9, 1.0), (0.2, 0.21, 0.24, 1.0), (0.42, 0.44, 0.5, 1.0)
+_LIGHT, _DARK, _FINGER = (0.9, 0.9, 0.92, 1.0), (0.3, 0.32, 0.36, 1.0), (0.5, 0.53, 0.6, 1.0)
 _BASE_RADIUS, _BASE_HALF_HEIGHT = 0.05, 0.03
 _LINK_RADII = (0.042, 0.028)  # from the shoulder to the wrist, evenly
 _SHORTEST_CAPSULE = 0.02
@@ -46,7 +47,7 @@ class ContactBits:
 
 @dataclass(frozen=True)
 class ArmNames:
-    """Names under which the parts of one arm are found in the compiled model."""
+    """Names under which the parts of one arm are found in the compiled model, and its tcp (7,) in the flange."""
 
     prefix: str
     joints: tuple[str, ...]
@@ -54,6 +55,7 @@ class ArmNames:
     fingers: tuple[str, str]
     flange: str
     tcp: str
+    tcp_offset: NDArray[np.float64]
 
 
 def contact_bits(index: int) -> ContactBits:
@@ -103,6 +105,7 @@ def add_arm(
         fingers=fingers,
         flange=f"{prefix}flange",
         tcp=f"{prefix}tcp",
+        tcp_offset=pose(data["end_effector"]["tcp"]["xyz"], rotation.from_rpy(data["end_effector"]["tcp"]["rpy"])),
     )
 
 

@@ -1,0 +1,53 @@
+"""XPL204: None and the empty list are confused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.probe import Probe, blame, brief, difference, error_code
+
+
+@rule(code="XPL204", slug="batch-none-and-empty", gate="offline", requirement="XPL-BAT-2")
+def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
+    """None and the empty list are confused.
+
+    ## What it does
+    Asks for `[]`, which must be answered by `[]`, and for `None`, which means the environments of the last batch in their order.
+
+    ## Why it matters
+    When the last environment of a batch ends the list is empty. Taking it for "all" makes the policy act on finished
+    episodes, and shifts every answer after it.
+
+    ## Example
+    `envs = env_idx_list or self.all_envs`
+
+    ## Use instead
+    `envs = self.order if env_idx_list is None else env_idx_list`
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    envs = [4, 2]
+    with probe.session() as policy:
+        policy.reset()
+        policy.update_obs_batch(probe.observations(envs))
+        listed = policy.get_action_batch(envs)
+        empty = policy.get_action_batch([])
+        policy.reset()
+        policy.update_obs_batch(probe.observations(envs))
+        implied = policy.get_action_batch(None)
+    if error_code(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
+        yield blame(
+            "get_action_batch([]) is not answered by []: a batch in which every environment has ended is acted on again",
+            expected="[]", got=brief(empty),
+            fix=Fix("advice", "test `env_idx_list is None`; `env_idx_list or default` takes an empty list for missing"),
+        )
+    found = difference(listed, implied)
+    if found is not None:
+        yield blame(
+            "get_action_batch(None) does not follow the order of the last batch",
+            expected=f"the answer for {envs}", got=found,
+            fix=Fix("advice", "remember the order of the last update_obs_batch and use it for None"),
+        )

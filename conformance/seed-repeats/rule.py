@@ -1,0 +1,45 @@
+"""XPL214: Two runs with one seed act differently."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.probe import Probe, blame, difference
+
+
+@rule(code="XPL214", slug="seed-repeats", gate="offline", requirement="XPL-CFG-2")
+def seed_repeats(probe: Probe) -> Iterator[Finding]:
+    """Two runs with one seed act differently.
+
+    ## What it does
+    Plays the same episode in two fresh servers with seed 0, and in two with seed 7.
+
+    ## Why it matters
+    A result that cannot be repeated cannot be compared. Seed 0 is the usual default, and the one that `seed or 42` loses.
+
+    ## Example
+    `np.random.normal()` from the process-wide generator, which nobody seeds.
+
+    ## Use instead
+    `self.rng(env)`, or seed the framework's generators from `self.seed`; declare `deterministic: false` if neither is possible.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    if not probe.deterministic:
+        raise NotApplicable("the manifest declares the policy not deterministic")
+    for seed in (0, 7):
+        answers = []
+        for _ in range(2):
+            with probe.fresh_session(seed=seed) as policy:
+                answers.append(probe.episode(policy))
+        found = difference(*answers)
+        if found is not None:
+            yield blame(
+                f"two servers with seed {seed} act differently: a run cannot be repeated",
+                expected="the same actions", got=found,
+                fix=Fix("advice", "draw every random number from self.rng(env), or declare deterministic: false"),
+            )
+            return

@@ -1,0 +1,167 @@
+"""The robot cell as a program sees it: hands that are moved through the world, and the truth about objects.
+
+A program is a generator: it sets targets, and every ``yield`` is one control step. Before it goes on, the cell shows the
+newest observation, so that a program can look again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import rotation
+from xpl.kinematics import Chain, compose, invert, pose
+
+Program = Iterator[None]
+
+_TRAVEL, _TURN = 0.013, 0.07  # m and rad of one control step, on average over a motion
+_SHORTEST = 4  # control steps
+
+
+class Hand:
+    """One arm with its gripper, moved by the point between its fingertips.
+
+    Args:
+        data: the embodiment's entry in the spec.
+        base: pose (7,) of the arm's base in the world.
+        joints: joint angles (dof,) at the beginning, rad.
+        opening: of the gripper, 0 closed, 1 open.
+
+    Attributes:
+        target: pose (7,) of the tcp in the world that is commanded now.
+        opening: gripper command, 0 closed, 1 open.
+        joints: joint angles (dof,) that reach `target`.
+    """
+
+    def __init__(self, data: Mapping[str, Any], base: np.ndarray, joints: np.ndarray, opening: float) -> None:
+        self.chain = Chain.from_embodiment(data)
+        self.base = base
+        self.joints = np.clip(joints, self.chain.lower, self.chain.upper)
+        self.opening = opening
+        self.target = compose(base, self.chain.tcp(self.joints))
+        effector = data["end_effector"]
+        self._tool = _axes(np.array(effector["forward_axis"]), np.array(effector["slide_axis"]))
+
+    def flange(self) -> np.ndarray:
+        """Return the pose (7,) of the flange in the world that goes with `target`."""
+        return self.chain.flange_from_tcp(self.target)
+
+    def follow(self) -> None:
+        """Solve for the joint angles of `target`, near those of the step before."""
+        self.joints = self._solve(self.target, self.joints)[0]
+
+    def pointing_down(self, position: Sequence[float], yaw: float) -> np.ndarray:
+        """Return the tcp pose (7,) at a position with the fingers down, sliding along the horizontal direction `yaw`."""
+        slide = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+        turn = _axes(np.array([0.0, 0.0, -1.0]), slide) @ self._tool.T
+        return pose(position, rotation.from_matrix(turn))
+
+    def easiest_yaw(self, waypoints: Sequence[tuple[Sequence[float], float]]) -> float:
+        """Return what to add to the yaw of all waypoints, 0 or a half turn either way.
+
+        A parallel gripper grasps the same either way; the choice decides whether the wrist can follow to the end.
+
+        Args:
+            waypoints: positions (3,) and yaws that are visited in turn.
+        """
+        candidates = []
+        for turn in (0.0, math.pi, -math.pi):
+            joints, worst = self.joints, 0.0
+            for position, yaw in waypoints:
+                joints, error = self._solve(self.pointing_down(position, yaw + turn), joints, search=True)
+                worst = max(worst, error)
+            effort = float(np.max(np.abs(joints - self.joints)))
+            candidates.append((round(worst, 3), effort, turn))
+        return min(candidates)[2]
+
+    def move(self, goal: np.ndarray, speed: float = 1.0) -> Program:
+        """Move the tcp on a straight line to a pose (7,), starting and ending gently."""
+        start, split = self.target, spec.POSITION_DIM
+        travel = float(np.sqrt(np.sum((goal[:split] - start[:split]) ** 2)))
+        turn = float(rotation.angle_between(start[split:], goal[split:]))
+        steps = max(_SHORTEST, math.ceil(max(travel / _TRAVEL, turn / _TURN) / speed))
+        for step in range(1, steps + 1):
+            part = step / steps
+            part = part * part * (3.0 - 2.0 * part)
+            place = start[:split] + part * (goal[:split] - start[:split])
+            self.target = pose(place, rotation.slerp(start[split:], goal[split:], part))
+            yield
+
+    def shift(self, offset: Sequence[float], speed: float = 1.0) -> Program:
+        """Move the tcp by an offset (3,) in the world, keeping its rotation."""
+        moved = self.target.copy()
+        moved[: spec.POSITION_DIM] += offset
+        return self.move(moved, speed)
+
+    def grip(self, opening: float, steps: int) -> Program:
+        """Command the gripper and give it time."""
+        self.opening = opening
+        yield from pause(steps)
+
+    def _solve(self, target: np.ndarray, start: np.ndarray, *, search: bool = False) -> tuple[np.ndarray, float]:
+        flange = compose(invert(self.base), self.chain.flange_from_tcp(target))
+        solution = self.chain.search(flange, start, attempts=4) if search else self.chain.solve(flange, start)
+        return solution.joints, solution.position_error + 0.2 * solution.rotation_error
+
+
+class Cell:
+    """All hands, and what is known about the world.
+
+    Args:
+        hands: in packing order.
+        truth: the `privileged` map of the newest observation.
+    """
+
+    def __init__(self, hands: Sequence[Hand], truth: Mapping[str, Any]) -> None:
+        self.hands = tuple(hands)
+        self.truth = truth
+
+    @property
+    def table(self) -> float:
+        """Height of the table, m."""
+        return float(self.truth["table_top"])
+
+    def object_position(self, name: str) -> np.ndarray:
+        """Return where an object's centre is now, (3,)."""
+        return np.array(self.truth["objects"][name]["pose"], dtype=np.float64)[: spec.POSITION_DIM]
+
+    def object_yaw(self, name: str) -> float:
+        """Return the direction of an object's x axis in the horizontal plane, rad."""
+        quaternion = np.array(self.truth["objects"][name]["pose"], dtype=np.float64)[spec.POSITION_DIM :]
+        along = rotation.rotate(quaternion, [1.0, 0.0, 0.0])
+        return math.atan2(float(along[1]), float(along[0]))
+
+    def half_size(self, name: str) -> np.ndarray:
+        """Return half the extents of an object, (3,), m."""
+        return np.array(self.truth["objects"][name]["half_size"], dtype=np.float64)
+
+    def goal_position(self, name: str) -> np.ndarray:
+        """Return where a goal is, (3,)."""
+        return np.array(self.truth["goals"][name]["position"], dtype=np.float64)
+
+
+def pause(steps: int) -> Program:
+    """Keep all targets for some control steps."""
+    for _ in range(steps):
+        yield
+
+
+def together(*programs: Program) -> Program:
+    """Run programs of different hands at the same time, until all have ended."""
+    running = list(programs)
+    while running:
+        running = [program for program in running if next(program, _ENDED) is not _ENDED]
+        if running:
+            yield
+
+
+_ENDED = object()
+
+
+def _axes(forward: np.ndarray, slide: np.ndarray) -> np.ndarray:
+    """Return the axes (3, 3) of a tool as columns: forward, slide, and across both."""
+    return np.stack([forward, slide, np.cross(forward, slide)], axis=-1)

@@ -1,0 +1,11 @@
+"""The audit: rules that prove requirements of the standard, cheapest gate first.
+
+A rule imports from here and nowhere else in the engine:
+
+    from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, rule
+"""
+
+from xpl_cli.audit.model import Finding, Fix, NotApplicable, NotRun, Outcome
+from xpl_cli.audit.registry import Rule, rule
+
+__all__ = ["Finding", "Fix", "NotApplicable", "NotRun", "Outcome", "Rule", "rule"]

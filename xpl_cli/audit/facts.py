@@ -1,0 +1,74 @@
+"""Facts: what rules need to know, injected by parameter name and computed once per target.
+
+A provider is a function whose name is the fact's and whose parameters name the facts it needs. A provider that yields
+cleans up after the yield, when the gate that first needed it has ended.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any, Self
+
+from xpl_cli.audit.model import NotRun
+
+
+class Facts:
+    """The facts of one target.
+
+    Args:
+        given: facts that are known from the start, by name.
+        providers: functions that compute further ones, by name.
+    """
+
+    def __init__(self, given: dict[str, Any], providers: dict[str, Callable[..., Any]]) -> None:
+        self._known = dict(given)
+        self._missing: dict[str, str] = {}
+        self._providers = providers
+        self._cleanup = ExitStack()
+
+    def get(self, name: str) -> Any:
+        """Return a fact, computing it on first use.
+
+        Raises:
+            NotRun: if it cannot be had; every rule that needs it hears the same reason.
+        """
+        if name in self._known:
+            return self._known[name]
+        if name in self._missing:
+            raise NotRun(self._missing[name])
+        if name not in self._providers:
+            message = f"no provider for the fact {name!r}; there are {', '.join(sorted(self._providers))}"
+            raise LookupError(message)
+        try:
+            self._known[name] = self._compute(self._providers[name])
+        except NotRun as reason:
+            self._missing[name] = str(reason)
+            raise
+        return self._known[name]
+
+    def records(self) -> list[str]:
+        """Return what the computed facts recorded of the target's behaviour (their `record`), for the digest."""
+        recorded = ((name, getattr(fact, "record", None)) for name, fact in sorted(self._known.items()))
+        return [f"{name} {record()}" for name, record in recorded if callable(record)]
+
+    def call(self, function: Callable[..., Any]) -> Any:
+        """Call a function with the facts that its parameters name."""
+        return function(**{name: self.get(name) for name in inspect.signature(function).parameters})
+
+    def _compute(self, provider: Callable[..., Any]) -> Any:
+        if not inspect.isgeneratorfunction(provider):
+            return self.call(provider)
+
+        @contextmanager
+        def managed() -> Iterator[Any]:
+            yield from self.call(provider)
+
+        return self._cleanup.enter_context(managed())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._cleanup.close()

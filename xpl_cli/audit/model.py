@@ -1,0 +1,172 @@
+"""What an audit says: findings, results of rules, reports of gates and targets."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.errors import ExitCode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+class Outcome(StrEnum):
+    """How a rule ended. `not_run` is never green; `error` means that the rule itself crashed."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    WARN = "warn"
+    NOT_APPLICABLE = "not_applicable"
+    NOT_RUN = "not_run"
+    ERROR = "error"
+
+
+class Gate(StrEnum):
+    """The gates of an audit, cheapest first."""
+
+    STATIC = "static"
+    OFFLINE = "offline"
+    MUJOCO = "mujoco"
+
+
+class NotApplicable(Exception):  # noqa: N818 - an outcome, not an error
+    """Raised by a rule that has nothing to prove on this target; the argument says why."""
+
+
+class NotRun(Exception):  # noqa: N818 - an outcome, not an error
+    """Raised by a rule or a fact that cannot be had; the argument says why."""
+
+
+@dataclass(frozen=True)
+class Fix:
+    """What to do about a finding.
+
+    Args:
+        kind: `command` (text is an exact command), `safe_edit`, `unsafe_edit`, or `advice` (text is a sentence).
+        text: the command, the edit or the advice.
+    """
+
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong.
+
+    Args:
+        message: the consequence in one sentence.
+        path: file, relative to the adapter's folder, or None where no file is to blame.
+        line, column, end_line, end_column: 1-based range in that file.
+        expected: what was expected.
+        got: what came.
+        evidence: frames and numbers that show it; JSON values.
+        fix: what to do.
+    """
+
+    message: str
+    path: str | None = None
+    line: int | None = None
+    column: int | None = None
+    end_line: int | None = None
+    end_column: int | None = None
+    expected: str | None = None
+    got: str | None = None
+    evidence: Mapping[str, Any] | None = None
+    fix: Fix | None = None
+
+    def fingerprint(self, code: str) -> str:
+        """Return an identity that survives edits elsewhere in the file: rule, file and message without numbers."""
+        text = "\0".join((code, self.path or "", re.sub(r"[-+0-9.e]+", "#", self.message)))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What one rule found on one target."""
+
+    code: str
+    slug: str
+    requirement: str
+    severity: str
+    outcome: Outcome
+    findings: tuple[Finding, ...] = ()
+    reason: str | None = None
+
+
+@dataclass
+class GateReport:
+    """One gate on one target.
+
+    Attributes:
+        finish: the deterministic finish line, where the gate ran.
+        digest: hash of what the adapter did; equal for equal behaviour under an equal fingerprint.
+    """
+
+    name: Gate
+    results: list[Result] = field(default_factory=list)
+    reason: str | None = None
+    seconds: float = 0.0
+    digest: str | None = None
+    fingerprint: str | None = None
+
+    @property
+    def outcome(self) -> Outcome:
+        """The worst of the gate's results; `not_run` if no rule proved anything."""
+        outcomes = {result.outcome for result in self.results}
+        for worst in (Outcome.FAIL, Outcome.ERROR, Outcome.NOT_RUN):
+            if worst in outcomes:
+                return worst
+        return Outcome.PASS if outcomes & {Outcome.PASS, Outcome.WARN} else Outcome.NOT_RUN
+
+    @property
+    def finish(self) -> str | None:
+        """The finish line: equal runs print equal lines, so that it holds no time and no path."""
+        if self.reason is not None:
+            return None
+        counts = counted(self.results)
+        numbers = " ".join(f"{outcome}={counts[outcome]}" for outcome in Outcome if counts[outcome])
+        return f"XPL-FINISH gate={self.name} {self.outcome} {numbers} digest={self.digest} fingerprint={self.fingerprint}"
+
+
+@dataclass
+class TargetReport:
+    """All gates of one target."""
+
+    path: str
+    name: str
+    kind: str
+    gates: list[GateReport] = field(default_factory=list)
+
+    @property
+    def results(self) -> list[Result]:
+        """The results of all gates."""
+        return [result for gate in self.gates for result in gate.results]
+
+    @property
+    def verdict(self) -> str:
+        """`green` if everything that was asked for ran and held, `red` with a failure, else `incomplete`."""
+        outcomes = [gate.outcome for gate in self.gates]
+        if Outcome.FAIL in outcomes or Outcome.ERROR in outcomes:
+            return "red"
+        return "green" if outcomes and set(outcomes) == {Outcome.PASS} else "incomplete"
+
+
+def counted(results: Iterable[Result]) -> Counter[str]:
+    """Return how many results have each outcome."""
+    return Counter(result.outcome for result in results)
+
+
+def exit_code(targets: Iterable[TargetReport]) -> ExitCode:
+    """Return the exit code of an audit: findings before crashes before checks that could not run."""
+    outcomes = {gate.outcome for target in targets for gate in target.gates}
+    if Outcome.FAIL in outcomes:
+        return ExitCode.FINDINGS
+    if Outcome.ERROR in outcomes:
+        return ExitCode.INTERNAL
+    return ExitCode.CLEAN if outcomes == {Outcome.PASS} else ExitCode.NOT_RUN
