@@ -157,7 +157,7 @@ def test_lint_runs_all_tools_and_remembers_a_failure(checkout: Checkout) -> None
     checkout.script(checkout.folder / ".venv/bin/mypy", "#!/bin/bash\necho mypy $1; cat $1/*.py\n")
     checkout.script(checkout.folder / "conformance/no-hang/rule.py", "rule\n")
     code, out, _ = checkout.dev("lint")
-    assert (code, out) == (1, "ruff check\nruff format\nmypy \nmypy .mypy_cache/rules\nrule\n")
+    assert (code, out) == (1, "ruff check\nruff format\nmypy\nmypy .mypy_cache/rules\nrule\n")
 
 
 def test_benchmarks_run_by_name_or_all(checkout: Checkout) -> None:

@@ -29,25 +29,16 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.ready()
-    envs, steps = [0, 1, 2], 3
-    with probe.session() as policy:
-        policy.reset()
-        together = []
-        for step in range(steps):
-            policy.update_obs_batch(probe.observations(envs, step))
-            together.append(policy.get_action_batch(envs))
-        for env in envs:
-            policy.reset()
-            for step in range(steps):
-                policy.update_obs_batch(probe.observations([env], step))
-                alone = policy.get_action_batch([env])
-                batch = together[step]
-                found = difference(alone, batch[env : env + 1] if answers(batch) else batch)
-                if found is not None:
-                    yield blame(
-                        f"environment {env} acts differently beside others than alone, from step {step} on: state is shared",
-                        expected="the actions of a run by itself", got=found,
-                        evidence={"environment": env, "step": step, "alone": first_step(alone[0]) if answers(alone) else None},
-                        fix=Fix("advice", "keep history, caches, counters and generators per environment index"),
-                    )
-                    return
+    envs = [0, 1, 2]
+    together = probe.batch_episode(envs)
+    for env in envs:
+        for step, (alone, batch) in enumerate(zip(probe.batch_episode([env]), together, strict=True)):
+            found = difference(alone, batch[env : env + 1] if answers(batch) else batch)
+            if found is not None:
+                yield blame(
+                    f"environment {env} acts differently beside others than alone, from step {step} on: state is shared",
+                    expected="the actions of a run by itself", got=found,
+                    evidence={"environment": env, "step": step, "alone": first_step(alone[0]) if answers(alone) else None},
+                    fix=Fix("advice", "keep history, caches, counters and generators per environment index"),
+                )
+                return

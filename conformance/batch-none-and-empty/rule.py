@@ -30,14 +30,8 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     """
     probe.ready()
     envs = [4, 2]
-    with probe.session() as policy:
-        policy.reset()
-        policy.update_obs_batch(probe.observations(envs))
-        listed = policy.get_action_batch(envs)
-        empty = policy.get_action_batch([])
-        policy.reset()
-        policy.update_obs_batch(probe.observations(envs))
-        implied = policy.get_action_batch(None)
+    batch = probe.observations(envs)
+    listed, implied, empty = (probe.batch_answer(batch, wanted) for wanted in (envs, None, []))
     if error_code(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
         yield blame(
             "get_action_batch([]) is not answered by []: a batch in which every environment has ended is acted on again",

@@ -31,29 +31,24 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
     """
     probe.ready()
     envs = [3, 7, 9]
-    with probe.session() as policy:
-        policy.reset()
-        policy.update_obs_batch(probe.observations(envs))
-        whole = policy.get_action_batch(envs)
-        alone = {env: chunk for env, chunk in zip(envs, whole, strict=True)} if answers(whole, 3) else {}
-        if not alone:
+    batch = probe.observations(envs)
+    whole = probe.batch_answer(batch, envs)
+    if not answers(whole, len(envs)):
+        yield blame(
+            f"get_action_batch({envs}) does not give one chunk per environment",
+            expected=f"{len(envs)} chunks", got=brief(whole), fix=Fix("advice", "return one chunk per entry of env_idx_list"),
+        )
+        return
+    alone = dict(zip(envs, whole, strict=True))
+    for wanted in ([9], [9, 3], [7, 9, 3]):
+        answer = probe.batch_answer(batch, wanted)
+        found = difference([alone[env] for env in wanted], answer)
+        if found is not None:
             yield blame(
-                f"get_action_batch({envs}) does not give one chunk per environment",
-                expected="3 chunks", got=brief(whole), fix=Fix("advice", "return one chunk per entry of env_idx_list"),
+                f"get_action_batch({wanted}) {mistaken(answer, alone, wanted)}: robots receive each other's commands",
+                expected=f"the chunks of environments {wanted}, in this order",
+                got=found,
+                evidence={"observed": envs, "asked": wanted, "first_action": first_step(answer[0]) if answers(answer) else None},
+                fix=Fix("advice", "look observations up by environment index, never by position in the list"),
             )
             return
-        for wanted in ([9], [9, 3], [7, 9, 3]):
-            policy.reset()
-            policy.update_obs_batch(probe.observations(envs))
-            answer = policy.get_action_batch(wanted)
-            expected = [alone[env] for env in wanted]
-            found = difference(expected, answer)
-            if found is not None:
-                yield blame(
-                    f"get_action_batch({wanted}) {mistaken(answer, alone, wanted)}: robots receive each other's commands",
-                    expected=f"the chunks of environments {wanted}, in this order",
-                    got=found,
-                    evidence={"observed": envs, "asked": wanted, "first_action": first_step(answer[0]) if answers(answer) else None},
-                    fix=Fix("advice", "look observations up by environment index, never by position in the list"),
-                )
-                return

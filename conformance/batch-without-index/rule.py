@@ -32,14 +32,7 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
     probe.ready()
     named = probe.observations([0, 1])
     bare = [{key: value for key, value in obs.items() if key != spec.Obs.ENV_IDX} for obs in named]
-    with probe.session() as policy:
-        policy.reset()
-        policy.update_obs_batch(named)
-        expected = policy.get_action_batch([0, 1])
-        policy.reset()
-        policy.update_obs_batch(bare)
-        answer = policy.get_action_batch([0, 1])
-    found = difference(expected, answer)
+    found = difference(probe.batch_answer(named, [0, 1]), probe.batch_answer(bare, [0, 1]))
     if found is not None:
         yield blame(
             "observations without env_idx are not told apart by their position: one environment overwrites another",

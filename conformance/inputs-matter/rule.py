@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, difference, varied
+from xpl_cli.audit.probe import Probe, same, varied
 
 
 @rule(code="XPL212", slug="inputs-matter", gate="offline", requirement="XPL-OBS-6")
@@ -30,15 +30,13 @@ def inputs_matter(probe: Probe) -> Iterator[Finding]:
     """
     probe.ready()
     obs = probe.observation()
-    with probe.session() as policy:
-        before = policy.act(obs)
-        for name in probe.required:
-            after = policy.act(varied(obs, name))
-            if difference(before, after) is None:
-                yield Finding(
-                    message=f"{name} is declared as required, but changing it changes nothing: the policy does not see it",
-                    path="policy.yml",
-                    expected=f"another action for another {name}, or {name} under inputs.unused",
-                    got="the same action",
-                    fix=Fix("advice", f"use {name} in encode, or move it to inputs.unused in policy.yml"),
-                )
+    before = probe.answer(obs)
+    for name in probe.required:
+        if same(before, probe.answer(varied(obs, name))):
+            yield Finding(
+                message=f"{name} is declared as required, but changing it changes nothing: the policy does not see it",
+                path="policy.yml",
+                expected=f"another action for another {name}, or {name} under inputs.unused",
+                got="the same action",
+                fix=Fix("advice", f"use {name} in encode, or move it to inputs.unused in policy.yml"),
+            )

@@ -33,10 +33,7 @@ def instruction_forms(probe: Probe) -> Iterator[Finding]:
     text = obs[spec.Obs.INSTRUCTION]
     listed = {key: value for key, value in obs.items() if key != spec.Obs.INSTRUCTION}
     listed[spec.Obs.INSTRUCTIONS] = [text, "an alternative wording"]
-    with probe.session() as policy:
-        expected = policy.act(obs)
-        answer = policy.act(listed)
-    found = difference(expected, answer)
+    found = difference(probe.answer(obs), probe.answer(listed))
     if found is not None:
         yield blame(
             "an observation with `instructions` is not understood as one with `instruction`",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import Probe, blame, difference
 
 
@@ -29,8 +29,7 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.ready()
-    if not probe.deterministic:
-        raise NotApplicable("the manifest declares the policy not deterministic")
+    probe.require_deterministic()
     second_episodes = []
     for env, steps in ((0, 1), (2, 4)):  # two different first episodes, then the same second one
         with probe.fresh_session() as policy:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import Probe, blame, difference
 
 
@@ -28,8 +28,7 @@ def seed_repeats(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.ready()
-    if not probe.deterministic:
-        raise NotApplicable("the manifest declares the policy not deterministic")
+    probe.require_deterministic()
     for seed in (0, 7):
         answers = []
         for _ in range(2):

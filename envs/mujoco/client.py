@@ -16,6 +16,9 @@ from xpl.embodiment import get_embodiment
 from .manifest import manifest
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from .episode import Episode
 
 NATIVE = "native"
@@ -161,6 +164,13 @@ class MujocoEnv:
         """Return the outcome of every environment's episode so far (see `Episode.result`)."""
         self._started()
         return [episode.result() for episode in self._episodes]
+
+    def render(self, env_idx: int = 0, camera: str = spec.OPTIONAL_CAMERAS[0]) -> NDArray[np.uint8]:
+        """Return what a camera of env.yml sees now, (H, W, 3) uint8 RGB, for people; observations do not change."""
+        entries = manifest()["cameras"]
+        _one_of("camera", camera, entries)
+        frame = self._episode(env_idx).render(camera, entries[camera]["height"], entries[camera]["width"])
+        return frame.color
 
     def close(self) -> None:
         """Drop all episodes."""

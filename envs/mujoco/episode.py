@@ -13,7 +13,7 @@ from xpl import _spec as spec
 from xpl.action import ActionError, pack
 
 from .backdrop import Backdrop
-from .camera import RayCamera
+from .camera import Frame, RayCamera
 from .control import ArmControl, execute
 from .manifest import manifest
 from .observe import flange_poses, state, vision
@@ -94,6 +94,11 @@ class Episode:
             result[spec.Obs.PRIVILEGED] = self._truth()
         return result
 
+    def render(self, camera: str, height: int, width: int) -> Frame:
+        """Return what any camera of the scene sees now, at any resolution."""
+        physics = self._physics
+        return RayCamera(physics.model, camera, width, height, self._backdrop()).render(physics.data)
+
     def step(self, action: Mapping[str, Any]) -> dict[str, Any]:
         """Execute one action step, unless the episode has ended.
 
@@ -172,13 +177,15 @@ class Episode:
         size = self._setup.camera_size
         if size is None:
             return {}
-        physics = self._physics
-        backdrop = Backdrop(physics.model, physics.data, BACKDROP_GROUP)
+        backdrop = self._backdrop()
         cameras = {}
         for name in self._setup.embodiment.cameras:
             height, width = (entries[name]["height"], entries[name]["width"]) if isinstance(size, str) else size
-            cameras[name] = RayCamera(physics.model, name, width, height, backdrop)
+            cameras[name] = RayCamera(self._physics.model, name, width, height, backdrop)
         return cameras
+
+    def _backdrop(self) -> Backdrop:
+        return Backdrop(self._physics.model, self._physics.data, BACKDROP_GROUP)
 
     def _truth(self) -> dict[str, Any]:
         """Return the privileged map: what README.md lists."""

@@ -31,6 +31,9 @@ BACKDROP_GROUP = 1
 """Geom group of room and table: large, still, convex. Cameras see them without casting rays through MuJoCo."""
 
 _TABLE, _FLOOR, _WALL = (0.74, 0.6, 0.44, 1.0), (0.47, 0.49, 0.52, 1.0), (0.72, 0.75, 0.77, 1.0)
+# MuJoCo's cameras look along -z with y up.
+_LOOKING_ALONG_Y = rotation.from_rpy([math.pi / 2, 0.0, 0.0])
+_LOOKING_ALONG_X = rotation.from_rpy([math.pi / 2, 0.0, -math.pi / 2])
 _OBJECT_FRICTION = (1.0, 0.02, 0.001)
 
 
@@ -163,21 +166,17 @@ def _add_room(world: Any, scene: Mapping[str, Any]) -> None:
 
 
 def _add_cameras(scene: Any, embodiment: Embodiment, cameras: Mapping[str, Any]) -> None:
-    """Add the embodiment's cameras: the head camera to the world, a wrist camera to each tool."""
+    """Add the embodiment's cameras, a wrist camera to each tool, and the optional ones of the manifest."""
     head, *wrists = spec.CAMERAS[len(embodiment.arms)]
-    entry = cameras[head]
-    down = math.radians(entry["pitch_down_deg"])
-    _add_camera(scene.worldbody, head, entry, [1, 0, 0, 0, math.sin(down), math.cos(down)])
+    for name in (head, *(name for name in spec.OPTIONAL_CAMERAS if name in cameras)):
+        _add_camera(scene.worldbody, name, cameras[name], _LOOKING_ALONG_Y)
     for prefix, name in zip(embodiment.prefixes, wrists, strict=True):
-        entry = cameras[name]
-        down = math.radians(entry["pitch_down_deg"])
-        _add_camera(scene.body(f"{prefix}tool"), name, entry, [0, -1, 0, math.sin(down), 0, math.cos(down)])
+        _add_camera(scene.body(f"{prefix}tool"), name, cameras[name], _LOOKING_ALONG_X)
 
 
-def _add_camera(body: Any, name: str, entry: Mapping[str, Any], axes: Sequence[float]) -> None:
-    """Add one camera; `axes` are its right and its up."""
-    frame = np.array(axes, dtype=np.float64).reshape(2, 3)
-    matrix = np.stack([frame[0], frame[1], np.cross(frame[0], frame[1])], axis=-1)
-    body.add_camera(
-        name=name, pos=entry["position"], quat=rotation.from_matrix(matrix), fovy=entry["fovy_deg"]
-    )
+def _add_camera(body: Any, name: str, entry: Mapping[str, Any], level: NDArray[np.float64]) -> None:
+    """Add one camera: `level` is its rotation (4,) before it is pitched down about its right and turned about z."""
+    down, yaw = math.radians(entry["pitch_down_deg"]), math.radians(entry.get("yaw_deg", 0.0))
+    turned = rotation.multiply(rotation.from_axis_angle([0.0, 0.0, yaw]), level)
+    pitched = rotation.multiply(turned, rotation.from_axis_angle([-down, 0.0, 0.0]))
+    body.add_camera(name=name, pos=entry["position"], quat=pitched, fovy=entry["fovy_deg"])

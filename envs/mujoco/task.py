@@ -64,7 +64,7 @@ class Task(ABC):
     @property
     def score(self) -> float:
         """Sum of the weights of the stages reached; 1 on success, however it came about."""
-        return 1.0 if self.succeeded else sum(self._weights[name] for name, done in self.stages.items() if done)
+        return 1.0 if self.succeeded else float(sum(self._weights[name] for name, done in self.stages.items() if done))
 
     def update(self, physics: Physics) -> None:
         """Judge the state after a control step."""

@@ -18,7 +18,7 @@ from xpl.kinematics import Chain, compose, invert, pose
 
 Program = Iterator[None]
 
-_TRAVEL, _TURN = 0.013, 0.07  # m and rad of one control step, on average over a motion
+_TRAVEL, _TURN = 0.013, 0.055  # m and rad of one control step, on average over a motion
 _SHORTEST = 4  # control steps
 
 

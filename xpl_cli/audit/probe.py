@@ -11,6 +11,7 @@ Rules describe what they do in terms of this class, so that each reads as the ex
 from __future__ import annotations
 
 import contextlib
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -193,10 +194,53 @@ class Probe:
         """Return the scripted observations of several environments."""
         return [self.observation(env, step) for env in envs]
 
-    @property
-    def deterministic(self) -> bool:
-        """Whether equal seeds and observations are to give equal actions."""
-        return bool(self.package.manifest.get("deterministic", True))
+    def require_deterministic(self) -> None:
+        """Stop a rule that compares answers where the manifest says that they differ anyway.
+
+        Raises:
+            NotApplicable: if the policy is declared not deterministic.
+        """
+        if not self.package.manifest.get("deterministic", True):
+            raise NotApplicable("the manifest declares the policy not deterministic")
+
+    @contextlib.contextmanager
+    def run(self) -> Iterator[Session]:
+        """Connect for an experiment whose answers are compared with those of another.
+
+        Where the policy draws other random numbers in every episode, each experiment gets a server of its own, so that
+        both see the first episode of a process.
+        """
+        self.require_deterministic()
+        with self.session() if self.repeats_in_place else self.fresh_session() as session:
+            yield session
+
+    @cached_property
+    def repeats_in_place(self) -> bool:
+        """Whether one server answers the same in its second and third episode."""
+        with self.session() as policy:
+            return same(self.episode(policy), self.episode(policy))
+
+    def answer(self, obs: Any) -> Any:
+        """Return the comparable answer to one observation in a new episode."""
+        with self.run() as policy:
+            return policy.act(obs)
+
+    def batch_answer(self, observations: Sequence[Any], wanted: Sequence[int] | None) -> Any:
+        """Return the comparable answer to `get_action_batch(wanted)` after a batch of observations in a new episode."""
+        with self.run() as policy:
+            policy.reset()
+            policy.update_obs_batch(observations)
+            return policy.get_action_batch(wanted)
+
+    def batch_episode(self, envs: Sequence[int], steps: int = 3) -> list[Any]:
+        """Play a comparable episode of some environments in one batch; return the answer of every step."""
+        answered = []
+        with self.run() as policy:
+            policy.reset()
+            for step in range(steps):
+                policy.update_obs_batch(self.observations(envs, step))
+                answered.append(policy.get_action_batch(envs))
+        return answered
 
     def combinations(self) -> list[tuple[str, str]]:
         """Return every embodiment and action type that the manifest declares, the configured pair first."""

@@ -62,8 +62,8 @@ class HandoverBlock(Task):
 
     def truth(self, physics: Physics) -> dict[str, Any]:
         """Return block and pad."""
-        block = {"pose": physics.body_pose(_BLOCK), "half_size": _HALF}
-        pad = {"position": np.array([*self._pad, physics.table_top]), "half_size": _PAD_HALF}
+        block = {"pose": physics.body_pose(_BLOCK), "half_size": np.array(_HALF)}
+        pad = {"position": np.array([*self._pad, physics.table_top]), "half_size": np.array(_PAD_HALF)}
         return {"objects": {_BLOCK: block}, "goals": {_PAD: pad}}
 
     def _height(self, physics: Physics) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..task import Task
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from ..physics import Physics
     from ..scene import Scene
 
@@ -44,7 +44,7 @@ class LiftCube(Task):
 
     def truth(self, physics: Physics) -> dict[str, Any]:
         """Return the cube."""
-        return {"objects": {_CUBE: {"pose": physics.body_pose(_CUBE), "half_size": _HALF}}, "goals": {}}
+        return {"objects": {_CUBE: {"pose": physics.body_pose(_CUBE), "half_size": np.array(_HALF)}}, "goals": {}}
 
     def _height(self, physics: Physics) -> float:
         return float(physics.body_pose(_CUBE)[2]) - _HALF[2] - physics.table_top

@@ -10,9 +10,8 @@ from ..cell import Cell, Hand, Program, pause, together
 
 _BLOCK, _PAD = "block", "pad"
 _FROM_CENTER = 0.06  # m, grasps left and right of the block's centre
-_ABOVE = 0.08
-_MEETING = (0.0, -0.27, 0.1)  # world x and y, and above the table: where the block changes hands
-_WAITING = 0.2  # x of the right hand while the left one brings the block
+_ABOVE = 0.06
+_MEETING = (0.0, -0.21, 0.08)  # world x and y, and above the table: where the block changes hands
 
 
 def program(cell: Cell) -> Program:
@@ -27,8 +26,7 @@ def program(cell: Cell) -> Program:
     end = block - _FROM_CENTER * _along(yaw)
     left_turn = left.easiest_yaw([(end + up, yaw + across), (meeting - _FROM_CENTER * _along(0.0), across)])
     right_turn = right.easiest_yaw([(meeting + _FROM_CENTER * _along(0.0), across), (pad + up, across)])
-    aside = right.pointing_down((_WAITING, meeting[1], meeting[2] + _ABOVE), across + right_turn)
-    yield from together(left.move(left.pointing_down(end + up, yaw + across + left_turn)), right.move(aside))
+    yield from left.move(left.pointing_down(end + up, yaw + across + left_turn))
     yield from left.move(left.pointing_down(end, yaw + across + left_turn), speed=0.7)
     yield from left.grip(0.0, steps=8)
     yield from left.shift(up)
@@ -45,13 +43,8 @@ def program(cell: Cell) -> Program:
     yield from left.grip(1.0, steps=6)
     yield from left.shift(up)
 
-    yield from together(_retreat(left, up), _put_down(cell, right, pad, up))
+    yield from together(left.shift((-0.12, 0.05, 0.0)), _put_down(cell, right, pad, up))
     yield from pause(10)
-
-
-def _retreat(hand: Hand, up: np.ndarray) -> Program:
-    """Clear the way for the other hand."""
-    yield from hand.shift((-0.12, 0.06, 0.0))
 
 
 def _put_down(cell: Cell, hand: Hand, pad: np.ndarray, up: np.ndarray) -> Program:

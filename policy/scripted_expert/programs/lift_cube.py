@@ -9,7 +9,7 @@ import numpy as np
 from ..cell import Cell, Program, pause
 
 _CUBE = "cube"
-_ABOVE, _LIFT = 0.08, 0.1
+_ABOVE, _LIFT = 0.06, 0.09
 _ATTEMPTS = 3
 
 

@@ -1,0 +1,47 @@
+"""XPL304: Commands jump where one chunk ends and the next begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.probe import blame
+from xpl_cli.audit.simulation import Simulation, arm_columns, largest_jumps
+
+
+JOINT_FLOOR, POSITION_FLOOR = 0.1, 0.03  # rad, m: smaller changes are no jump
+RATIO = 5.0
+
+
+@rule(code="XPL304", slug="chunk-seams", gate="mujoco", requirement="XPL-SIM-4")
+def chunk_seams(simulation: Simulation) -> Iterator[Finding]:
+    """Commands jump where one chunk ends and the next begins.
+
+    ## What it does
+    Compares the largest change between consecutive commands at chunk seams with the largest one inside chunks.
+
+    ## Why it matters
+    A chunk that does not continue where the robot is makes the arm jerk at every inference: on hardware a safety stop.
+
+    ## Example
+    Actions are offset by one step, or normalised with the statistics of another robot.
+
+    ## Use instead
+    Predict from the newest observation; smooth with temporal ensembling where the model's chunks disagree.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    joint = simulation.probe.action_type == spec.ACTION_TYPES[0]
+    unit, floor = ("rad", JOINT_FLOOR) if joint else ("m", POSITION_FLOOR)
+    for task in simulation.tasks():
+        seam, inside = largest_jumps(simulation.sound_rollout(task), arm_columns(simulation.probe))
+        if seam > max(floor, RATIO * inside):
+            yield blame(
+                f"in {task} commands jump by {seam:.3g} {unit} where a new chunk begins, and by {inside:.2g} {unit} inside "
+                "chunks: the arm jerks at every inference",
+                expected=f"at most {max(floor, RATIO * inside):.2g} {unit} between consecutive commands", got=f"{seam:.3g} {unit}",
+                evidence={"task": task, "seam": seam, "inside": inside},
+                fix=Fix("advice", "start each chunk at the current state, or declare temporal.ensembling in policy.yml"),
+            )

@@ -1,0 +1,43 @@
+"""XPL303: Equal seeds do not give equal motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.probe import blame
+from xpl_cli.audit.simulation import Simulation
+
+
+@rule(code="XPL303", slug="same-seed-same-motion", gate="mujoco", requirement="XPL-SIM-3")
+def same_seed_same_motion(simulation: Simulation) -> Iterator[Finding]:
+    """Equal seeds do not give equal motion.
+
+    ## What it does
+    Plays the same task with the same seed against two fresh servers and compares the digests of the trajectories.
+
+    ## Why it matters
+    Paired comparisons between policies, and every claim about a difference of a few percent, rest on runs that repeat.
+
+    ## Example
+    Sampling noise from an unseeded generator.
+
+    ## Use instead
+    `self.rng(env)`, or `deterministic: false` in the manifest where the framework cannot be seeded.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    simulation.probe.require_deterministic()
+    task = simulation.tasks()[0]
+    first, again = (simulation.sound_rollout(task, (1,), run=run) for run in (0, 1))
+    if first.results[0]["digest"] != again.results[0]["digest"]:
+        step = next(
+            (index for index, (a, b) in enumerate(zip(first.commands[0], again.commands[0], strict=False)) if (a != b).any()), 0
+        )
+        yield blame(
+            f"two runs of {task} with one seed move differently from step {step} on",
+            expected=first.results[0]["digest"], got=again.results[0]["digest"],
+            evidence={"task": task, "seed": 1, "first_difference": step},
+            fix=Fix("advice", "draw random numbers from self.rng(env); declare deterministic: false if that is impossible"),
+        )
