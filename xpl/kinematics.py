@@ -179,8 +179,8 @@ class Chain:
         """
         wanted = _checked_pose(flange)
         target, goal = (wanted[0], wanted[1], wanted[2]), (wanted[3], wanted[4], wanted[5], wanted[6])
-        lower, upper = self.lower.tolist(), self.upper.tolist()
-        angles = [min(max(a, low), high) for a, low, high in zip(self._angles(start), lower, upper)]
+        limits = list(zip(self.lower.tolist(), self.upper.tolist()))
+        angles = [min(max(angle, low), high) for angle, (low, high) in zip(self._angles(start), limits)]
         best, best_cost, best_errors = angles, math.inf, (math.inf, math.inf)
         stalled = iteration = 0
         for iteration in range(max_iterations + 1):
@@ -198,7 +198,7 @@ class Chain:
                 break
             residual = (*shift, *(_METRES_PER_RADIAN * value for value in twist))
             columns = [_column(origin, axis, position, _METRES_PER_RADIAN) for origin, axis in zip(origins, axes)]
-            angles = _step(columns, residual, angles, lower, upper, _DAMPING * cost + _DAMPING_FLOOR)
+            angles = _step(columns, residual, angles, limits, _DAMPING * cost + _DAMPING_FLOOR)
         return Solution(
             joints=np.array(best),
             converged=best_errors[0] <= position_tolerance and best_errors[1] <= rotation_tolerance,
@@ -358,8 +358,7 @@ def _step(
     columns: Sequence[Sequence[float]],
     residual: Sequence[float],
     angles: Sequence[float],
-    lower: Sequence[float],
-    upper: Sequence[float],
+    limits: Sequence[tuple[float, float]],
     damping: float,
 ) -> list[float]:
     """Return the angles after one damped least-squares step that respects the limits.
@@ -378,21 +377,17 @@ def _step(
         found = _damped_least_squares([columns[index] for index in free], rest, damping)
         for index, value in zip(free, found):
             change[index] = value
-        outside = [index for index in free if not lower[index] <= angles[index] + change[index] <= upper[index]]
+        outside = [index for index in free if not limits[index][0] <= angles[index] + change[index] <= limits[index][1]]
         if not outside:
             break
         for index in outside:
-            change[index] = (upper if change[index] > 0 else lower)[index] - angles[index]
+            change[index] = limits[index][change[index] > 0] - angles[index]
         free = [index for index in free if index not in outside]
-    scale = min(1.0, _LARGEST_STEP / max(1e-12, max(map(abs, change))))
-    return [
-        min(max(angle + scale * value, low), high) for angle, value, low, high in zip(angles, change, lower, upper)
-    ]
+    scale = min(1.0, _LARGEST_STEP / max(1e-12, *map(abs, change)))
+    return [min(max(angle + scale * value, low), high) for angle, value, (low, high) in zip(angles, change, limits)]
 
 
-def _damped_least_squares(
-    columns: Sequence[Sequence[float]], residual: Sequence[float], damping: float
-) -> list[float]:
+def _damped_least_squares(columns: Sequence[Sequence[float]], residual: Sequence[float], damping: float) -> list[float]:
     """Solve ``(J^T J + damping I) x = J^T r`` by Cholesky's method; `columns` are those of J."""
     size = len(columns)
     factor: list[list[float]] = []

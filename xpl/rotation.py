@@ -49,14 +49,15 @@ def normalise(quaternion: ArrayLike) -> NDArray[np.float64]:
     array = _quaternion(quaternion)
     length = np.sqrt(np.sum(array * array, axis=-1, keepdims=True))
     if not np.all(np.isfinite(length) & (length > _TINY)):
-        raise ValueError(f"a quaternion needs a finite length above zero, got {array.tolist()}; send a unit [w, x, y, z]")
+        raise ValueError(f"a quaternion [w, x, y, z] needs a finite length above zero, got {array.tolist()}")
     unit: NDArray[np.float64] = array / length
     return unit
 
 
 def conjugate(quaternion: ArrayLike) -> NDArray[np.float64]:
     """Return the inverse of unit quaternions (..., 4)."""
-    return _quaternion(quaternion) * np.array([1.0, -1.0, -1.0, -1.0])
+    inverse: NDArray[np.float64] = _quaternion(quaternion) * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
 
 
 def multiply(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:

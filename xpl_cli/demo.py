@@ -69,7 +69,9 @@ class Demo:
         self.say(f"\n# {step.title}\n$ xpl {' '.join(step.command)}")
         started = time.perf_counter()
         output = subprocess.DEVNULL if self.quiet else None
-        done = subprocess.run([sys.executable, "-m", "xpl_cli", *step.command], cwd=self.folder, check=False, stdout=output)
+        done = subprocess.run(
+            [sys.executable, "-m", "xpl_cli", *step.command], cwd=self.folder, check=False, stdout=output
+        )
         step.code, step.seconds = done.returncode, round(time.perf_counter() - started, 2)
         self.steps.append(step)
         if step.code == ExitCode.INTERRUPTED:
@@ -117,7 +119,9 @@ def play(keep: Path | None, say: Callable[[str], None], *, quiet: bool = False) 
         demo = Demo(folder, say, quiet)
         if not demo.play():
             wrong = [step for step in demo.steps if step.code != step.expected]
-            told = "; ".join(f"`xpl {' '.join(step.command)}` ended with {step.code}, not {step.expected}" for step in wrong)
+            told = "; ".join(
+                f"`xpl {' '.join(step.command)}` ended with {step.code}, not {step.expected}" for step in wrong
+            )
             raise UserError(f"the demo did not go as it should: {told}", code=ExitCode.FINDINGS)
         return demo
 

@@ -116,7 +116,7 @@ def environment_settings(request: Request, config: Mapping[str, Any]) -> dict[st
         "embodiment": robot,
         sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
         "num_envs": request.num_envs,
-        # An adapter without a manifest may look at anything; cameras cost most of a step, so nobody else gets them unasked.
+        # Cameras cost most of a step: only who declares them gets them, and who has no manifest.
         "cameras": wanted is None or any(name.startswith(sdk.Obs.VISION) for name in wanted),
         "privileged": wanted is not None and sdk.Obs.PRIVILEGED in wanted,
     }
@@ -146,7 +146,12 @@ def _connected(request: Request, config: Mapping[str, Any]) -> Iterator[Client]:
         url = request.connect
         if url is None:
             server = serving(
-                request.package.path, request.overrides, python=request.python, env=request.env, gpu=request.gpu, echo=True
+                request.package.path,
+                request.overrides,
+                python=request.python,
+                env=request.env,
+                gpu=request.gpu,
+                echo=True,
             )
             url = stack.enter_context(server).url
         try:
@@ -163,7 +168,9 @@ def _line(episodes: list[dict[str, Any]], total: int) -> str:
     return f"episode {min(len(episodes), total)} of {total}{said}"
 
 
-def _report(request: Request, settings: Mapping[str, Any], episodes: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
+def _report(
+    request: Request, settings: Mapping[str, Any], episodes: list[dict[str, Any]], seconds: float
+) -> dict[str, Any]:
     judged = [episode for episode in episodes if episode.get("success") is not None]
     won = sum(bool(episode["success"]) for episode in judged)
     return {

@@ -10,7 +10,7 @@ from typing import NoReturn
 import typer
 
 from xpl_cli import __version__
-from xpl_cli.commands import audit, demo, evaluate, lifecycle, new_policy, sdk, serve, spec
+from xpl_cli.commands import audit, demo, evaluate, lifecycle, new_policy, sdk, serve
 from xpl_cli.errors import ExitCode, UserError
 
 app = typer.Typer(
@@ -31,13 +31,13 @@ app.command("install")(lifecycle.install)
 app.command("prepare")(lifecycle.prepare)
 app.command("train")(lifecycle.train)
 app.command("demo")(demo.demo)
-app.add_typer(spec.app, name="spec")
 app.add_typer(sdk.app, name="sdk")
 
 
 @app.callback(invoke_without_command=True)
 def _root(
-    version: bool = typer.Option(False, "--version", help="Print the version and exit.", is_eager=True),
+    *,
+    version: bool = typer.Option(default=False, help="Print the version and exit.", is_eager=True),
 ) -> None:
     if version:
         typer.echo(f"xpl {__version__}")

@@ -59,10 +59,14 @@ def find_policy(path: Path | str) -> Path:
     given = Path(path)
     candidates = [given, Path("policy") / given]
     for candidate in candidates:
-        if candidate.is_dir() and any((candidate / name).is_file() for name in ("model.py", "deploy.yml", "policy.yml")):
+        if candidate.is_dir() and any(
+            (candidate / name).is_file() for name in ("model.py", "deploy.yml", "policy.yml")
+        ):
             return candidate.resolve()
     if given.is_dir():
-        raise NotFoundError(f"{given} is a folder without an adapter: expected model.py, deploy.yml or policy.yml in it")
+        raise NotFoundError(
+            f"{given} is a folder without an adapter: expected model.py, deploy.yml or policy.yml in it"
+        )
     raise NotFoundError(f"no adapter at {given}", hint=f"xpl new-policy {given.name} makes one")
 
 

@@ -42,7 +42,9 @@ def compile_source(version: str = spec.CURRENT) -> str:
         "Deploy": list(deploy["properties"]),
         "Frame": list(spec.schema("frame", version)["properties"]),
         "Message": [*wire["answers"], *filter(None, wire["answers"].values()), wire["error_answer"]],
-        "Payload": sorted({key for entry in spec.schema("payload", version)["$defs"].values() for key in entry["properties"]}),
+        "Payload": sorted(
+            {key for entry in spec.schema("payload", version)["$defs"].values() for key in entry["properties"]}
+        ),
         "ErrorCode": list(wire["error_codes"]),
         "ErrorReason": list(wire["error_reasons"]),
         "Method": [*wire["methods"]["contract"], *wire["methods"]["hooks"], wire["methods"]["single_call"]],

@@ -14,11 +14,13 @@ def action_structure(probe: Probe) -> Iterator[Finding]:
     """Actions lack keys, dimensions or finite values that the embodiment asks for.
 
     ## What it does
-    Serves the adapter for every embodiment and action type that its manifest declares, shows it a scripted observation and
-    checks each action step: exact keys, dimensions, finite values, unit quaternions, grippers between 0 and 1.
+    Serves the adapter for every embodiment and action type that its manifest declares, shows it a scripted
+    observation and checks each action step: exact keys, dimensions, finite values, unit quaternions, grippers between
+    0 and 1.
 
     ## Why it matters
-    A robot of another width gets truncated or shifted commands; a controller that meets a NaN stops, or worse, does not.
+    A robot of another width gets truncated or shifted commands; a controller that meets a NaN stops, or worse, does
+    not.
 
     ## Example
     `actions[:, :6]` on an arm with 7 joints, or `left_arm_joint_state` for a robot with one arm.
@@ -39,5 +41,8 @@ def action_structure(probe: Probe) -> Iterator[Finding]:
                 f"{action_type} actions for {name} cannot be executed: {problem}",
                 expected=", ".join(f"{key} ({dim},)" for key, dim in embodiment.dims(action_type).items()),
                 got=shapes(chunk),
-                fix=Fix("advice", "return flat rows of the embodiment's dimension from predict and let the base class unpack them"),
+                fix=Fix(
+                    "advice",
+                    "return flat rows of the embodiment's dimension from predict and let the base class unpack them",
+                ),
             )

@@ -16,8 +16,8 @@ def ask_twice(probe: Probe) -> Iterator[Finding]:
     Shows one observation and asks for an action twice.
 
     ## Why it matters
-    Clients retry and debug tools ask again. An adapter whose inference consumes or changes the stored observation fails then,
-    or answers from half-normalised data.
+    Clients retry and debug tools ask again. An adapter whose inference consumes or changes the stored observation
+    fails then, or answers from half-normalised data.
 
     ## Example
     `obs["state"].pop("left_ee_pose")` during inference.
@@ -35,6 +35,7 @@ def ask_twice(probe: Probe) -> Iterator[Finding]:
     if error_code(first) is None and error_code(second) is not None:
         yield blame(
             "a second get_action on the same observation fails: the first one damaged what was stored",
-            expected="an action chunk", got=brief(second),
+            expected="an action chunk",
+            got=brief(second),
             fix=Fix("advice", "never change a stored observation in place; copy before normalising or popping keys"),
         )

@@ -36,9 +36,15 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
             found = difference(alone, batch[env : env + 1] if answers(batch) else batch)
             if found is not None:
                 yield blame(
-                    f"environment {env} acts differently beside others than alone, from step {step} on: state is shared",
-                    expected="the actions of a run by itself", got=found,
-                    evidence={"environment": env, "step": step, "alone": first_step(alone[0]) if answers(alone) else None},
+                    f"environment {env} acts differently beside others than alone, from step {step} on: "
+                    "state is shared",
+                    expected="the actions of a run by itself",
+                    got=found,
+                    evidence={
+                        "environment": env,
+                        "step": step,
+                        "alone": first_step(alone[0]) if answers(alone) else None,
+                    },
                     fix=Fix("advice", "keep history, caches, counters and generators per environment index"),
                 )
                 return

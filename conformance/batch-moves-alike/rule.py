@@ -10,7 +10,6 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import blame
 from xpl_cli.audit.simulation import Simulation
 
-
 TOLERANCE = 1e-5  # float32 commands; batched kernels round differently
 
 
@@ -43,11 +42,16 @@ def batch_moves_alike(simulation: Simulation) -> Iterator[Finding]:
         step = next((index for index, (a, b) in enumerate(pairs) if not np.allclose(a, b, atol=TOLERANCE)), None)
         if step is not None:
             yield blame(
-                f"in {task} the environment with seed {seed} is driven differently beside another one than alone, from step {step} on",
-                expected="the commands of a run by itself", got="other commands",
+                f"in {task} the environment with seed {seed} is driven differently beside another one than alone, "
+                f"from step {step} on",
+                expected="the commands of a run by itself",
+                got="other commands",
                 evidence={
-                    "task": task, "seed": seed, "step": step,
-                    "alone": alone.commands[place][step].tolist(), "beside": together.commands[place][step].tolist(),
+                    "task": task,
+                    "seed": seed,
+                    "step": step,
+                    "alone": alone.commands[place][step].tolist(),
+                    "beside": together.commands[place][step].tolist(),
                 },
                 fix=Fix("advice", "keep all state per environment index"),
             )

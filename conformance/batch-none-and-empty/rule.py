@@ -13,7 +13,8 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     """None and the empty list are confused.
 
     ## What it does
-    Asks for `[]`, which must be answered by `[]`, and for `None`, which means the environments of the last batch in their order.
+    Asks for `[]`, which must be answered by `[]`, and for `None`, which means the environments of the last batch in
+    their order.
 
     ## Why it matters
     When the last environment of a batch ends the list is empty. Taking it for "all" makes the policy act on finished
@@ -34,14 +35,16 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     listed, implied, empty = (probe.batch_answer(batch, wanted) for wanted in (envs, None, []))
     if error_code(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
         yield blame(
-            "get_action_batch([]) is not answered by []: a batch in which every environment has ended is acted on again",
-            expected="[]", got=brief(empty),
+            "get_action_batch([]) is not answered by []: a batch whose environments have all ended is acted on again",
+            expected="[]",
+            got=brief(empty),
             fix=Fix("advice", "test `env_idx_list is None`; `env_idx_list or default` takes an empty list for missing"),
         )
     found = difference(listed, implied)
     if found is not None:
         yield blame(
             "get_action_batch(None) does not follow the order of the last batch",
-            expected=f"the answer for {envs}", got=found,
+            expected=f"the answer for {envs}",
+            got=found,
             fix=Fix("advice", "remember the order of the last update_obs_batch and use it for None"),
         )

@@ -13,8 +13,8 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
     """A batch answers other environments than it was asked for.
 
     ## What it does
-    Shows observations of environments 3, 7 and 9, then asks for [9], [9, 3] and [7, 9, 3] and compares each answer with what
-    these environments got before.
+    Shows observations of environments 3, 7 and 9, then asks for [9], [9, 3] and [7, 9, 3] and compares each answer
+    with what these environments got before.
 
     ## Why it matters
     In batched evaluation environments finish at different times. An adapter that reads the list by position sends the
@@ -36,7 +36,9 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
     if not answers(whole, len(envs)):
         yield blame(
             f"get_action_batch({envs}) does not give one chunk per environment",
-            expected=f"{len(envs)} chunks", got=brief(whole), fix=Fix("advice", "return one chunk per entry of env_idx_list"),
+            expected=f"{len(envs)} chunks",
+            got=brief(whole),
+            fix=Fix("advice", "return one chunk per entry of env_idx_list"),
         )
         return
     alone = dict(zip(envs, whole, strict=True))
@@ -48,7 +50,11 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
                 f"get_action_batch({wanted}) {mistaken(answer, alone, wanted)}: robots receive each other's commands",
                 expected=f"the chunks of environments {wanted}, in this order",
                 got=found,
-                evidence={"observed": envs, "asked": wanted, "first_action": first_step(answer[0]) if answers(answer) else None},
+                evidence={
+                    "observed": envs,
+                    "asked": wanted,
+                    "first_action": first_step(answer[0]) if answers(answer) else None,
+                },
                 fix=Fix("advice", "look observations up by environment index, never by position in the list"),
             )
             return

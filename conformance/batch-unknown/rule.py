@@ -36,6 +36,7 @@ def batch_unknown(probe: Probe) -> Iterator[Finding]:
         if error_code(answer) is None:
             yield blame(
                 f"asked for {what}, the adapter makes up an answer instead of refusing",
-                expected="an error that names the environment", got=brief(answer),
+                expected="an error that names the environment",
+                got=brief(answer),
                 fix=Fix("advice", "raise on an environment index without an observation, and on a repeated one"),
             )

@@ -36,6 +36,7 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
     if found is not None:
         yield blame(
             "observations without env_idx are not told apart by their position: one environment overwrites another",
-            expected="the same actions as with env_idx 0 and 1", got=found,
+            expected="the same actions as with env_idx 0 and 1",
+            got=found,
             fix=Fix("advice", "number the observations of a batch by position if all of them lack env_idx"),
         )

@@ -9,7 +9,6 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import blame
 from xpl_cli.audit.simulation import Simulation, arm_columns, largest_jumps
 
-
 JOINT_FLOOR, POSITION_FLOOR = 0.1, 0.03  # rad, m: smaller changes are no jump
 RATIO = 5.0
 
@@ -39,9 +38,12 @@ def chunk_seams(simulation: Simulation) -> Iterator[Finding]:
         seam, inside = largest_jumps(simulation.sound_rollout(task), arm_columns(simulation.probe))
         if seam > max(floor, RATIO * inside):
             yield blame(
-                f"in {task} commands jump by {seam:.3g} {unit} where a new chunk begins, and by {inside:.2g} {unit} inside "
-                "chunks: the arm jerks at every inference",
-                expected=f"at most {max(floor, RATIO * inside):.2g} {unit} between consecutive commands", got=f"{seam:.3g} {unit}",
+                f"in {task} commands jump by {seam:.3g} {unit} where a new chunk begins, and by {inside:.2g} {unit} "
+                "inside chunks: the arm jerks at every inference",
+                expected=f"at most {max(floor, RATIO * inside):.2g} {unit} between consecutive commands",
+                got=f"{seam:.3g} {unit}",
                 evidence={"task": task, "seam": seam, "inside": inside},
-                fix=Fix("advice", "start each chunk at the current state, or declare temporal.ensembling in policy.yml"),
+                fix=Fix(
+                    "advice", "start each chunk at the current state, or declare temporal.ensembling in policy.yml"
+                ),
             )

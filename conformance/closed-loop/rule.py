@@ -14,7 +14,8 @@ def closed_loop(simulation: Simulation) -> Iterator[Finding]:
     """A closed loop in physics breaks off.
 
     ## What it does
-    Drives the adapter for some control steps in each task that fits its embodiment, with real observations of the simulator.
+    Drives the adapter for some control steps in each task that fits its embodiment, with real observations of the
+    simulator.
 
     ## Why it matters
     Scripted observations do not show everything: a loop meets grippers that never close fully, objects out of view, and
@@ -34,7 +35,8 @@ def closed_loop(simulation: Simulation) -> Iterator[Finding]:
         if played.problem is not None:
             yield blame(
                 f"the closed loop of {task} breaks off after {played.steps} steps: {played.problem}",
-                expected=f"{STEPS} control steps without an error", got=played.problem,
+                expected=f"{STEPS} control steps without an error",
+                got=played.problem,
                 evidence={"task": task, "seed": played.seeds[0], "steps": played.steps},
                 fix=Fix("command", f"xpl eval {simulation.probe.package.path} --env {ENVIRONMENT} --task {task}"),
             )

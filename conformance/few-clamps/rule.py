@@ -8,7 +8,6 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import blame
 from xpl_cli.audit.simulation import Simulation
 
-
 TOLERATED = 0.05
 
 
@@ -39,9 +38,13 @@ def few_clamps(simulation: Simulation) -> Iterator[Finding]:
         if share > TOLERATED:
             counts = played.results[0]["corrections"]
             yield blame(
-                f"in {task} the environment had to clamp {share:.0%} of the commands: the robot does not do what the policy asks",
+                f"in {task} the environment had to clamp {share:.0%} of the commands: the robot does not do what "
+                "the policy asks",
                 expected=f"at most {TOLERATED:.0%} of the steps beyond a limit of joints, speed or gripper",
                 got=", ".join(f"{kind} {count} times" for kind, count in counts.items()),
                 evidence={"task": task, "steps": played.steps, "corrections": counts},
-                fix=Fix("advice", "check units and normalisation: radians, absolute targets, gripper 0..1, the control frequency"),
+                fix=Fix(
+                    "advice",
+                    "check units and normalisation: radians, absolute targets, gripper 0..1, the control frequency",
+                ),
             )

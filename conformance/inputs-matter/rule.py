@@ -16,8 +16,8 @@ def inputs_matter(probe: Probe) -> Iterator[Finding]:
     Changes each input that the manifest requires, one at a time, and looks whether the action changes.
 
     ## Why it matters
-    A camera, state or instruction that never reaches the model costs bandwidth and hides a wiring fault: the key is read
-    under a wrong name, or a value is read and then ignored.
+    A camera, state or instruction that never reaches the model costs bandwidth and hides a wiring fault: the key is
+    read under a wrong name, or a value is read and then ignored.
 
     ## Example
     The prompt is set once from the task name, and the instruction of the observation is ignored.

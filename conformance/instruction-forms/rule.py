@@ -14,7 +14,8 @@ def instruction_forms(probe: Probe) -> Iterator[Finding]:
     """Only one spelling of the instruction is understood.
 
     ## What it does
-    Shows the same observation once with `instruction` and once with `instructions`, a list whose first entry is the same text.
+    Shows the same observation once with `instruction` and once with `instructions`, a list whose first entry is the
+    same text.
 
     ## Why it matters
     Both occur in the field. A policy that ignores one of them follows no instruction there, or stops.
@@ -37,6 +38,7 @@ def instruction_forms(probe: Probe) -> Iterator[Finding]:
     if found is not None:
         yield blame(
             "an observation with `instructions` is not understood as one with `instruction`",
-            expected="the action for the first of the list", got=found,
+            expected="the action for the first of the list",
+            got=found,
             fix=Fix("advice", "read it with xpl.observation.get_instruction"),
         )

@@ -41,6 +41,7 @@ def lists_and_extras(probe: Probe) -> Iterator[Finding]:
         if found is not None:
             yield blame(
                 f"an observation with {what} is answered differently, although the schema allows it",
-                expected="the same action", got=found,
+                expected="the same action",
+                got=found,
                 fix=Fix("advice", "convert with np.asarray and ignore keys that are not needed"),
             )

@@ -16,8 +16,8 @@ def missing_input(probe: Probe) -> Iterator[Finding]:
     Leaves out each input that the manifest requires, one at a time. The answer must be an error.
 
     ## Why it matters
-    A black image in place of a camera that is unplugged or named otherwise gives plausible motion and a low score; nobody
-    looks for the cause in the wiring.
+    A black image in place of a camera that is unplugged or named otherwise gives plausible motion and a low score;
+    nobody looks for the cause in the wiring.
 
     ## Example
     `image = vision.get("cam_left_wrist", np.zeros((480, 640, 3)))`
@@ -36,6 +36,9 @@ def missing_input(probe: Probe) -> Iterator[Finding]:
             if error_code(answer) is None:
                 yield blame(
                     f"without {name} the policy goes on with a made-up value instead of stopping",
-                    expected=f"an error that names {name}", got=brief(answer),
-                    fix=Fix("advice", "read required fields with xpl.observation, which raises, and never default to zeros"),
+                    expected=f"an error that names {name}",
+                    got=brief(answer),
+                    fix=Fix(
+                        "advice", "read required fields with xpl.observation, which raises, and never default to zeros"
+                    ),
                 )

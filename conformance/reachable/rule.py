@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as spec
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.probe import blame
 from xpl_cli.audit.simulation import Simulation
-
 
 TOLERATED = 0.05
 
@@ -21,8 +20,8 @@ def reachable(simulation: Simulation) -> Iterator[Finding]:
     Counts the control steps whose commanded flange pose the inverse kinematics could not reach.
 
     ## Why it matters
-    The arm goes to the nearest pose it can take and waits there. Usually the frame, the unit or the order of the quaternion
-    is another one than the standard's.
+    The arm goes to the nearest pose it can take and waits there. Usually the frame, the unit or the order of the
+    quaternion is another one than the standard's.
 
     ## Example
     Poses relative to the arm's base in a scene where the base stands elsewhere, or quaternions as [x, y, z, w].
@@ -40,7 +39,8 @@ def reachable(simulation: Simulation) -> Iterator[Finding]:
         share = played.corrected(frozenset(("unreachable",))) / max(played.steps, 1)
         if share > TOLERATED:
             yield blame(
-                f"in {task} {share:.0%} of the end-effector targets cannot be reached: the arm stops at the edge of its workspace",
+                f"in {task} {share:.0%} of the end-effector targets cannot be reached: the arm stops at the edge "
+                "of its workspace",
                 expected=f"at most {TOLERATED:.0%} of the targets out of reach",
                 got=f"{share:.0%}",
                 evidence={"task": task, "first_target": played.commands[0][0].tolist()},

@@ -13,8 +13,8 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
     """An episode depends on the one before it.
 
     ## What it does
-    In two fresh servers, plays two different first episodes, of other length and content, and then the same second one, and
-    compares the second episodes. A policy that seeds each episode by its number passes.
+    In two fresh servers, plays two different first episodes, of other length and content, and then the same second
+    one, and compares the second episodes. A policy that seeds each episode by its number passes.
 
     ## Why it matters
     The first episode of a run is then the only comparable one; success rates depend on the order of the tasks.
@@ -39,6 +39,7 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
     if found is not None:
         yield blame(
             "an episode depends on the one before it: reset leaves something behind",
-            expected="equal actions after different first episodes", got=found,
+            expected="equal actions after different first episodes",
+            got=found,
             fix=Fix("advice", "clear every buffer, cache, counter and chunk queue in reset"),
         )

@@ -42,6 +42,7 @@ def reset_then_ask(probe: Probe) -> Iterator[Finding]:
             yield blame(
                 f"{operation} right after reset answers from the last episode's observation: the first command of an "
                 "episode belongs to another scene",
-                expected="an error: no observation since the last reset", got=brief(answer),
+                expected="an error: no observation since the last reset",
+                got=brief(answer),
                 fix=Fix("advice", "forget the observations in reset and raise while there is none"),
             )

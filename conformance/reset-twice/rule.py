@@ -16,8 +16,8 @@ def reset_twice(probe: Probe) -> Iterator[Finding]:
     Compares the first action after one reset with the first action after two, each in a fresh server.
 
     ## Why it matters
-    Some benchmark clients reset before and inside the evaluation loop. If seeds or episode counters advance with reset, two
-    benchmarks that should agree do not.
+    Some benchmark clients reset before and inside the evaluation loop. If seeds or episode counters advance with
+    reset, two benchmarks that should agree do not.
 
     ## Example
     `self.episode += 1` in reset, with a seed that depends on it.
@@ -46,6 +46,7 @@ def reset_twice(probe: Probe) -> Iterator[Finding]:
     if found is not None:
         yield blame(
             "resetting twice gives other actions than resetting once: clients in the field reset twice",
-            expected="the same actions", got=found,
+            expected="the same actions",
+            got=found,
             fix=Fix("advice", "advance episode counters when an observation arrives, not in reset"),
         )

@@ -33,11 +33,19 @@ def same_seed_same_motion(simulation: Simulation) -> Iterator[Finding]:
     first, again = (simulation.sound_rollout(task, (1,), run=run) for run in (0, 1))
     if first.results[0]["digest"] != again.results[0]["digest"]:
         step = next(
-            (index for index, (a, b) in enumerate(zip(first.commands[0], again.commands[0], strict=False)) if (a != b).any()), 0
+            (
+                index
+                for index, (a, b) in enumerate(zip(first.commands[0], again.commands[0], strict=False))
+                if (a != b).any()
+            ),
+            0,
         )
         yield blame(
             f"two runs of {task} with one seed move differently from step {step} on",
-            expected=first.results[0]["digest"], got=again.results[0]["digest"],
+            expected=first.results[0]["digest"],
+            got=again.results[0]["digest"],
             evidence={"task": task, "seed": 1, "first_difference": step},
-            fix=Fix("advice", "draw random numbers from self.rng(env); declare deterministic: false if that is impossible"),
+            fix=Fix(
+                "advice", "draw random numbers from self.rng(env); declare deterministic: false if that is impossible"
+            ),
         )

@@ -16,13 +16,15 @@ def seed_repeats(probe: Probe) -> Iterator[Finding]:
     Plays the same episode in two fresh servers with seed 0, and in two with seed 7.
 
     ## Why it matters
-    A result that cannot be repeated cannot be compared. Seed 0 is the usual default, and the one that `seed or 42` loses.
+    A result that cannot be repeated cannot be compared. Seed 0 is the usual default, and the one that `seed or 42`
+    loses.
 
     ## Example
     `np.random.normal()` from the process-wide generator, which nobody seeds.
 
     ## Use instead
-    `self.rng(env)`, or seed the framework's generators from `self.seed`; declare `deterministic: false` if neither is possible.
+    `self.rng(env)`, or seed the framework's generators from `self.seed`; declare `deterministic: false` if neither is
+    possible.
 
     ## Fix safety
     No automatic fix.
@@ -38,7 +40,8 @@ def seed_repeats(probe: Probe) -> Iterator[Finding]:
         if found is not None:
             yield blame(
                 f"two servers with seed {seed} act differently: a run cannot be repeated",
-                expected="the same actions", got=found,
+                expected="the same actions",
+                got=found,
                 fix=Fix("advice", "draw every random number from self.rng(env), or declare deterministic: false"),
             )
             return

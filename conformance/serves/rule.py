@@ -20,10 +20,12 @@ def serves(probe: Probe) -> Iterator[Finding]:
     A benchmark that queues for hours and then cannot load the policy has measured nothing.
 
     ## Example
-    `self.horizon = config["horizon"]`, where deploy.yml has no such key: a KeyError in the server, a timeout in the client.
+    `self.horizon = config["horizon"]`, where deploy.yml has no such key: a KeyError in the server, a timeout in the
+    client.
 
     ## Use instead
-    Read settings with `self.setting(name, default)` and build the model in `load`. `xpl serve` shows the whole traceback.
+    Read settings with `self.setting(name, default)` and build the model in `load`. `xpl serve` shows the whole
+    traceback.
 
     ## Fix safety
     No automatic fix.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -64,9 +65,7 @@ def contact_bits(index: int) -> ContactBits:
     return ContactBits(own=own, others=7 & ~own)
 
 
-def add_arm(
-    scene: Any, data: Mapping[str, Any], prefix: str, base: NDArray[np.float64], bits: ContactBits
-) -> ArmNames:
+def add_arm(scene: Any, data: Mapping[str, Any], prefix: str, base: NDArray[np.float64], bits: ContactBits) -> ArmNames:
     """Add one arm with its gripper to a scene.
 
     Args:
@@ -95,7 +94,8 @@ def add_arm(
         _add_joint(scene, body, names[-1], joint)
         share = index / max(1, len(joints) - 1)
         radius = _LINK_RADII[0] + share * (_LINK_RADII[1] - _LINK_RADII[0])
-        _add_link(body, tip, radius, max(joint["mass"] or 0.0, _LEAST_MASS), skin, dark=index % 2 == 1)
+        mass, color = max(joint["mass"] or 0.0, _LEAST_MASS), _DARK if index % 2 else _LIGHT
+        body.add_geom(mass=mass, rgba=color, **_link_shape(tip, radius), **skin)
     body.add_site(name=f"{prefix}flange", size=[0.005])
     fingers = _add_gripper(scene, body, data["end_effector"], prefix, skin)
     return ArmNames(
@@ -131,7 +131,7 @@ def _nearest_origins(entries: Sequence[Mapping[str, Any]]) -> list[dict[str, Any
         {**entry, "xyz": np.array(entry["origin"]["xyz"]), "quat": rotation.from_rpy(entry["origin"]["rpy"])}
         for entry in entries
     ]
-    for joint, following in zip(joints, joints[1:], strict=False):
+    for joint, following in pairwise(joints):
         axis = np.array(joint["axis"])
         along = float(axis @ following["xyz"])
         slid, shortened = joint["xyz"] + along * rotation.rotate(joint["quat"], axis), following["xyz"] - along * axis
@@ -164,24 +164,18 @@ def _add_joint(scene: Any, body: Any, name: str, joint: Mapping[str, Any]) -> No
     actuator.set_to_position(kp=_STIFFNESS * torque, dampratio=1.0)
 
 
-def _add_link(
-    body: Any, tip: NDArray[np.float64], radius: float, mass: float, skin: Mapping[str, Any], *, dark: bool
-) -> None:
-    color = _DARK if dark else _LIGHT
+def _link_shape(tip: NDArray[np.float64], radius: float) -> dict[str, Any]:
+    """Return a capsule from the joint to where the next one is, or a ball where they coincide."""
     if math.hypot(*tip) > _SHORTEST_CAPSULE:
-        shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "fromto": [0, 0, 0, *tip], "size": [radius, 0, 0]}
-    else:
-        shape = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [1.15 * radius, 0, 0]}
-    body.add_geom(mass=mass, rgba=color, **shape, **skin)
+        return {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "fromto": [0, 0, 0, *tip], "size": [radius, 0, 0]}
+    return {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [1.15 * radius, 0, 0]}
 
 
 def _add_gripper(
     scene: Any, flange: Any, effector: Mapping[str, Any], prefix: str, skin: Mapping[str, Any]
 ) -> tuple[str, str]:
     travel = effector["finger_range"][1]
-    tool = flange.add_body(
-        name=f"{prefix}tool", pos=effector["tcp"]["xyz"], quat=tool_rotation(effector), gravcomp=1
-    )
+    tool = flange.add_body(name=f"{prefix}tool", pos=effector["tcp"]["xyz"], quat=tool_rotation(effector), gravcomp=1)
     tool.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=[_PALM_CENTER, 0, 0],

@@ -1,7 +1,7 @@
 """Cameras by ray casting: colour, depth and segmentation from `mj_multiRay`, with no graphics stack.
 
-A ray goes through the centre of every pixel. Room and table are met in closed form (`backdrop`); rays through MuJoCo are
-cast only where the bounding box of another geom is seen. Pixels are repeatable, depth and segmentation exact and free.
+A ray goes through the centre of every pixel. Room and table are met in closed form (`backdrop`); rays through MuJoCo
+are cast only where the bounding box of another geom is seen. Pixels are repeatable, depth and segmentation exact.
 Shading is a table look-up: half Lambert with one light, which shows the shape of surfaces that face away, too.
 """
 
@@ -179,7 +179,7 @@ def _bounds(values: NDArray[np.float64], size: int) -> tuple[list[int], list[int
 
 
 def _shades(model: Any, backdrop: Backdrop) -> NDArray[np.uint8]:
-    """Return RGB rows: one per geom and level of light, then one per surface of the backdrop, then black for nothing."""
+    """Return RGB rows: one per geom and level of light, then one per surface of the backdrop, then black."""
     lit = model.geom_rgba[:, None, :3] * _light(np.linspace(-1.0, 1.0, _LEVELS))[None, :, None]
     normals = np.array([surface.normal for surface in backdrop.surfaces]).reshape(-1, 3)
     colors = model.geom_rgba[[surface.geom for surface in backdrop.surfaces], :3]

@@ -99,7 +99,7 @@ class MujocoEnv:
         config = replace(self._config, **_known(options or {}, _RESET_OPTIONS, "reset option"))
         seeds = range(self._next_seed, self._next_seed + config.num_envs) if seed is None else [int(s) for s in seed]
         if len(seeds) != config.num_envs or min(seeds) < 0:
-            raise ValueError(f"reset needs {config.num_envs} seeds of at least 0, one per environment, got {list(seeds)}")
+            raise ValueError(f"reset needs {config.num_envs} seeds (>= 0), one per environment, got {list(seeds)}")
         from .episode import Episode
 
         self._config = config
@@ -116,7 +116,11 @@ class MujocoEnv:
         """
         return self.get_obs_batch([self._single()])[0]
 
-    def get_obs_batch(self, env_idx_list: Sequence[int] | None = None, last_frame: bool = False) -> list[dict[str, Any]]:  # noqa: FBT001, FBT002 - benchmarks pass it by position
+    def get_obs_batch(
+        self,
+        env_idx_list: Sequence[int] | None = None,
+        last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
+    ) -> list[dict[str, Any]]:
         """Return the observations of some environments, in the order asked for.
 
         Args:
@@ -133,12 +137,14 @@ class MujocoEnv:
         """Execute one action step in the only environment; return its report (see `take_action_batch`)."""
         return self.take_action_batch([action], [self._single()])[0]
 
-    def take_action_batch(self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]) -> list[dict[str, Any]]:
+    def take_action_batch(
+        self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]
+    ) -> list[dict[str, Any]]:
         """Execute one action step in each of some environments.
 
         Returns:
-            one report per action: ``env_idx``, ``step`` (steps executed so far), ``end_reason`` (None while running) and
-            ``corrections``: per arm prefix what had to be changed, with the amount (see `control.Correction`).
+            one report per action: ``env_idx``, ``step`` (steps executed so far), ``end_reason`` (None while running)
+            and ``corrections``: per arm prefix what had to be changed, with the amount (see `control.Correction`).
 
         Raises:
             ActionError: an action has the wrong keys or dimensions; environments before it in the list have moved.
@@ -146,7 +152,8 @@ class MujocoEnv:
         """
         if len(actions) != len(env_idx_list) or len(set(env_idx_list)) != len(env_idx_list):
             raise ValueError(
-                f"take_action_batch needs one action for each environment once, got {len(actions)} actions for {list(env_idx_list)}"
+                f"take_action_batch needs one action for each environment once, "
+                f"got {len(actions)} actions for {list(env_idx_list)}"
             )
         episodes = [self._episode(index) for index in env_idx_list]
         return [episode.step(action) for episode, action in zip(episodes, actions, strict=True)]

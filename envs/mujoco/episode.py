@@ -189,8 +189,8 @@ class Episode:
 
     def _truth(self) -> dict[str, Any]:
         """Return the privileged map: what README.md lists."""
-        prefixes = self._setup.embodiment.prefixes
-        bases = {prefix + spec.State.BASE_POSE: base.copy() for prefix, base in zip(prefixes, self._physics.bases, strict=True)}
+        arms = zip(self._setup.embodiment.prefixes, self._physics.bases, strict=True)
+        bases = {prefix + spec.State.BASE_POSE: base.copy() for prefix, base in arms}
         return {
             "task": self._setup.task,
             "table_top": self._physics.table_top,
@@ -205,7 +205,7 @@ def _flat(action: Mapping[str, Any], embodiment: Embodiment, action_type: str) -
     extra = [key for key in action if key not in known]
     if extra:
         raise ActionError(
-            f"the action has {', '.join(map(str, extra))}, which {action_type} control of {embodiment.name} does not know: "
-            f"send exactly {', '.join(known)}"
+            f"the action has {', '.join(map(str, extra))}, which {action_type} control of {embodiment.name} "
+            f"does not know: send exactly {', '.join(known)}"
         )
     return pack(action, embodiment, action_type).astype(np.float64)

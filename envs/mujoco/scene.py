@@ -16,9 +16,9 @@ from xpl.kinematics import pose
 from .arms import ArmNames, add_arm, contact_bits
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from xpl.embodiment import Embodiment
 
@@ -37,6 +37,20 @@ _LOOKING_ALONG_X = rotation.from_rpy([math.pi / 2, 0.0, -math.pi / 2])
 _OBJECT_FRICTION = (1.0, 0.02, 0.001)
 
 
+Color = tuple[float, float, float, float]
+"""Red, green, blue and opacity, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A solid box that can be moved: its name, half its extents (m), mass (kg) and color."""
+
+    name: str
+    half: tuple[float, float, float]
+    mass: float
+    color: Color
+
+
 @dataclass(frozen=True)
 class Scene:
     """A scene that a task may add to before it is compiled.
@@ -53,35 +67,33 @@ class Scene:
     bases: tuple[NDArray[np.float64], ...]
     table_top: float
 
-    def add_box(
-        self, name: str, center: Sequence[float], half: Sequence[float], color: Sequence[float], *, yaw: float, mass: float
-    ) -> None:
+    def add_box(self, box: Box, center: ArrayLike, yaw: float) -> None:
         """Add a box that can be moved, resting on the table at (x, y) `center`, turned about z by `yaw` rad."""
-        x, y = center
+        x, y = np.asarray(center).tolist()
         body = self.spec.worldbody.add_body(
-            name=name, pos=[x, y, self.table_top + half[2]], quat=[math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
+            name=box.name, pos=[x, y, self.table_top + box.half[2]], quat=[math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
         )
-        body.add_freejoint(name=name)
+        body.add_freejoint(name=box.name)
         body.add_geom(
-            name=name,
+            name=box.name,
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=list(half),
-            mass=mass,
-            rgba=list(color),
-            friction=list(_OBJECT_FRICTION),
+            size=box.half,
+            mass=box.mass,
+            rgba=box.color,
+            friction=_OBJECT_FRICTION,
             condim=4,
             **SOLID,
         )
 
-    def add_marker(self, name: str, center: Sequence[float], half: Sequence[float], color: Sequence[float]) -> None:
+    def add_marker(self, name: str, center: ArrayLike, half: tuple[float, float], color: Color) -> None:
         """Add a flat rectangle of half size (x, y) on the table that is seen and not felt."""
         thin = 0.0005
         self.spec.worldbody.add_geom(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[*center, self.table_top + thin],
+            pos=[*np.asarray(center).tolist(), self.table_top + thin],
             size=[*half, thin],
-            rgba=list(color),
+            rgba=color,
             **GHOST,
         )
 

@@ -39,7 +39,9 @@ class OfflineEnv:
         """Return the observation of environment 0."""
         return self._obs[0]
 
-    def get_obs_batch(self, env_idx_list: Sequence[int] | None = None, last_frame: bool = False) -> list[dict[str, Any]]:
+    def get_obs_batch(
+        self, env_idx_list: Sequence[int] | None = None, last_frame: bool = False
+    ) -> list[dict[str, Any]]:
         """Return the observations of these environments, of all running ones by default."""
         return [self._obs[env] for env in (self.get_running_env_idx_list() if env_idx_list is None else env_idx_list)]
 
@@ -75,7 +77,14 @@ class OfflineEnv:
     def results(self) -> list[dict[str, Any]]:
         """Return one result per environment; there is no task to succeed at."""
         return [
-            {"env_idx": env, "seed": seed, "success": None, "score": None, "steps": self._steps, "end_reason": "max_steps"}
+            {
+                "env_idx": env,
+                "seed": seed,
+                "success": None,
+                "score": None,
+                "steps": self._steps,
+                "end_reason": "max_steps",
+            }
             for env, seed in enumerate(self._seeds)
         ]
 

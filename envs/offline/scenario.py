@@ -1,7 +1,8 @@
 """Scripted observations in which every mistake shows.
 
-No two environments, steps, arms, joints or cameras look alike; nothing is zero, quaternions are unit but not the identity,
-images are asymmetric and have different red, green and blue. Everything follows from the arguments, without a generator.
+No two environments, steps, arms, joints or cameras look alike; nothing is zero, quaternions are unit but not the
+identity, images are asymmetric and have different red, green and blue. Everything follows from the arguments, without
+a generator.
 """
 
 from __future__ import annotations
@@ -79,7 +80,9 @@ def _arm_state(arm: Arm, side: int, env: int, step: int) -> dict[str, np.ndarray
             spec.State.EE_JOINT_STATE: 0.2 + 0.5 * _wave(arm.ee_dim, phase + 0.5),
             spec.State.EE_POSE: flange,
             spec.State.TCP_POSE: _pose(side, env, step, 0.1),
-            spec.State.DELTA_EE_POSE: np.concatenate([0.001 * (1 + side + _wave(3, phase)), _quaternion(0.02 + 0.01 * side)]),
+            spec.State.DELTA_EE_POSE: np.concatenate(
+                [0.001 * (1 + side + _wave(3, phase)), _quaternion(0.02 + 0.01 * side)]
+            ),
         }.items()
     }
 

@@ -1,20 +1,23 @@
 """The robot cell as a program sees it: hands that are moved through the world, and the truth about objects.
 
-A program is a generator: it sets targets, and every ``yield`` is one control step. Before it goes on, the cell shows the
-newest observation, so that a program can look again.
+A program is a generator: it sets targets, and every ``yield`` is one control step. Before it goes on, the cell shows
+the newest observation, so that a program can look again.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl import rotation
 from xpl.kinematics import Chain, compose, invert, pose
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 Program = Iterator[None]
 
@@ -54,13 +57,13 @@ class Hand:
         """Solve for the joint angles of `target`, near those of the step before."""
         self.joints = self._solve(self.target, self.joints)[0]
 
-    def pointing_down(self, position: Sequence[float], yaw: float) -> np.ndarray:
-        """Return the tcp pose (7,) at a position with the fingers down, sliding along the horizontal direction `yaw`."""
+    def pointing_down(self, position: ArrayLike, yaw: float) -> np.ndarray:
+        """Return the tcp pose (7,) at a position (3,), fingers down, sliding in the horizontal direction `yaw`, rad."""
         slide = np.array([math.cos(yaw), math.sin(yaw), 0.0])
         turn = _axes(np.array([0.0, 0.0, -1.0]), slide) @ self._tool.T
         return pose(position, rotation.from_matrix(turn))
 
-    def easiest_yaw(self, waypoints: Sequence[tuple[Sequence[float], float]]) -> float:
+    def easiest_yaw(self, waypoints: Sequence[tuple[ArrayLike, float]]) -> float:
         """Return what to add to the yaw of all waypoints, 0 or a half turn either way.
 
         A parallel gripper grasps the same either way; the choice decides whether the wrist can follow to the end.
@@ -91,10 +94,10 @@ class Hand:
             self.target = pose(place, rotation.slerp(start[split:], goal[split:], part))
             yield
 
-    def shift(self, offset: Sequence[float], speed: float = 1.0) -> Program:
+    def shift(self, offset: ArrayLike, speed: float = 1.0) -> Program:
         """Move the tcp by an offset (3,) in the world, keeping its rotation."""
         moved = self.target.copy()
-        moved[: spec.POSITION_DIM] += offset
+        moved[: spec.POSITION_DIM] += np.asarray(offset)
         return self.move(moved, speed)
 
     def grip(self, opening: float, steps: int) -> Program:

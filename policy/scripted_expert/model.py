@@ -36,13 +36,14 @@ class Model(Policy):
 
     def predict(self, inputs: list[Any], envs: list[int]) -> np.ndarray:
         """Advance each environment's program by one step; return (B, 1, D)."""
-        return np.stack([self._advance(env, *entry)[None] for env, entry in zip(envs, inputs)])
+        return np.stack([row[None] for row in map(self._advance, envs, inputs)])
 
     def reset_env(self, env: int) -> None:
         """Drop the environment's program."""
         self._running.pop(env, None)
 
-    def _advance(self, env: int, truth: Mapping[str, Any], joints: np.ndarray) -> np.ndarray:
+    def _advance(self, env: int, entry: tuple[Mapping[str, Any], np.ndarray]) -> np.ndarray:
+        truth, joints = entry
         if env not in self._running:
             self._running[env] = self._begin(truth, joints)
         cell, program = self._running[env]

@@ -115,6 +115,7 @@ def _blocker(report: TargetReport) -> str | None:
 
 def _not_started(gate: Gate, selected: list[Rule], reason: str) -> GateReport:
     results = [
-        Result(item.code, item.slug, item.requirement, item.severity, Outcome.NOT_RUN, reason=reason) for item in selected
+        Result(item.code, item.slug, item.requirement, item.severity, Outcome.NOT_RUN, reason=reason)
+        for item in selected
     ]
     return GateReport(name=gate, results=results, reason=reason)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class Outcome(StrEnum):
     """How a rule ended. `not_run` is never green; `error` means that the rule itself crashed."""
 
-    PASS = "pass"
+    PASS = "pass"  # noqa: S105 - an outcome
     FAIL = "fail"
     WARN = "warn"
     NOT_APPLICABLE = "not_applicable"
@@ -131,7 +131,9 @@ class GateReport:
             return None
         counts = counted(self.results)
         numbers = " ".join(f"{outcome}={counts[outcome]}" for outcome in Outcome if counts[outcome])
-        return f"XPL-FINISH gate={self.name} {self.outcome} {numbers} digest={self.digest} fingerprint={self.fingerprint}"
+        return (
+            f"XPL-FINISH gate={self.name} {self.outcome} {numbers} digest={self.digest} fingerprint={self.fingerprint}"
+        )
 
 
 @dataclass

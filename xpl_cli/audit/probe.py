@@ -19,16 +19,15 @@ import numpy as np
 from xpl import Client
 from xpl import _spec as sdk
 from xpl.action import ActionError, check_chunk
-from xpl.client import PolicyServerError
+from xpl.client import ClientError, PolicyServerError
 from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment
 from xpl_cli import environments, package
 from xpl_cli.audit.finish import Recorder
 from xpl_cli.audit.model import Finding, NotApplicable, NotRun
-from xpl_cli.errors import UserError
 from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from xpl_cli.audit.engine import Options
@@ -171,7 +170,10 @@ class Probe:
             NotRun: if it does not start.
         """
         try:
-            with self._serving({**self.options.overrides, **overrides}) as server, self._connected(server.url) as session:
+            with (
+                self._serving({**self.options.overrides, **overrides}) as server,
+                self._connected(server.url) as session,
+            ):
                 yield session
         except ServerStartError as error:
             values = ", ".join(f"{key}={value}" for key, value in overrides.items())
@@ -246,7 +248,9 @@ class Probe:
         """Return every embodiment and action type that the manifest declares, the configured pair first."""
         manifest = self.package.manifest
         configured = (self.embodiment.name, self.action_type)
-        declared = [(name, kind) for name in manifest.get("embodiments", ()) for kind in manifest.get("action_types", ())]
+        declared = [
+            (name, kind) for name in manifest.get("embodiments", ()) for kind in manifest.get("action_types", ())
+        ]
         return list(dict.fromkeys((configured, *declared)))
 
     @contextlib.contextmanager
@@ -291,8 +295,10 @@ class Probe:
     @contextlib.contextmanager
     def _connected(self, url: str) -> Iterator[Session]:
         try:
-            client = Client(url, config={**self.config, sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1})
-        except UserError as error:
+            client = Client(
+                url, config={**self.config, sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1}
+            )
+        except ClientError as error:
             raise NotRun(str(error)) from None
         with client:
             yield Session(client, self.recorder)
@@ -304,21 +310,20 @@ def same(first: Any, second: Any) -> bool:
 
 
 def difference(first: Any, second: Any) -> str | None:
-    """Return where two answers first differ, in words, or None if they do not."""
+    """Return where two answers first differ, in words, or None if they do not. Two errors of one code are alike."""
     if isinstance(first, PolicyServerError) or isinstance(second, PolicyServerError):
-        if error_code(first) == error_code(second):
-            return None
+        return None if error_code(first) == error_code(second) else f"{brief(first)} against {brief(second)}"
+    if isinstance(first, dict) and isinstance(second, dict) and first.keys() == second.keys():
+        return _first_difference((key, first[key], second[key]) for key in first)
+    if isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)) and len(first) == len(second):
+        return _first_difference((f"[{index}]", a, b) for index, (a, b) in enumerate(zip(first, second, strict=True)))
+    if any(isinstance(value, (dict, list, tuple)) for value in (first, second)):
         return f"{brief(first)} against {brief(second)}"
-    if isinstance(first, dict) and isinstance(second, dict):
-        if first.keys() != second.keys():
-            return f"keys {', '.join(first)} against {', '.join(second)}"
-        return next((f"{key}: {found}" for key in first if (found := difference(first[key], second[key]))), None)
-    if isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)):
-        if len(first) != len(second):
-            return f"{len(first)} against {len(second)} entries"
-        pairs = enumerate(zip(first, second, strict=True))
-        return next((f"[{index}] {found}" for index, (a, b) in pairs if (found := difference(a, b))), None)
     return _array_difference(first, second)
+
+
+def _first_difference(entries: Iterable[tuple[str, Any, Any]]) -> str | None:
+    return next((f"{label} {found}" for label, a, b in entries if (found := difference(a, b))), None)
 
 
 def _array_difference(first: Any, second: Any) -> str | None:
@@ -415,5 +420,7 @@ def brief(value: Any) -> str:
     """Return an answer in at most 80 characters."""
     if isinstance(value, PolicyServerError):
         return f"an error ({value.code})"
-    text = np.array2string(np.asarray(value), precision=4, threshold=6) if isinstance(value, np.ndarray) else repr(value)
+    text = (
+        np.array2string(np.asarray(value), precision=4, threshold=6) if isinstance(value, np.ndarray) else repr(value)
+    )
     return text if len(text) <= 80 else text[:77] + "..."

@@ -54,9 +54,7 @@ class Rule:
         return self.documentation.partition("\n")[0]
 
 
-def rule(
-    *, code: str, slug: str, gate: str, requirement: str, target: str = "policy"
-) -> Callable[[Check], Check]:
+def rule(*, code: str, slug: str, gate: str, requirement: str, target: str = "policy") -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
     Its docstring is what `xpl explain` prints: a summary line, then the headings What it does, Why it matters, Example,

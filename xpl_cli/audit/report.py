@@ -126,7 +126,9 @@ def _gate_lines(gate: GateReport, report: TargetReport) -> list[Any]:
     colour, mark = _MARK[gate.outcome]
     counts = counted(gate.results)
     said = ", ".join(f"{counts[outcome]} {_MARK[outcome][1]}" for outcome in Outcome if counts[outcome])
-    head = Text.assemble((f"{gate.name:<8} ", "bold"), (f"{mark:<8}", colour), (f"{said}  ", ""), (f"{gate.seconds:.1f} s", "dim"))
+    head = Text.assemble(
+        (f"{gate.name:<8} ", "bold"), (f"{mark:<8}", colour), (f"{said}  ", ""), (f"{gate.seconds:.1f} s", "dim")
+    )
     lines: list[Any] = [head]
     if gate.reason is not None:
         return [Text.assemble((f"{gate.name:<8} ", "bold"), (f"{mark:<8}", colour), (gate.reason, ""))]
@@ -135,7 +137,9 @@ def _gate_lines(gate: GateReport, report: TargetReport) -> list[Any]:
             lines.extend(_finding_lines(finding, result, report) for finding in result.findings)
         elif result.outcome in (Outcome.ERROR, Outcome.NOT_RUN):
             colour, mark = _MARK[result.outcome]
-            lines.append(Text.assemble(("  ", ""), (f"{result.code} {result.slug} ", colour), (f"{mark}: {result.reason}", "")))
+            lines.append(
+                Text.assemble(("  ", ""), (f"{result.code} {result.slug} ", colour), (f"{mark}: {result.reason}", ""))
+            )
     if gate.finish is not None:
         lines.append(Text(f"  {gate.finish}", style="dim"))
     return lines
@@ -145,7 +149,9 @@ def _finding_lines(finding: Finding, result: Result, report: TargetReport) -> An
     from rich.text import Text
 
     colour, _ = _MARK[result.outcome]
-    where = "" if finding.path is None else f"{report.path}/{finding.path}" + (f":{finding.line}" if finding.line else "")
+    where = (
+        "" if finding.path is None else f"{report.path}/{finding.path}" + (f":{finding.line}" if finding.line else "")
+    )
     text = Text.assemble(("  ", ""), (f"{result.code} {result.slug}", f"bold {colour}"), (f"  {where}\n", ""))
     text.append(f"    {finding.message}\n")
     if finding.expected is not None:

@@ -139,7 +139,9 @@ class Simulation:
 
     def _play(self, session: Session, task: str, seeds: tuple[int, ...], only: int | None) -> Rollout:
         env = self._make(task, len(seeds))
-        played = Rollout(task, seeds, commands=[[] for _ in seeds], seams=[[] for _ in seeds], corrections=[[] for _ in seeds])
+        played = Rollout(
+            task, seeds, commands=[[] for _ in seeds], seams=[[] for _ in seeds], corrections=[[] for _ in seeds]
+        )
         with contextlib.closing(env):
             env.reset(seed=list(seeds))
             session.reset()
@@ -189,7 +191,9 @@ class Simulation:
         probe = self.probe
         request = evaluation.Request(package=probe.package, environment=ENVIRONMENT, task=task, num_envs=num_envs)
         try:
-            settings = evaluation.environment_settings(request, {**probe.config, sdk.Deploy.ACTION_TYPE: probe.action_type})
+            settings = evaluation.environment_settings(
+                request, {**probe.config, sdk.Deploy.ACTION_TYPE: probe.action_type}
+            )
         except UserError as error:
             raise NotRun(str(error)) from None
         return environments.make(ENVIRONMENT, {**settings, "max_steps": STEPS})
@@ -220,7 +224,8 @@ def largest_jumps(played: Rollout, columns: np.ndarray) -> tuple[float, float]:
 
 def arm_columns(probe: Probe) -> np.ndarray:
     """Return the flat action columns of joint angles or positions: what must not jump. Grippers may."""
-    columns, start = [], 0
+    columns: list[int] = []
+    start = 0
     for key, dim in probe.embodiment.dims(probe.action_type).items():
         if not key.endswith(sdk.State.EE_JOINT_STATE):
             width = sdk.POSITION_DIM if key.endswith(sdk.State.EE_POSE) else dim

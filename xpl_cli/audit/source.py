@@ -1,4 +1,4 @@
-"""The static fact: an adapter's files as text, syntax trees and YAML, each read once. Nothing is imported or executed."""
+"""The static fact: an adapter's files as text, syntax trees and YAML, each read once; nothing is executed."""
 
 from __future__ import annotations
 

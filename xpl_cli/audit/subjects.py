@@ -1,4 +1,4 @@
-"""Subjects of rules: small overlays on the scaffold that a rule must catch (`bad/`) or leave alone (`good/`).
+r"""Subjects of rules: small overlays on the scaffold that a rule must catch (`bad/`) or leave alone (`good/`).
 
 A subject is a folder `conformance/<slug>/{bad,good}/<case>/`. Its files replace or join those of a freshly scaffolded
 adapter; an optional `overlay.yml`, not copied, says more:
@@ -6,14 +6,17 @@ adapter; an optional `overlay.yml`, not copied, says more:
     scaffold: {embodiment: franka_single, action_type: ee}   # options of `xpl new-policy`; `false`: start from nothing
     remove: [install.sh]                                     # files of the scaffold that are left out
     edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold
-    append: {model.py: "    def reset(self): pass\n"}        # text added at the end of a file, such as one more method
+    append: {deploy.yml: "horizon: null"}                    # text added at the end of a file
+    methods: "def reset(self): pass"                         # methods added to the model class
     message: answers for environment 3                       # what a finding on a bad subject has to say
 """
 
 from __future__ import annotations
 
 import shutil
+import textwrap
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +46,7 @@ class Subject:
     remove: tuple[str, ...] = ()
     edit: dict[str, dict[str, str]] = field(default_factory=dict)
     append: dict[str, str] = field(default_factory=dict)
+    methods: str = ""
     message: str | None = None
 
     @property
@@ -67,9 +71,9 @@ def build(subject: Subject, target: Path) -> Path:
     if subject.scaffold is None:
         target.mkdir(parents=True)
     else:
-        from xpl_cli.scaffold import render_policy
+        from xpl_cli import scaffold
 
-        render_policy(target.name, target.parent, **subject.scaffold)
+        scaffold.write(_rendered(tuple(sorted(subject.scaffold.items())), target.name), target)
     for name in subject.remove:
         (target / name).unlink()
     for name, replacements in subject.edit.items():
@@ -83,9 +87,21 @@ def build(subject: Subject, target: Path) -> Path:
     for name, added in subject.append.items():
         with (target / name).open("a", encoding="utf-8") as stream:
             stream.write(f"\n{added}")
+    if subject.methods:
+        # The class is the last thing in the scaffold's model.py.
+        with (target / "model.py").open("a", encoding="utf-8") as stream:
+            stream.write("\n" + textwrap.indent(subject.methods, "    "))
     ignored = shutil.ignore_patterns(OVERLAY, "__pycache__")
     shutil.copytree(subject.folder, target, dirs_exist_ok=True, ignore=ignored)
     return target
+
+
+@cache
+def _rendered(options: tuple[tuple[str, Any], ...], name: str) -> dict[str, bytes]:
+    """Return a scaffold; many subjects share one."""
+    from xpl_cli import scaffold
+
+    return scaffold.render(scaffold.Answers(**{**scaffold.defaults(), **dict(options), "name": name}))
 
 
 def _read(folder: Path, *, good: bool) -> Subject:
@@ -99,5 +115,6 @@ def _read(folder: Path, *, good: bool) -> Subject:
         remove=tuple(told.get("remove", ())),
         edit=told.get("edit", {}),
         append=told.get("append", {}),
+        methods=told.get("methods", ""),
         message=told.get("message"),
     )

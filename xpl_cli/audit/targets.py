@@ -34,7 +34,9 @@ def find_target(path: Path) -> Target:
         if (candidate / "env.yml").is_file():
             return _target(candidate.resolve(), package.ENV)
     if path.is_file():
-        raise NotFoundError(f"{path} is a file: an audit takes the folder of an adapter", hint=f"xpl audit {path.parent}")
+        raise NotFoundError(
+            f"{path} is a file: an audit takes the folder of an adapter", hint=f"xpl audit {path.parent}"
+        )
     return _target(package.find_policy(path), package.POLICY)
 
 

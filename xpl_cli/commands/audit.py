@@ -30,8 +30,8 @@ def audit(
     from xpl_cli.audit.engine import Options
     from xpl_cli.audit.engine import audit as run
     from xpl_cli.audit.model import Gate, exit_code
-    from xpl_cli.audit.report import as_text
     from xpl_cli.audit.report import as_json as to_json
+    from xpl_cli.audit.report import as_text
     from xpl_cli.audit.targets import find_target
     from xpl_cli.errors import UserError
     from xpl_cli.progress import progress
@@ -89,5 +89,6 @@ def explain(
         return
     from rich.markdown import Markdown
 
-    head = f"# {rule.code} {rule.slug}\n\n*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
+    proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
+    head = f"# {rule.code} {rule.slug}\n\n{proves}"
     console.rich(Markdown(f"{head}\n\n{rule.documentation}"))

@@ -18,9 +18,11 @@ def evaluate(
     settings: list[str] = SETTINGS,
     info: str | None = typer.Option(None, metavar="K=V,...", help="Further overrides in the launchers' form."),
     policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
-    eval_env: str | None = typer.Option(None, help="Environment of the simulator; ours need none, so it is only noted."),
+    eval_env: str | None = typer.Option(
+        None, help="Environment of the simulator; ours need none."
+    ),
     policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
-    env_gpu: str | None = typer.Option(None, help="Device of the simulator; ours need none, so it is only noted."),
+    env_gpu: str | None = typer.Option(None, help="Device of the simulator; ours need none."),
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
@@ -30,6 +32,9 @@ def evaluate(
     from xpl_cli import spec as standard
     from xpl_cli.progress import progress
 
+    for option, value in (("--eval-env", eval_env), ("--env-gpu", env_gpu)):
+        if value is not None:
+            console.note(f"{option} {value} is for launchers that start a simulator; the environments here need none")
     overrides = package.parse_overrides([*(part for part in (info or "").split(",") if part), *settings])
     if seed is not None:
         overrides[spec.Deploy.SEED] = seed
@@ -50,7 +55,8 @@ def evaluate(
     if as_json:
         console.data_json(report)
         return
-    where = f"{report['policy']} on {report['environment']}/{report['task']} ({report['embodiment']}, {report['action_type']})"
+    played = f"{report['environment']}/{report['task']}, {report['embodiment']}, {report['action_type']} control"
+    where = f"{report['policy']} on {played}"
     count = len(report["episodes"])
     if report["success_rate"] is None:
         console.data(f"{where}: {count} episodes ran to their end in {report['seconds']:.1f} s")

@@ -32,6 +32,4 @@ def serve(
         overrides[spec.Deploy.HOST] = host
     if port is not None:
         overrides[spec.Deploy.PORT] = port
-    run_server(
-        package.load(policy), overrides, python=python, env=policy_env, gpu=gpu, insecure=insecure, debug=debug
-    )
+    run_server(package.load(policy), overrides, python=python, env=policy_env, gpu=gpu, insecure=insecure, debug=debug)

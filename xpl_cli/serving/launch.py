@@ -55,7 +55,7 @@ class RunningServer:
 
 
 @contextlib.contextmanager
-def serving(
+def serving(  # noqa: PLR0913 - what `xpl serve` takes
     policy: Path,
     overrides: Mapping[str, Any] | None = None,
     *,
@@ -70,7 +70,9 @@ def serving(
     Args:
         policy: folder of the adapter.
         overrides: keys of deploy.yml.
-        python, env, gpu: as for `xpl serve`.
+        python: interpreter of the adapter.
+        env: environment of the adapter, as for `xpl serve --env`.
+        gpu: device made visible to the adapter.
         load_timeout: longest wait for the model, s.
         echo: also show the server's output on stderr.
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
-def run_server(
+def run_server(  # noqa: PLR0913 - one parameter per option of `xpl serve`
     package: Package,
     overrides: Mapping[str, Any],
     *,
@@ -67,7 +67,7 @@ async def _serve(
     """Serve until a signal; return why it could not go on, or None."""
     stopping = asyncio.get_running_loop().create_future()
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, lambda: stopping.done() or stopping.set_result(None))
+        asyncio.get_running_loop().add_signal_handler(number, _end, stopping)
     worker = await WorkerProcess.start(python, cwd=package.path, gpu=gpu)
     try:
         front_end = FrontEnd(worker, settings)
@@ -93,6 +93,11 @@ async def _serve(
             return front_end.failed.result() if front_end.failed.done() else None
     finally:
         await worker.stop(grace=1.0)
+
+
+def _end(stopping: asyncio.Future[None]) -> None:
+    if not stopping.done():
+        stopping.set_result(None)
 
 
 async def _load(worker: WorkerProcess, package: Package, config: dict[str, Any]) -> str | None:

@@ -116,7 +116,9 @@ class FrontEnd:
         kind = frame.message_type
         if kind not in spec.ANSWERS:
             known = ", ".join(spec.ANSWERS)
-            raise RequestError(spec.ErrorCode.INVALID_FRAME, f"message_type {kind!r} is not a request; known are {known}")
+            raise RequestError(
+                spec.ErrorCode.INVALID_FRAME, f"message_type {kind!r} is not a request; known are {known}"
+            )
         if kind == spec.Message.HEARTBEAT:
             return self._encoded(frame, {spec.Payload.OK: True})
         if kind == spec.Message.HELLO:
@@ -152,7 +154,11 @@ class FrontEnd:
         result = await self._ask(await _decoded(planned.request), planned.failure)
         latency = (time.perf_counter() - started) * 1000.0
         if frame.message_type == spec.Message.INFER:
-            passed = result if isinstance(result, dict) and spec.Payload.ACTIONS in result else {spec.Payload.ACTIONS: result}
+            passed = (
+                result
+                if isinstance(result, dict) and spec.Payload.ACTIONS in result
+                else {spec.Payload.ACTIONS: result}
+            )
             return {spec.Payload.LATENCY_MS: latency, **passed}
         answer: dict[str, Any] = {spec.Payload.OK: True}
         if result is not None:
@@ -179,7 +185,7 @@ class FrontEnd:
         except WorkerDiedError as error:
             self._fail(str(error))
             raise RequestError(spec.ErrorCode.INTERNAL, str(error), spec.ErrorReason.WORKER_DIED) from None
-        except asyncio.TimeoutError:
+        except TimeoutError:
             text = f"the model did not answer within {timeout:g} s"
             self._fail(text)
             raise RequestError(spec.ErrorCode.TIMEOUT, text) from None

@@ -147,7 +147,7 @@ class WorkerProcess:
     async def _last_words(self) -> str:
         try:
             code = await asyncio.wait_for(self._process.wait(), 5)
-        except asyncio.TimeoutError:
+        except TimeoutError:
             return "the worker closed its link but still runs"
         if code < 0:
             return f"the worker was ended by signal {signal.Signals(-code).name}"

@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..scene import Box
 from ..task import Task
 
 if TYPE_CHECKING:
     from ..physics import Physics
     from ..scene import Scene
 
-_BLOCK, _PAD = "block", "pad"
-_HALF, _PAD_HALF = (0.09, 0.014, 0.018), (0.1, 0.05)
-_RED, _BLUE = (0.82, 0.13, 0.1, 1.0), (0.12, 0.25, 0.75, 1.0)
-_MASS = 0.08
+_BLOCK = Box("block", half=(0.09, 0.014, 0.018), mass=0.08, color=(0.82, 0.13, 0.1, 1.0))
+_PAD, _PAD_HALF, _BLUE = "pad", (0.1, 0.05), (0.12, 0.25, 0.75, 1.0)
 _LEFT, _RIGHT = 0, 1
 # World coordinates, m: the block before the left arm, out of the right one's comfortable reach, the pad opposite.
 _BLOCK_AREA = ((-0.22, -0.24), (-0.14, -0.16))
@@ -29,19 +28,19 @@ _OPEN = 0.6  # of the stroke: a gripper that has let go
 class HandoverBlock(Task):
     """The block must be held by both hands at once in the air, then by the right one alone, then lie on the pad."""
 
-    objects = (_BLOCK,)
+    objects = (_BLOCK.name,)
 
     def lay_out(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the block on the left and the pad on the right."""
-        scene.add_box(_BLOCK, rng.uniform(*_BLOCK_AREA), _HALF, _RED, yaw=rng.uniform(*_YAW), mass=_MASS)
+        scene.add_box(_BLOCK, rng.uniform(*_BLOCK_AREA), rng.uniform(*_YAW))
         self._pad = rng.uniform(*_PAD_AREA)
         scene.add_marker(_PAD, self._pad, _PAD_HALF, _BLUE)
 
     def reached(self, physics: Physics) -> dict[str, bool]:
         """Lifted by the left hand, shared by both, received by the right: each after the one before."""
-        left, right = physics.grasped(_BLOCK, _LEFT), physics.grasped(_BLOCK, _RIGHT)
+        left, right = physics.grasped(_BLOCK.name, _LEFT), physics.grasped(_BLOCK.name, _RIGHT)
         flying = self._height(physics) > _IN_THE_AIR
-        released = not physics.touched(_BLOCK, _LEFT)
+        released = not physics.touched(_BLOCK.name, _LEFT)
         return {
             "lifted": flying and left,
             "shared": self.stages["lifted"] and flying and left and right,
@@ -51,23 +50,23 @@ class HandoverBlock(Task):
     def solved(self, physics: Physics) -> bool:
         """On the pad, let go, after it was handed over."""
         arms = range(physics.arm_count)
-        off = np.abs(physics.body_pose(_BLOCK)[:2] - self._pad)
+        off = np.abs(physics.body_pose(_BLOCK.name)[:2] - self._pad)
         return (
             self.stages["received"]
             and float(off.max()) < _ON_PAD
             and abs(self._height(physics)) < _ON_TABLE
             and all(physics.opening(arm) > _OPEN for arm in arms)
-            and not any(physics.touched(_BLOCK, arm) for arm in arms)
+            and not any(physics.touched(_BLOCK.name, arm) for arm in arms)
         )
 
     def truth(self, physics: Physics) -> dict[str, Any]:
         """Return block and pad."""
-        block = {"pose": physics.body_pose(_BLOCK), "half_size": np.array(_HALF)}
+        block = {"pose": physics.body_pose(_BLOCK.name), "half_size": np.array(_BLOCK.half)}
         pad = {"position": np.array([*self._pad, physics.table_top]), "half_size": np.array(_PAD_HALF)}
-        return {"objects": {_BLOCK: block}, "goals": {_PAD: pad}}
+        return {"objects": {_BLOCK.name: block}, "goals": {_PAD: pad}}
 
     def _height(self, physics: Physics) -> float:
-        return float(physics.body_pose(_BLOCK)[2]) - _HALF[2] - physics.table_top
+        return float(physics.body_pose(_BLOCK.name)[2]) - _BLOCK.half[2] - physics.table_top
 
 
 TASK = HandoverBlock

@@ -1,0 +1,125 @@
+"""`xpl new-policy`: an adapter package that runs at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from xpl_cli.scaffold import Files
+
+_SCHEMA = "xpl.new-policy/1"
+
+
+def new_policy(
+    name: str = typer.Argument(..., metavar="NAME", help="Name of the policy, and of its folder."),
+    parent: Path = typer.Option(Path("policy"), "--dir", metavar="DIR", help="Folder that the package goes into."),
+    embodiment: str | None = typer.Option(None, help="Robot; `xpl spec show` lists them."),
+    action_type: str | None = typer.Option(None, metavar="joint|ee", help="Joint or end-effector control."),
+    chunk: int | None = typer.Option(None, help="Action steps that one call returns."),
+    family: str | None = typer.Option(None, help="Kind of policy: vla, diffusion, act, ..."),
+    eval_only: bool = typer.Option(False, "--eval-only", help="Leave out data processing and training."),
+    python: str | None = typer.Option(None, help="The policy's own Python: a version, or the path of an interpreter."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that differ; files of your own are kept."),
+    dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Scaffold an adapter from the standard. It holds the current pose until you fill it in."""
+    from xpl_cli import console, scaffold
+
+    scaffold.check_name(name)
+    given = {
+        "embodiment": embodiment,
+        "action_type": action_type,
+        "chunk": chunk,
+        "family": family,
+        "eval_only": eval_only or None,
+        "python": python,
+    }
+    chosen = {key: value for key, value in given.items() if value is not None}
+    if not as_json and not dry_run:
+        chosen.update(_ask(chosen))
+    answers = scaffold.Answers(name=name, **{**scaffold.defaults(), **chosen})
+    scaffold.check(answers)
+
+    files = scaffold.render(answers)
+    target = parent / name
+    state = _preview(files, target) if dry_run else scaffold.write(files, target, overwrite=overwrite)
+    open_places = scaffold.placeholders(files)
+    following = _next(target, install=bool(answers.python))
+    if as_json:
+        console.data_json(
+            {
+                "schema": _SCHEMA,
+                "path": str(target),
+                "state": state,
+                "files": list(files),
+                "placeholders": [vars(place) for place in open_places],
+                "next": following,
+            }
+        )
+        return
+    console.data(f"{target}: {_SENTENCE[state].format(count=len(files))}, {len(open_places)} places to fill in")
+    for command in following:
+        console.data(f"next: {command}")
+
+
+_SENTENCE = {
+    "written": "{count} files written",
+    "replaced": "replaced by {count} files of the template",
+    "unchanged": "already there, unchanged",
+    "would be written": "{count} files would be written",
+    "would be replaced": "{count} files would replace what is there (needs --overwrite)",
+    "would be unchanged": "already there, would stay unchanged",
+}
+
+
+def _preview(files: Files, target: Path) -> str:
+    from xpl_cli import console, scaffold
+
+    changed = scaffold.differences(files, target)
+    for file in changed:
+        console.note(f"{'~' if (target / file).exists() else '+'} {target / file}")
+    if not changed:
+        return "would be unchanged"
+    return "would be replaced" if target.exists() and any(target.iterdir()) else "would be written"
+
+
+def _next(target: Path, *, install: bool) -> list[str]:
+    """Return the commands that follow, ready to be pasted."""
+    import shlex
+
+    path = shlex.quote(str(target))
+    return [*([f"xpl install {path}"] if install else []), f"xpl audit {path}"]
+
+
+def _ask(given: dict[str, Any]) -> dict[str, Any]:
+    """Ask a person at a terminal for what was not given; anything that is no terminal is never asked."""
+    import os
+    import sys
+
+    from xpl_cli import scaffold
+
+    if not (sys.stdin.isatty() and sys.stdout.isatty()) or os.environ.get("CI"):
+        return {}
+    suggested, allowed = scaffold.defaults(), scaffold.choices()
+    return {
+        question: typer.prompt(
+            f"{question} ({', '.join(names)})", default=suggested[question], value_proc=_one_of(names), err=True
+        )
+        for question, names in allowed.items()
+        if question not in given
+    }
+
+
+def _one_of(names: list[str]) -> Callable[[str], str]:
+    def read(answer: str) -> str:
+        if answer not in names:
+            raise typer.BadParameter(f"expected one of {', '.join(names)}, got {answer!r}")
+        return answer
+
+    return read
