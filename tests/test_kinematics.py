@@ -1,6 +1,7 @@
 """Forward and inverse kinematics agree with each other, with MuJoCo and with the limits."""
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,17 +15,17 @@ KNOWN = sorted(name for name, entry in spec.EMBODIMENTS.items() if entry["arm"][
 
 
 @pytest.fixture(params=KNOWN)
-def chain(request):
+def chain(request: pytest.FixtureRequest) -> Chain:
     """The arm of every embodiment whose joint frames are known."""
     return Chain.from_embodiment(spec.EMBODIMENTS[request.param])
 
 
-def _random_joints(chain, rng):
+def _random_joints(chain: Chain, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(chain.lower, chain.upper)
 
 
 @pytest.mark.parametrize("name", KNOWN)
-def test_forward_kinematics_agrees_with_mujoco(name):
+def test_forward_kinematics_agrees_with_mujoco(name: str) -> None:
     """Flange and tcp, in the world, are where the simulated arm has its sites, and point the same way."""
     mujoco = pytest.importorskip("mujoco")
     folder = room("envs") / "mujoco"
@@ -46,7 +47,7 @@ def test_forward_kinematics_agrees_with_mujoco(name):
             assert np.abs(physics.tcp(arm)[:3] - physics.data.site(names.tcp).xpos).max() < 1e-6
 
 
-def test_jacobian_is_the_derivative(chain):
+def test_jacobian_is_the_derivative(chain: Chain) -> None:
     """Linear rows by differences of positions, angular rows by differences of rotations; for the flange and the tcp."""
     rng, step = np.random.default_rng(1), 1e-6
     for point in (chain.flange, chain.tcp):
@@ -59,7 +60,7 @@ def test_jacobian_is_the_derivative(chain):
             assert np.allclose(turn / (2 * step), jacobian[3:, column], atol=1e-8)
 
 
-def test_warm_started_solutions_reach_their_target(chain):
+def test_warm_started_solutions_reach_their_target(chain: Chain) -> None:
     """From a configuration near by, every reachable pose is met within the tolerance and the limits."""
     rng = np.random.default_rng(2)
     for _ in range(50):
@@ -73,7 +74,7 @@ def test_warm_started_solutions_reach_their_target(chain):
         assert np.all((solution.joints >= chain.lower) & (solution.joints <= chain.upper))
 
 
-def test_search_finds_what_is_far_from_the_start(chain):
+def test_search_finds_what_is_far_from_the_start(chain: Chain) -> None:
     """Planning from the middle of the limits reaches nearly every pose of the arm."""
     rng = np.random.default_rng(3)
     middle = 0.5 * (chain.lower + chain.upper)
@@ -81,7 +82,7 @@ def test_search_finds_what_is_far_from_the_start(chain):
     assert np.mean(found) >= 0.95
 
 
-def test_a_pose_that_holds_is_left_alone(chain):
+def test_a_pose_that_holds_is_left_alone(chain: Chain) -> None:
     """Solving for where the arm is returns the same joints, bit by bit: commanding the current pose stays."""
     joints = 0.5 * (chain.lower + chain.upper)
     solution = chain.solve(chain.flange(joints), joints)
@@ -89,8 +90,8 @@ def test_a_pose_that_holds_is_left_alone(chain):
     assert np.array_equal(solution.joints, joints)
 
 
-def test_the_sign_of_a_quaternion_does_not_matter(chain):
-    """q and -q ask for the same rotation."""
+def test_the_sign_of_a_quaternion_does_not_matter(chain: Chain) -> None:
+    """Both q and -q ask for the same rotation."""
     joints = 0.4 * chain.lower + 0.6 * chain.upper
     target = chain.flange(joints + 0.02)
     flipped = pose(target[:3], -target[3:])
@@ -98,7 +99,7 @@ def test_the_sign_of_a_quaternion_does_not_matter(chain):
     assert np.allclose(chain.solve(target, start).joints, chain.solve(flipped, start).joints, atol=1e-12)
 
 
-def test_a_pose_out_of_reach_is_reported(chain):
+def test_a_pose_out_of_reach_is_reported(chain: Chain) -> None:
     """Two metres away nothing converges; the arm stretches towards it and says how far it is off."""
     middle = 0.5 * (chain.lower + chain.upper)
     target = pose([2.0, 0.0, 0.3], chain.flange(middle)[3:])
@@ -109,7 +110,7 @@ def test_a_pose_out_of_reach_is_reported(chain):
     assert 0.5 < gap < np.sqrt(np.sum((chain.flange(middle)[:3] - target[:3]) ** 2))
 
 
-def test_solving_is_fast_enough_for_control(chain):
+def test_solving_is_fast_enough_for_control(chain: Chain) -> None:
     """The best of many warm solves takes well under a millisecond (a loose bound: machines are shared)."""
     joints = 0.45 * chain.lower + 0.55 * chain.upper
     target = chain.flange(joints + 0.02)
@@ -121,7 +122,7 @@ def test_solving_is_fast_enough_for_control(chain):
     assert min(times) < 1e-3
 
 
-def test_frames_compose_and_invert():
+def test_frames_compose_and_invert() -> None:
     """A pose and its inverse cancel; points follow frames; batches work."""
     rng = np.random.default_rng(4)
     a = pose(rng.normal(size=(6, 3)), rotation.normalise(rng.normal(size=(6, 4))))
@@ -132,14 +133,14 @@ def test_frames_compose_and_invert():
     assert np.allclose(transform(compose(a, b), point), transform(a, transform(b, point)), atol=1e-12)
 
 
-def test_dimensions_without_frames_have_no_kinematics():
+def test_dimensions_without_frames_have_no_kinematics() -> None:
     """An embodiment of which only dimensions are known is refused by name."""
     with pytest.raises(KinematicsError, match="franka_single"):
         Chain.from_embodiment(spec.EMBODIMENTS["franka_single"])
 
 
 @pytest.mark.parametrize("bad", [[0.0] * 5, [np.nan] * 6])
-def test_malformed_joints_are_refused(bad):
+def test_malformed_joints_are_refused(bad: Any) -> None:
     """The error says what was expected."""
     with pytest.raises(KinematicsError, match="6 finite numbers"):
         Chain.from_embodiment(spec.EMBODIMENTS["arx_x5"]).flange(bad)

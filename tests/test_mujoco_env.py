@@ -1,5 +1,7 @@
 """The MuJoCo environment: schema, determinism, geometry, safety, tasks."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -21,16 +23,16 @@ make = load_module(FOLDER / "client.py").make
 episode_module = load_module(FOLDER / "episode.py")
 
 
-def _env(**config):
+def _env(**config: Any) -> Any:
     return make({"task": "lift_cube", "embodiment": "arx_x5", "cameras": False, **config})
 
 
-def _hold(obs, action_type="joint", embodiment="arx_x5"):
+def _hold(obs: dict[str, Any], action_type: str = "joint", embodiment: str = "arx_x5") -> dict[str, Any]:
     """Return the action that commands what is observed."""
     return {key: obs["state"][key] for key in get_embodiment(embodiment).dims(action_type)}
 
 
-def _random_action(rng):
+def _random_action(rng: np.random.Generator) -> dict[str, Any]:
     arm = get_embodiment("arx_x5").arms[0]
     sides = {}
     for prefix in ("left_", "right_"):
@@ -39,7 +41,7 @@ def _random_action(rng):
     return sides
 
 
-def _solve(env, seed, action_type="joint", embodiment="arx_x5"):
+def _solve(env: Any, seed: int, action_type: str = "joint", embodiment: str = "arx_x5") -> dict[str, Any]:
     """Let the expert play one episode in this process."""
     policy = Expert({"env_cfg_type": embodiment, "action_type": action_type})
     env.reset([seed])
@@ -54,7 +56,7 @@ def _solve(env, seed, action_type="joint", embodiment="arx_x5"):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_observation_follows_the_schema(task):
+def test_observation_follows_the_schema(task: str) -> None:
     """Keys, shapes and dtypes are the standard's, and quaternions are unit."""
     env = _env(task=task, cameras=[48, 64])
     env.reset([5])
@@ -84,7 +86,7 @@ def test_observation_follows_the_schema(task):
             assert np.isclose(np.sum(value[3:] ** 2), 1.0, atol=1e-5)
 
 
-def test_the_default_resolution_is_the_manifests():
+def test_the_default_resolution_is_the_manifests() -> None:
     """Cameras are on unless switched off, at the size env.yml gives."""
     env = make({"task": "lift_cube", "embodiment": "arx_x5"})
     env.reset([0])
@@ -94,7 +96,7 @@ def test_the_default_resolution_is_the_manifests():
     assert env.get_obs()["vision"] == {}
 
 
-def test_truth_is_shown_only_when_asked_for():
+def test_truth_is_shown_only_when_asked_for() -> None:
     """The privileged map holds what the README lists."""
     env = _env(task="handover_block", privileged=True)
     env.reset([0])
@@ -107,7 +109,7 @@ def test_truth_is_shown_only_when_asked_for():
     assert "privileged" not in env.get_obs()
 
 
-def test_delta_pose_is_the_last_steps_motion():
+def test_delta_pose_is_the_last_steps_motion() -> None:
     """It is the identity after reset, and small and unit after a step."""
     env = _env()
     env.reset([0])
@@ -127,7 +129,7 @@ def test_delta_pose_is_the_last_steps_motion():
 
 
 @pytest.mark.parametrize("camera", spec.CAMERAS[2])
-def test_every_pixel_is_where_projection_puts_it(camera):
+def test_every_pixel_is_where_projection_puts_it(camera: str) -> None:
     """The cube's pixels, back-projected by depth, intrinsics and extrinsics, lie on the cube's surface.
 
     And its corners project to within half a pixel of the rectangle that segmentation shows.
@@ -165,7 +167,7 @@ def test_every_pixel_is_where_projection_puts_it(camera):
 
 
 @pytest.mark.parametrize("camera", spec.CAMERAS[2])
-def test_a_known_point_lands_on_its_pixel(camera):
+def test_a_known_point_lands_on_its_pixel(camera: str) -> None:
     """A geom's surface point, projected, meets the depth that the image has at the nearest pixel."""
     env = _env(cameras=[224, 224], privileged=True)
     env.reset([3])
@@ -188,7 +190,7 @@ def test_a_known_point_lands_on_its_pixel(camera):
 
 
 @pytest.mark.parametrize("camera", [*spec.CAMERAS[2], *spec.OPTIONAL_CAMERAS])
-def test_shortcuts_change_no_pixel(camera):
+def test_shortcuts_change_no_pixel(camera: str) -> None:
     """Closed-form backdrop and bounding boxes give exactly the geoms that rays at everything give."""
     import mujoco
 
@@ -212,7 +214,7 @@ def test_shortcuts_change_no_pixel(camera):
 # -- determinism -------------------------------------------------------------------------------------------------------
 
 
-def test_the_same_seed_gives_the_same_trajectory_and_pixels():
+def test_the_same_seed_gives_the_same_trajectory_and_pixels() -> None:
     """Digest, state and images are equal bit by bit; another seed or action differs."""
     digests, images = [], []
     for seed, action_seed in ((7, 0), (7, 0), (8, 0), (7, 1)):
@@ -228,7 +230,7 @@ def test_the_same_seed_gives_the_same_trajectory_and_pixels():
     assert len(set(digests)) == 3
 
 
-def test_an_episode_does_not_depend_on_the_one_before():
+def test_an_episode_does_not_depend_on_the_one_before() -> None:
     """A used environment, reset, equals a fresh one; resetting twice changes nothing."""
     env = _env()
     env.reset([3])
@@ -241,7 +243,7 @@ def test_an_episode_does_not_depend_on_the_one_before():
     assert env.results() == fresh.results()
 
 
-def test_seeds_count_on_when_none_are_given():
+def test_seeds_count_on_when_none_are_given() -> None:
     """The first reset uses the configured seed, later ones those that follow."""
     env = _env(num_envs=2, seed=10)
     env.reset()
@@ -250,7 +252,7 @@ def test_seeds_count_on_when_none_are_given():
     assert [result["seed"] for result in env.results()] == [12, 13]
 
 
-def test_rendering_does_not_disturb_the_physics():
+def test_rendering_does_not_disturb_the_physics() -> None:
     """With and without cameras the states are the same."""
     digests = []
     for cameras in (False, [16, 16]):
@@ -267,7 +269,7 @@ def test_rendering_does_not_disturb_the_physics():
 
 @pytest.mark.parametrize("embodiment", FACTS["embodiments"])
 @pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
-def test_commanding_the_current_pose_stays(embodiment, action_type):
+def test_commanding_the_current_pose_stays(embodiment: str, action_type: str) -> None:
     """The observed joints, or the observed flange pose, sent back as action move nothing and correct nothing."""
     env = _env(embodiment=embodiment, action_type=action_type)
     env.reset([0])
@@ -282,7 +284,7 @@ def test_commanding_the_current_pose_stays(embodiment, action_type):
     assert env.results()[0]["score"] == 0.0
 
 
-def test_gripper_closes_at_zero_and_opens_at_one():
+def test_gripper_closes_at_zero_and_opens_at_one() -> None:
     """The observed opening follows the command; fingertips meet when closed and are a stroke apart when open."""
     env = _env()
     env.reset([0])
@@ -297,7 +299,7 @@ def test_gripper_closes_at_zero_and_opens_at_one():
         assert np.isclose(gap, command * get_embodiment("arx_x5").arms[0].stroke, atol=2e-3)
 
 
-def test_clamps_are_counted_and_reported():
+def test_clamps_are_counted_and_reported() -> None:
     """A jump past the limits is cut to limit and speed, with both amounts; results count them."""
     env = _env()
     env.reset([0])
@@ -315,7 +317,7 @@ def test_clamps_are_counted_and_reported():
     assert env.results()[0]["corrections"] == {"joint_limit": 1, "joint_speed": 1, "gripper_range": 1}
 
 
-def test_an_unreachable_pose_is_reported():
+def test_an_unreachable_pose_is_reported() -> None:
     """The flange goes as near as it can, and the step says how far off it stays."""
     env = _env(action_type="ee")
     env.reset([0])
@@ -328,8 +330,21 @@ def test_an_unreachable_pose_is_reported():
     assert env.results()[0]["corrections"]["unreachable"] == 1
 
 
+def test_a_quaternion_is_normalised_or_refused() -> None:
+    """A length away from one is reported and repaired; no length at all is an error and moves nothing."""
+    env = _env(action_type="ee")
+    env.reset([0])
+    action = _hold(env.get_obs(), "ee")
+    long = {**action, "left_ee_pose": action["left_ee_pose"] * np.array([1, 1, 1, 2, 2, 2, 2])}
+    assert env.take_action(long)["corrections"]["left_"] == {"quaternion_norm": pytest.approx(1.0)}
+    digest = env.results()[0]["digest"]
+    with pytest.raises(ActionError, match="right_ee_pose must hold a unit quaternion"):
+        env.take_action({**action, "right_ee_pose": np.zeros(7)})
+    assert env.results()[0]["digest"] == digest
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_non_finite_action_ends_the_episode_before_the_physics(bad):
+def test_a_non_finite_action_ends_the_episode_before_the_physics(bad: Any) -> None:
     """State stays finite and unchanged; the report and the result say why."""
     env = _env()
     env.reset([0])
@@ -351,7 +366,7 @@ def test_a_non_finite_action_ends_the_episode_before_the_physics(bad):
         ({"left_arm_joint_state": None}, "6 numbers|shape"),
     ],
 )
-def test_a_malformed_action_is_an_error(change, message):
+def test_a_malformed_action_is_an_error(change: dict[str, Any], message: str) -> None:
     """Wrong dimensions and mixed control are refused, and nothing moves."""
     env = _env()
     env.reset([0])
@@ -363,7 +378,7 @@ def test_a_malformed_action_is_an_error(change, message):
 # -- several environments ----------------------------------------------------------------------------------------------
 
 
-def test_the_running_list_shrinks():
+def test_the_running_list_shrinks() -> None:
     """Environments end one by one; the others go on, and answers come in the order asked for."""
     env = _env(num_envs=3, max_steps=4)
     env.reset([0, 1, 2])
@@ -384,7 +399,7 @@ def test_the_running_list_shrinks():
     assert (late["step"], late["end_reason"]) == (4, "max_steps")
 
 
-def test_batch_equals_single():
+def test_batch_equals_single() -> None:
     """An environment does the same alone and among others."""
     batch, single = _env(num_envs=2), _env()
     batch.reset([5, 6])
@@ -397,7 +412,7 @@ def test_batch_equals_single():
     assert batch.results()[1]["digest"] == single.results()[0]["digest"]
 
 
-def test_last_frame_returns_the_observation_again():
+def test_last_frame_returns_the_observation_again() -> None:
     """Nothing is rendered a second time."""
     env = _env()
     env.reset([0])
@@ -418,7 +433,7 @@ def test_last_frame_returns_the_observation_again():
         ({"camera": True}, "did you mean 'cameras'"),
     ],
 )
-def test_a_wrong_configuration_is_refused(config, message):
+def test_a_wrong_configuration_is_refused(config: Any, message: str) -> None:
     """One sentence says what is offered."""
     with pytest.raises(ValueError, match=message):
         _env(**config)
@@ -429,7 +444,7 @@ def test_a_wrong_configuration_is_refused(config, message):
 
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
-def test_the_expert_solves_each_task(task, action_type):
+def test_the_expert_solves_each_task(task: str, action_type: str) -> None:
     """Through the standard's interface, in both action types, with nothing clamped; the result tells the stages."""
     env = _env(task=task, action_type=action_type, privileged=True)
     for seed in (0, 1, 2):
@@ -444,7 +459,7 @@ def test_the_expert_solves_each_task(task, action_type):
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("embodiment", FACTS["embodiments"])
 @pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
-def test_the_expert_solves_a_hundred_seeds(task, embodiment, action_type):
+def test_the_expert_solves_a_hundred_seeds(task: str, embodiment: str, action_type: str) -> None:
     """Every embodiment, task and action type that is offered."""
     env = _env(task=task, embodiment=embodiment, action_type=action_type, privileged=True)
     failed = [seed for seed in range(100) if not _solve(env, seed, action_type, embodiment)["success"]]
@@ -452,7 +467,7 @@ def test_the_expert_solves_a_hundred_seeds(task, embodiment, action_type):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_doing_nothing_or_anything_solves_nothing(task):
+def test_doing_nothing_or_anything_solves_nothing(task: str) -> None:
     """Holding the pose and random joints fail every seed; holding earns no score at all."""
     for seed in range(3):
         env = _env(task=task)
@@ -468,7 +483,7 @@ def test_doing_nothing_or_anything_solves_nothing(task):
         assert not env.results()[0]["success"]
 
 
-def test_success_must_hold():
+def test_success_must_hold() -> None:
     """The goal is met for ten steps before the episode counts as solved."""
     env = _env(privileged=True)
     policy = Expert({"env_cfg_type": "arx_x5", "action_type": "joint"})
@@ -482,7 +497,7 @@ def test_success_must_hold():
     assert report["step"] - lifted_at >= FACTS["success"]["hold_steps"] - 1
 
 
-def test_the_expert_says_what_it_lacks():
+def test_the_expert_says_what_it_lacks() -> None:
     """Without privileged observations there is one clear error."""
     env = _env()
     env.reset([0])
@@ -492,7 +507,7 @@ def test_the_expert_says_what_it_lacks():
         policy.get_action()
 
 
-def test_one_arm_works_too():
+def test_one_arm_works_too() -> None:
     """A single arm of the same model has unprefixed keys, its own camera set, and lifts the cube."""
     entry = {**get_embodiment("arx_x5").data, "arms": ["single"]}
     robot = _from_entry(entry)
@@ -516,13 +531,13 @@ def test_one_arm_works_too():
     assert episode.end_reason == "success"
 
 
-def test_every_stage_has_a_weight_and_they_add_up():
+def test_every_stage_has_a_weight_and_they_add_up() -> None:
     """The manifest's weights of each task sum to one."""
     for facts in FACTS["tasks"].values():
         assert sum(facts["stages"].values()) == pytest.approx(1.0)
 
 
-def test_pack_order_matches_control_order():
+def test_pack_order_matches_control_order() -> None:
     """Commands reach the arm they name: moving the left joints leaves the right arm where it is."""
     env = _env()
     env.reset([0])

@@ -1,6 +1,7 @@
 """Quaternion algebra holds for every rotation, half turns and both signs included."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +17,13 @@ _vectors = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
 _HALF_TURN = np.array([0.0, 0.6, 0.0, -0.8])
 
 
-def _same(first, second, tolerance=1e-7):
+def _same(first: Any, second: Any, tolerance: float = 1e-7) -> bool:
     """Compare rotations, not quaternions: q and -q are equal."""
     return float(rotation.angle_between(first, second)) < tolerance
 
 
 @given(_quaternions, _quaternions, _quaternions)
-def test_multiplication_is_associative_and_keeps_length(a, b, c):
+def test_multiplication_is_associative_and_keeps_length(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
     """Composition does not depend on brackets, and stays on the unit sphere."""
     left = rotation.multiply(rotation.multiply(a, b), c)
     assert np.allclose(left, rotation.multiply(a, rotation.multiply(b, c)), atol=1e-12)
@@ -30,7 +31,7 @@ def test_multiplication_is_associative_and_keeps_length(a, b, c):
 
 
 @given(_quaternions, _vectors)
-def test_rotating_agrees_with_the_matrix(q, v):
+def test_rotating_agrees_with_the_matrix(q: np.ndarray, v: np.ndarray) -> None:
     """Both ways to turn a vector give the same, and keep its length."""
     turned = rotation.rotate(q, v)
     assert np.allclose(turned, rotation.to_matrix(q) @ v, atol=1e-12)
@@ -41,7 +42,7 @@ def test_rotating_agrees_with_the_matrix(q, v):
 @example(_HALF_TURN)
 @example(np.array([0.0, 0.0, 1.0, 0.0]))
 @example(np.array([1e-9, 1.0, 0.0, 0.0]))
-def test_matrix_round_trip(q):
+def test_matrix_round_trip(q: np.ndarray) -> None:
     """A matrix gives back the rotation it came from, whichever component is large."""
     assert _same(rotation.from_matrix(rotation.to_matrix(q)), q)
 
@@ -50,28 +51,28 @@ def test_matrix_round_trip(q):
 @example(_HALF_TURN)
 @example(np.array([1.0, 0.0, 0.0, 0.0]))
 @example(np.array([-1.0, 1e-12, 0.0, 0.0]))
-def test_axis_angle_round_trip(q):
+def test_axis_angle_round_trip(q: np.ndarray) -> None:
     """The rotation vector gives back the rotation, and is never longer than a half turn."""
     vector = rotation.to_axis_angle(q)
     assert math.sqrt(float(np.sum(vector**2))) <= math.pi + 1e-12
     assert _same(rotation.from_axis_angle(vector), q)
 
 
-def test_half_turn_is_exact():
+def test_half_turn_is_exact() -> None:
     """A turn by exactly pi keeps its axis and its angle."""
     assert np.allclose(rotation.to_axis_angle(_HALF_TURN), math.pi * _HALF_TURN[1:], atol=1e-15)
     assert np.allclose(rotation.from_axis_angle([0.0, math.pi, 0.0]), [0.0, 0.0, 1.0, 0.0], atol=1e-15)
 
 
 @given(st.floats(1e-300, 1e-5))
-def test_small_turns_keep_relative_precision(angle):
+def test_small_turns_keep_relative_precision(angle: float) -> None:
     """Tiny angles do not vanish in rounding."""
     vector = rotation.to_axis_angle(rotation.from_axis_angle([0.0, angle, 0.0]))
     assert math.isclose(float(vector[1]), angle, rel_tol=1e-9)
 
 
 @given(_quaternions, _quaternions, st.floats(0.0, 1.0))
-def test_antipodal_quaternions_are_the_same_rotation(a, b, fraction):
+def test_antipodal_quaternions_are_the_same_rotation(a: np.ndarray, b: np.ndarray, fraction: float) -> None:
     """The sign of a quaternion changes neither logarithm, angle nor interpolation, half turns between them aside."""
     angle = float(rotation.angle_between(a, b))
     assert math.isclose(angle, float(rotation.angle_between(-a, b)), abs_tol=1e-9)
@@ -80,7 +81,7 @@ def test_antipodal_quaternions_are_the_same_rotation(a, b, fraction):
 
 
 @given(_quaternions, _quaternions, st.floats(0.0, 1.0))
-def test_slerp_has_constant_speed(a, b, fraction):
+def test_slerp_has_constant_speed(a: np.ndarray, b: np.ndarray, fraction: float) -> None:
     """The way covered is the fraction of the whole angle; both ends are met."""
     whole = float(rotation.angle_between(a, b))
     middle = rotation.slerp(a, b, fraction)
@@ -88,7 +89,7 @@ def test_slerp_has_constant_speed(a, b, fraction):
     assert _same(rotation.slerp(a, b, 1.0), b)
 
 
-def test_rpy_is_urdfs_order():
+def test_rpy_is_urdfs_order() -> None:
     """Roll acts first, about the fixed x axis, yaw last."""
     turned = rotation.rotate(rotation.from_rpy([math.pi / 2, 0.0, math.pi / 2]), [0.0, 1.0, 0.0])
     assert np.allclose(turned, [0.0, 0.0, 1.0], atol=1e-15)
@@ -96,7 +97,7 @@ def test_rpy_is_urdfs_order():
     assert np.allclose(turned, [0.0, 1.0, 0.0], atol=1e-15)
 
 
-def test_batches_equal_single_calls():
+def test_batches_equal_single_calls() -> None:
     """Leading axes broadcast: a batch gives what its members give."""
     rng = np.random.default_rng(0)
     a, b = rotation.normalise(rng.normal(size=(5, 1, 4))), rotation.normalise(rng.normal(size=(3, 4)))
@@ -112,7 +113,7 @@ def test_batches_equal_single_calls():
 
 
 @pytest.mark.parametrize("bad", [[0.0, 0.0, 0.0, 0.0], [math.nan, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-def test_what_is_no_rotation_is_refused(bad):
+def test_what_is_no_rotation_is_refused(bad: Any) -> None:
     """Zero, NaN and the wrong length are errors, not identities."""
     with pytest.raises(ValueError, match="a quaternion"):
         rotation.normalise(bad)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.package import Package
+    from xpl_cli.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def environment_for(variable: str | None = None) -> str:
     return str(name)
 
 
-def evaluate(request: Request, progress: Callable[[str], None]) -> dict[str, Any]:
+def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
     """Run the episodes and return the report `xpl.eval/1`.
 
     Raises:
@@ -88,7 +89,7 @@ def evaluate(request: Request, progress: Callable[[str], None]) -> dict[str, Any
             except ClientError as error:
                 raise UserError(f"episode with seed {seeds[0]}: {error}", code=ExitCode.FINDINGS) from None
             episodes += [dict(result) for result in task_env.results()]
-            progress(_line(episodes, request.episodes))
+            progress.step(_line(episodes, request.episodes))
     return _report(request, settings, episodes[: request.episodes], time.perf_counter() - started)
 
 

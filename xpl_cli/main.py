@@ -25,6 +25,7 @@ app = typer.Typer(
 app.command("new-policy")(new_policy.new_policy)
 app.command("audit")(audit.audit)
 app.command("explain")(audit.explain)
+app.command("rules")(audit.rules)
 app.command("serve")(serve.serve)
 app.command("eval")(evaluate.evaluate)
 app.command("install")(lifecycle.install)

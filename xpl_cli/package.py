@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli import spec
+from xpl_cli import content, spec
 from xpl_cli.errors import NotFoundError, UserError
 
 if TYPE_CHECKING:
@@ -51,13 +51,13 @@ class Package:
 
 
 def find_policy(path: Path | str) -> Path:
-    """Return the folder of an adapter given its path, or its name below `policy/` of the working directory.
+    """Return the folder of an adapter given its path, or its name below `policy/` of the working directory or ours.
 
     Raises:
         NotFoundError: if there is no such folder with an adapter in it.
     """
     given = Path(path)
-    candidates = [given, Path("policy") / given]
+    candidates = [given, Path("policy") / given, content.room("policy") / given]
     for candidate in candidates:
         if candidate.is_dir() and any(
             (candidate / name).is_file() for name in ("model.py", "deploy.yml", "policy.yml")

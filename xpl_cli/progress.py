@@ -1,33 +1,48 @@
-"""Progress of long work: a spinner on a terminal, nothing elsewhere."""
+"""Progress of long work: a live line on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
+
+_Say = Callable[[str], None]
+
+
+def _nothing(_text: str) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where work says what it does.
+
+    Attributes:
+        step: says what begins; a line of its own where there is no terminal.
+        detail: says what is being done inside a step; on a terminal only.
+    """
+
+    step: _Say = _nothing
+    detail: _Say = _nothing
 
 
 @contextlib.contextmanager
-def progress(*, lines: bool = True) -> Iterator[Callable[[str], None]]:
-    """Yield a function that says what is being done.
-
-    Args:
-        lines: without a terminal, whether to print each new message as a plain line.
-    """
-    if sys.stderr.isatty():
-        from rich.console import Console
-
-        console = Console(stderr=True, highlight=False)
-        with console.status("") as status:
-            yield status.update
+def progress() -> Iterator[Progress]:
+    """Yield where to say what is being done; everything goes to stderr."""
+    if not sys.stderr.isatty():
+        yield Progress(step=_line)
         return
+    from rich.console import Console
 
-    def say(text: str) -> None:
-        if lines:
-            sys.stderr.write(f"{text}\n")
-            sys.stderr.flush()
+    with Console(stderr=True, highlight=False).status("") as status:
+        yield Progress(step=status.update, detail=status.update)
 
-    yield say
+
+def _line(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()

@@ -9,6 +9,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import rotation
+from xpl.action import ActionError
 from xpl.kinematics import Chain, compose, invert, pose
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 # Rounding of float32 actions is no violation.
 _ANGLE_SLACK, _OPENING_SLACK = 1e-5, 1e-5
+_LEAST_NORM = 1e-3  # below it a quaternion has no direction
 
 
 @dataclass
@@ -26,7 +28,8 @@ class Correction:
 
     Attributes:
         excess: largest amount by kind: "joint_limit" (rad past it), "joint_speed" (rad/s past it), "gripper_range"
-            (past 0 or 1), "unreachable" (m, distance of the nearest reachable flange position).
+            (past 0 or 1), "quaternion_norm" (distance of its length from 1), "unreachable" (m, distance of the
+            nearest reachable flange position).
         rotation_error: rad, to the target's rotation; only with "unreachable".
     """
 
@@ -78,7 +81,12 @@ class ArmControl:
         The nearest configuration is executed where the pose is out of reach, and the correction says how far off it is.
         """
         correction = Correction()
-        solution = self.chain.solve(compose(self._to_base, target), self.joints)
+        split = spec.POSITION_DIM
+        off = abs(_norm(target[split:]) - 1.0)
+        if off > spec.QUATERNION_TOLERANCE:
+            correction.excess["quaternion_norm"] = off
+        unit = pose(target[:split], rotation.normalise(target[split:]))
+        solution = self.chain.solve(compose(self._to_base, unit), self.joints)
         if not solution.converged:
             correction.excess["unreachable"] = solution.position_error
             correction.rotation_error = solution.rotation_error
@@ -109,17 +117,28 @@ class ArmControl:
 def execute(
     controls: tuple[ArmControl, ...], flat: NDArray[np.float64], embodiment: Embodiment, action_type: str
 ) -> list[Correction]:
-    """Command all arms from one flat, finite action (`xpl.action.pack`); return each arm's correction."""
+    """Command all arms from one flat, finite action (`xpl.action.pack`); return each arm's correction.
+
+    Raises:
+        ActionError: a quaternion has no direction. No arm has been commanded then.
+    """
     arm_key, _ = spec.ACTION_KEYS[action_type]
-    corrections, at = [], 0
-    for control, arm in zip(controls, embodiment.arms, strict=True):
+    posed = arm_key == spec.State.EE_POSE
+    commands, at = [], 0
+    for arm in embodiment.arms:
         dim = embodiment.dims(action_type)[arm.prefix + arm_key]
         target, opening = flat[at : at + dim], float(flat[at + dim])
         at += dim + arm.ee_dim
-        if arm_key == spec.State.EE_POSE:
-            split = spec.POSITION_DIM
-            unit = pose(target[:split], rotation.normalise(target[split:]))
-            corrections.append(control.command_flange(unit, opening))
-        else:
-            corrections.append(control.command_joints(target, opening))
-    return corrections
+        if posed and _norm(target[spec.POSITION_DIM :]) < _LEAST_NORM:
+            raise ActionError(
+                f"{arm.prefix}{arm_key} must hold a unit quaternion, got {target[spec.POSITION_DIM :].tolist()}"
+            )
+        commands.append((target, opening))
+    return [
+        control.command_flange(target, opening) if posed else control.command_joints(target, opening)
+        for control, (target, opening) in zip(controls, commands, strict=True)
+    ]
+
+
+def _norm(vector: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.sum(vector * vector)))

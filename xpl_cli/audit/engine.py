@@ -12,9 +12,9 @@ from xpl_cli.audit.facts import Facts
 from xpl_cli.audit.finish import fingerprint
 from xpl_cli.audit.model import Gate, GateReport, NotApplicable, NotRun, Outcome, Result, TargetReport
 from xpl_cli.audit.registry import Rule, select
+from xpl_cli.progress import Progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -28,7 +28,7 @@ class Options:
         keep_going: run a gate although an earlier one failed.
         overrides: keys of deploy.yml for the gates that serve the adapter.
         python, env: interpreter of the adapter, as for `xpl serve`.
-        progress: told what begins, for a person who waits.
+        progress: told what is being done, for a person who waits.
     """
 
     gates: tuple[Gate, ...] = tuple(Gate)
@@ -38,7 +38,7 @@ class Options:
     overrides: dict[str, Any] = field(default_factory=dict)
     python: str | None = None
     env: str | None = None
-    progress: Callable[[str], None] = lambda _text: None
+    progress: Progress = Progress()
 
 
 def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) -> TargetReport:
@@ -60,7 +60,7 @@ def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) 
         if blocked is not None:
             report.gates.append(_not_started(gate, selected, blocked))
             continue
-        options.progress(f"{path.name}: {gate} gate, {len(selected)} rules")
+        options.progress.step(f"{path.name}: {gate} gate, {len(selected)} rules")
         report.gates.append(_run(gate, selected, path, kind, options))
     return report
 
@@ -70,7 +70,7 @@ def _run(gate: Gate, selected: list[Rule], path: Path, kind: str, options: Optio
     report = GateReport(name=gate)
     with Facts({"path": path, "kind": kind, "options": options}, providers.all_providers()) as facts:
         for item in selected:
-            options.progress(f"{path.name}: {gate} gate, {item.code} {item.slug}")
+            options.progress.detail(f"{path.name}: {gate} gate, {item.code} {item.slug}")
             report.results.append(_check(item, facts))
         report.digest = _digest(report, facts)
     report.fingerprint = fingerprint(gate)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import io
 import tokenize
 from dataclasses import dataclass, field
@@ -94,6 +95,11 @@ class Source:
             if isinstance(node, ast.ClassDef) and node.name == wanted:
                 return node
         raise NotRun(f"model.py defines no class {wanted}")
+
+    def record(self) -> str:
+        """Return a hash of the boundary's files, for the gate's digest."""
+        contents = "\0".join(f"{name}\0{self.text(name)}" for name in self.text_files)
+        return hashlib.sha256(contents.encode(errors="replace")).hexdigest()[:16]
 
     @cached_property
     def deploy(self) -> dict[str, Any]:

@@ -92,3 +92,29 @@ def explain(
     proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
     head = f"# {rule.code} {rule.slug}\n\n{proves}"
     console.rich(Markdown(f"{head}\n\n{rule.documentation}"))
+
+
+def rules(as_json: bool = typer.Option(False, "--json", help="Print a JSON object.")) -> None:
+    """List every rule with its code, gate, requirement and summary."""
+    from xpl_cli import console
+    from xpl_cli.audit.registry import rules as all_rules
+
+    found = all_rules()
+    if as_json:
+        entries = [
+            {
+                "code": rule.code,
+                "slug": rule.slug,
+                "gate": rule.gate.value,
+                "target": rule.target,
+                "requirement": rule.requirement,
+                "severity": rule.severity,
+                "summary": rule.summary,
+            }
+            for rule in found
+        ]
+        console.data_json({"schema": "xpl.rules/1", "rules": entries, "next": ["xpl explain XPL101"]})
+        return
+    width = max(len(rule.slug) for rule in found)
+    for rule in found:
+        console.data(f"{rule.code}  {rule.slug:<{width}}  {rule.severity:<6}  {rule.summary}")

@@ -1,0 +1,216 @@
+"""Problems of a document: what a validator's errors mean to the person who has to mend it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+_Error = Any
+"""A `jsonschema.ValidationError`; its own annotations call every attribute possibly unset."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One way in which a document differs from its schema.
+
+    Attributes:
+        path: keys and positions that lead to the value, from the outside in.
+        message: one sentence.
+        expected: what would do.
+        got: what is there.
+        nearest: the valid name that is spelt nearest to the one that is there.
+        file: the document's file, if it came from one.
+        line, column: position in that file, from 1.
+    """
+
+    path: tuple[str | int, ...]
+    message: str
+    expected: str | None = None
+    got: str | None = None
+    nearest: str | None = None
+    file: str | None = None
+    line: int | None = None
+    column: int | None = None
+
+    @property
+    def where(self) -> str:
+        """Where it is: the file's line and column as far as known, then the path."""
+        position = [str(part) for part in (self.file, self.line, self.column) if part is not None]
+        return " ".join(filter(None, [":".join(position), path_text(self.path)]))
+
+    def __str__(self) -> str:
+        nearest = f" (did you mean {self.nearest}?)" if self.nearest else ""
+        return f"{self.where}: {self.message}{nearest}" if self.where else f"{self.message}{nearest}"
+
+
+def path_text(path: tuple[str | int, ...]) -> str:
+    """Write a path the way it is read: `vision.cam_head.color`, `tasks[0].name`."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
+    return text.removeprefix(".")
+
+
+def explain(error: _Error) -> Iterator[Problem]:
+    """Yield the problems that one error of the validator stands for, readable ones."""
+    describe = _DESCRIPTIONS.get(str(error.validator))
+    if describe is None:
+        yield Problem(_path(error), error.message, got=described(error.instance))
+    else:
+        yield from describe(error)
+
+
+def _additional(error: _Error) -> Iterator[Problem]:
+    known = list(error.schema.get("properties", ()))
+    for key in error.instance:
+        if key not in known:
+            missing = [name for name in known if name not in error.instance]
+            yield Problem(
+                (*_path(error), key),
+                f"unknown key {key!r}: expected {', '.join(known)}",
+                expected=", ".join(known),
+                got=str(key),
+                nearest=nearest(key, missing or known),
+            )
+
+
+def _required(error: _Error) -> Iterator[Problem]:
+    # One error per missing key, which the message alone names.
+    key = next(name for name in error.validator_value if error.message.startswith(repr(name)))
+    entry = error.schema.get("properties", {}).get(key, {})
+    meaning = f" ({entry['description']})" if isinstance(entry, Mapping) and "description" in entry else ""
+    there = ", ".join(map(str, error.instance)) or "nothing"
+    unknown = [str(name) for name in error.instance if name not in error.schema.get("properties", ())]
+    similar = difflib.get_close_matches(key, unknown, n=1)
+    hint = f"; {similar[0]!r} may be meant for it" if similar else ""
+    yield Problem(_path(error), f"the key {key!r}{meaning} is missing{hint}", expected=key, got=there)
+
+
+def _choice(error: _Error) -> Iterator[Problem]:
+    allowed = error.validator_value if error.validator == "enum" else [error.validator_value]
+    words = ", ".join(_value(item) for item in allowed)
+    near = nearest(error.instance, [item for item in allowed if isinstance(item, str)])
+    text = f"one of {words}" if len(allowed) > 1 else words
+    yield Problem(
+        _path(error), f"expected {text}, got {_value(error.instance)}", text, _value(error.instance), nearest=near
+    )
+
+
+def _type(error: _Error) -> Iterator[Problem]:
+    wanted = error.validator_value if isinstance(error.validator_value, list) else [error.validator_value]
+    text = " or ".join(_TYPE_NAMES.get(name, name) for name in wanted)
+    got = described(error.instance)
+    yield Problem(_path(error), f"expected {text}, got {got}", expected=text, got=got)
+
+
+def _limit(error: _Error) -> Iterator[Problem]:
+    text = _LIMITS[str(error.validator)].format(error.validator_value)
+    yield Problem(_path(error), f"expected {text}, got {_value(error.instance)}", text, _value(error.instance))
+
+
+def _array(error: _Error) -> Iterator[Problem]:
+    expected, got = error.message.removeprefix("expected ").rsplit(", got ", 1)
+    yield Problem(_path(error), error.message, expected=expected, got=got)
+
+
+def _branches(error: _Error) -> Iterator[Problem]:
+    """Report the alternative that the document is nearest to; if none stands out, what the alternatives expect."""
+    branches: dict[Any, list[_Error]] = {}
+    for sub in error.context or ():
+        branches.setdefault(sub.schema_path[0], []).append(sub)
+    if not branches:  # oneOf: more than one fits
+        yield Problem(_path(error), f"more than one alternative fits {described(error.instance)}")
+        return
+    ranked = sorted(branches.values(), key=lambda errors: sum(map(_distance, errors)))
+    best = [problem for sub in ranked[0] for problem in explain(sub)]
+    if len(ranked) == 1 or any(problem.path != _path(error) for problem in best) or _is_map(error.instance):
+        yield from best
+        return
+    options = dict.fromkeys(
+        problem.expected for errors in ranked for sub in errors for problem in explain(sub) if problem.expected
+    )
+    got = best[0].got or described(error.instance)
+    yield Problem(
+        _path(error), f"expected {' or '.join(options)}, got {got}", " or ".join(options), got, nearest=best[0].nearest
+    )
+
+
+def _distance(error: _Error) -> float:
+    """Return how far a document is from an alternative, as one error tells: missing and extra keys count most."""
+    if error.validator == "additionalProperties":
+        known = error.schema.get("properties", ())
+        return float(sum(key not in known for key in error.instance))
+    if error.validator == "required":
+        return 1.0
+    if error.validator == "type" and not error.path:
+        return 100.0
+    if error.context:
+        return min(_distance(sub) for sub in error.context)
+    return 0.1
+
+
+def nearest(given: Any, names: Any) -> str | None:
+    """Return the name that `given` is most likely a misspelling of, or None."""
+    matches = difflib.get_close_matches(str(given), list(names), n=1, cutoff=0.6)
+    return matches[0] if matches else None
+
+
+def _path(error: _Error) -> tuple[str | int, ...]:
+    return tuple(error.absolute_path)
+
+
+def _is_map(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _value(value: Any) -> str:
+    text = "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def described(value: Any) -> str:
+    """Describe a value by its kind, and by itself where that is short."""
+    import numpy as np
+
+    if value is None:
+        return "null"
+    if isinstance(value, np.ndarray):
+        return f"an array {value.shape} {value.dtype}"
+    if isinstance(value, Mapping):
+        return f"a map with {', '.join(map(str, value)) or 'nothing in it'}"
+    if isinstance(value, (list, tuple)):
+        return f"a list of {len(value)}: {_value(list(value))}" if value else "an empty list"
+    if isinstance(value, (bytes, bytearray)):
+        return f"{len(value)} bytes"
+    name = {bool: "flag", str: "text", int: "integer", float: "number"}.get(type(value), type(value).__name__)
+    return f"the {name} {_value(value)}"
+
+
+_TYPE_NAMES = {
+    "object": "a map",
+    "array": "a list",
+    "string": "text",
+    "boolean": "true or false",
+    "integer": "an integer",
+} | {"number": "a number"}
+_LIMITS = {
+    "minimum": "at least {}",
+    "maximum": "at most {}",
+    "exclusiveMinimum": "more than {}",
+    "minItems": "a list of at least {}",
+    "minLength": "text of at least {} characters",
+    "minProperties": "a map with at least {} keys",
+    "pattern": "text that matches {}",
+    "uniqueItems": "no entry twice",
+}
+_DESCRIPTIONS: dict[str, Callable[[_Error], Iterator[Problem]]] = {
+    "additionalProperties": _additional,
+    "required": _required,
+    "enum": _choice,
+    "const": _choice,
+    "type": _type,
+    "x-array": _array,
+    "anyOf": _branches,
+    "oneOf": _branches,
+    **dict.fromkeys(_LIMITS, _limit),
+}
