@@ -8,7 +8,8 @@ import pytest
 
 from xpl import _spec as spec
 from xpl import get_embodiment, rotation
-from xpl.kinematics import Chain, KinematicsError, compose, invert, pose, transform
+from xpl.kinematics import Chain, KinematicsError
+from xpl.poses import compose, invert, pose, transform
 from xpl_cli.content import load_module, room
 
 KNOWN = sorted(name for name, entry in spec.EMBODIMENTS.items() if entry["arm"]["joints"])

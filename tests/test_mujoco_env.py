@@ -9,7 +9,7 @@ from xpl import _spec as spec
 from xpl import get_embodiment
 from xpl.action import ActionError, pack
 from xpl.embodiment import _from_entry
-from xpl.kinematics import invert, transform
+from xpl.poses import invert, transform
 from xpl.observation import ObservationError
 from xpl_cli.content import load_module, room
 

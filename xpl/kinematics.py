@@ -1,7 +1,7 @@
 """Kinematics of a serial arm: forward, Jacobian, and inverse by damped least squares, from the spec's joint data.
 
 Poses are ``[x, y, z, qw, qx, qy, qz]`` (m, unit quaternion), joint angles are rad. A chain lives in the frame of its
-own base; `compose` and `invert` move poses between frames.
+own base; `xpl.poses` moves poses between frames.
 
 The inner loops work on Python floats. At six or seven joints that is as fast as arrays, whose cost here is the call and
 not the arithmetic, and the result is the same on every machine because no BLAS or LAPACK kernel takes part.
@@ -18,11 +18,12 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import rotation
+from xpl.poses import compose, invert, pose
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Chain", "KinematicsError", "Solution", "compose", "invert", "pose", "transform"]
+__all__ = ["Chain", "KinematicsError", "Solution"]
 
 _Vector = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
@@ -259,37 +260,6 @@ class Chain:
         if self.tcp_offset is None:
             raise KinematicsError("the spec gives no tcp for this embodiment's end effector; use the flange")
         return self.tcp_offset
-
-
-def pose(position: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Return the pose (..., 7) of positions (..., 3) and quaternions (..., 4)."""
-    place, turn = np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)
-    leading = np.broadcast_shapes(place.shape[:-1], turn.shape[:-1])
-    split = spec.POSITION_DIM
-    parts = np.broadcast_to(place, (*leading, split)), np.broadcast_to(turn, (*leading, spec.POSE_DIM - split))
-    return np.concatenate(parts, axis=-1)
-
-
-def compose(outer: ArrayLike, inner: ArrayLike) -> NDArray[np.float64]:
-    """Return `inner` (..., 7), given in the frame `outer` (..., 7), in the frame that `outer` is given in."""
-    frame, local = np.asarray(outer, dtype=np.float64), np.asarray(inner, dtype=np.float64)
-    split = spec.POSITION_DIM
-    return pose(transform(frame, local[..., :split]), rotation.multiply(frame[..., split:], local[..., split:]))
-
-
-def invert(frame: ArrayLike) -> NDArray[np.float64]:
-    """Return the inverse of poses (..., 7): the outer frame seen from the inner."""
-    array = np.asarray(frame, dtype=np.float64)
-    back = rotation.conjugate(array[..., spec.POSITION_DIM :])
-    return pose(-rotation.rotate(back, array[..., : spec.POSITION_DIM]), back)
-
-
-def transform(frame: ArrayLike, point: ArrayLike) -> NDArray[np.float64]:
-    """Return points (..., 3), given in the frame (..., 7), in the frame that `frame` is given in."""
-    array = np.asarray(frame, dtype=np.float64)
-    split = spec.POSITION_DIM
-    moved: NDArray[np.float64] = array[..., :split] + rotation.rotate(array[..., split:], point)
-    return moved
 
 
 def _with_kinematics() -> list[str]:

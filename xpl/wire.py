@@ -8,7 +8,6 @@ types are refused both ways. Decoded arrays are read-only. Source: spec/<version
 from __future__ import annotations
 
 import datetime
-import math
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,11 +16,27 @@ from typing import Any, Optional
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.link import LinkError, as_array
+from xpl.arrays import ArrayError, as_array, data_of, describe_dtype, from_data, parse_dtype
+from xpl.link import map_key
 
 _K = spec.ARRAY_KEYS
 _ND, _TYPE, _KIND, _SHAPE, _DATA, _COMPLEX = (_K[name] for name in ("nd", "type", "kind", "shape", "data", "complex"))
-_READABLE_KINDS = "biufcSUV"
+
+ELEMENTS = 1 << 22
+"""Most entries of all lists and maps of one frame: a short frame of empty lists would else fill the memory."""
+
+_NONE = type(None)
+_ENVELOPE: dict[str, tuple[type, ...]] = {
+    spec.Frame.MESSAGE_TYPE: (str,),
+    spec.Frame.MESSAGE_ID: (str,),
+    spec.Frame.EVALUATION_ID: (str,),
+    spec.Frame.ACTION_CASE_ID: (str, _NONE),
+    spec.Frame.TRIAL_ID: (str, _NONE),
+    spec.Frame.REPEAT_INDEX: (int, _NONE),
+    spec.Frame.STEP: (int,),
+    spec.Frame.SENT_AT: (str,),
+    spec.Frame.PAYLOAD: (dict,),
+}
 _IDENTIFIERS = (
     spec.Frame.MESSAGE_ID,
     spec.Frame.EVALUATION_ID,
@@ -33,11 +48,20 @@ _IDENTIFIERS = (
 
 
 class WireError(ValueError):
-    """A frame cannot be understood. `message_id` is set where it could still be read."""
+    """A frame cannot be understood, or not be sent.
 
-    def __init__(self, message: str, message_id: Optional[str] = None) -> None:
+    Attributes:
+        identifiers: what could still be read of the fields that an answer repeats.
+    """
+
+    def __init__(self, message: str, identifiers: Optional[Mapping[str, Any]] = None) -> None:
         super().__init__(message)
-        self.message_id = message_id
+        self.identifiers = dict(identifiers or {})
+
+    @property
+    def message_id(self) -> Optional[str]:
+        """The frame's id where it could still be read: then the frame can be answered."""
+        return self.identifiers.get(spec.Frame.MESSAGE_ID)
 
 
 @dataclass(frozen=True)
@@ -63,12 +87,18 @@ def encode(frame: Frame) -> bytes:
     """Return the bytes of one frame.
 
     Raises:
-        WireError: if the payload holds what cannot travel.
+        WireError: if the envelope or the payload holds what cannot travel, or the frame is over the wire's limits.
     """
+    # In this order the identifiers come before the payload, so that they can be read even if the payload cannot.
+    fields = {name: getattr(frame, name) for name in _ENVELOPE}
+    _check_envelope(fields)
     try:
-        packed: bytes = _msgpack().packb(vars(frame), default=_encode_extra, use_bin_type=True)
-    except (LinkError, TypeError, ValueError, OverflowError) as error:
-        raise WireError(f"the {frame.message_type} payload cannot be sent: {error}", frame.message_id) from None
+        packed: bytes = _msgpack().packb(_outgoing(fields, 0), use_bin_type=True)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise WireError(f"the {frame.message_type} payload cannot be sent: {error}", _identifiers(fields)) from None
+    if len(packed) > spec.LIMITS["frame_bytes"]:
+        text = f"a {frame.message_type} frame of {len(packed)} bytes is over the limit of {spec.LIMITS['frame_bytes']}"
+        raise WireError(text, _identifiers(fields))
     return packed
 
 
@@ -80,137 +110,164 @@ def decode(data: bytes) -> Frame:
     """
     if len(data) > spec.LIMITS["frame_bytes"]:
         raise WireError(f"a frame of {len(data)} bytes is over the limit of {spec.LIMITS['frame_bytes']}")
+    reader = _Reader()
     try:
-        fields = _msgpack().unpackb(data, object_hook=_decode_map, raw=False, strict_map_key=False)
-    except WireError:
-        raise
+        fields = _msgpack().unpackb(
+            data,
+            object_hook=reader.map,
+            list_hook=reader.list,
+            ext_hook=_refuse_extension,
+            raw=False,
+            strict_map_key=False,
+            max_array_len=ELEMENTS,
+            max_map_len=ELEMENTS,
+        )
+    except (WireError, ArrayError) as error:
+        raise WireError(str(error), _salvaged(data)) from None
     except Exception as error:  # noqa: BLE001 - msgpack raises many types, numpy too; all mean the same here
-        raise WireError(f"the frame is not valid msgpack: {error}") from None
-    return _checked(fields)
-
-
-def _checked(fields: Any) -> Frame:
+        raise WireError(f"the frame is not valid msgpack: {error}", _salvaged(data)) from None
     if not isinstance(fields, dict):
         raise WireError(f"a frame must be a map, got {type(fields).__name__}")
-    message_id = fields.get(spec.Frame.MESSAGE_ID)
-    known = message_id if isinstance(message_id, str) else None
-    kinds: dict[str, tuple[type, ...]] = {
-        spec.Frame.MESSAGE_TYPE: (str,),
-        spec.Frame.MESSAGE_ID: (str,),
-        spec.Frame.EVALUATION_ID: (str,),
-        spec.Frame.ACTION_CASE_ID: (str, type(None)),
-        spec.Frame.TRIAL_ID: (str, type(None)),
-        spec.Frame.REPEAT_INDEX: (int, type(None)),
-        spec.Frame.STEP: (int,),
-        spec.Frame.SENT_AT: (str,),
-        spec.Frame.PAYLOAD: (dict,),
-    }
-    for name, allowed in kinds.items():
-        value = fields.get(name)
-        if not isinstance(value, allowed) or isinstance(value, bool):
-            wanted = " or ".join("nil" if kind is type(None) else kind.__name__ for kind in allowed)
-            raise WireError(f"frame field {name} must be {wanted}, got {type(value).__name__}", known)
+    _check_envelope(fields)
     if depth(fields[spec.Frame.PAYLOAD]) > spec.LIMITS["nesting"]:
-        raise WireError(f"the payload is nested deeper than {spec.LIMITS['nesting']} levels", known)
-    return Frame(**{name: fields.get(name) for name in kinds})
+        raise WireError(f"the payload is nested deeper than {spec.LIMITS['nesting']} levels", _identifiers(fields))
+    return Frame(**{name: fields.get(name) for name in _ENVELOPE})
 
 
 def depth(value: Any) -> int:
-    """Return how deeply maps and lists are nested in a value; 0 for a scalar."""
-    level, current = 0, [value]
-    while current:
-        deeper = []
-        for item in current:
-            if isinstance(item, dict):
-                deeper.extend(item.values())
-            elif isinstance(item, list):
-                deeper.extend(item)
-        if not any(isinstance(item, (dict, list)) for item in current):
-            return level
-        level, current = level + 1, deeper
-        if level > spec.LIMITS["nesting"]:
-            return level
+    """Return how deeply maps and lists are nested in a value; 0 for a scalar. Stops counting beyond the wire's limit."""
+    level = 0
+    current = [value] if isinstance(value, (dict, list)) else []
+    while current and level <= spec.LIMITS["nesting"]:
+        level += 1
+        inside = [item for outer in current for item in (outer.values() if isinstance(outer, dict) else outer)]
+        current = [item for item in inside if isinstance(item, (dict, list))]
     return level
 
 
-def _encode_extra(value: Any) -> Any:
-    if isinstance(value, complex):
-        return {_COMPLEX: True, _DATA: repr(value)}
+# -- the envelope ------------------------------------------------------------------------------------------------------
+
+
+def _check_envelope(fields: Mapping[str, Any]) -> None:
+    for name, allowed in _ENVELOPE.items():
+        value = fields.get(name)
+        if not _is(value, allowed):
+            wanted = " or ".join("nil" if kind is _NONE else kind.__name__ for kind in allowed)
+            raise WireError(f"frame field {name} must be {wanted}, got {type(value).__name__}", _identifiers(fields))
+
+
+def _identifiers(fields: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: fields[name] for name in _IDENTIFIERS if name in fields and _is(fields[name], _ENVELOPE[name])}
+
+
+def _is(value: Any, allowed: tuple[type, ...]) -> bool:
+    return isinstance(value, allowed) and not isinstance(value, bool)
+
+
+def _salvaged(data: bytes) -> dict[str, Any]:
+    """Return the identifiers of a frame that does not decode, as far as they can be read."""
+    fields: dict[str, Any] = {}
+    try:
+        unpacker = _msgpack().Unpacker(max_buffer_size=len(data), max_array_len=ELEMENTS, max_map_len=ELEMENTS)
+        unpacker.feed(data)
+        for _ in range(unpacker.read_map_header()):
+            name = unpacker.unpack()
+            if name in _IDENTIFIERS:
+                fields[name] = unpacker.unpack()
+            else:
+                unpacker.skip()
+    except Exception:  # noqa: BLE001, S110 - the rest cannot be read, which is why we are here
+        pass
+    return _identifiers(fields)
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+
+
+def _outgoing(value: Any, level: int) -> Any:
+    """Return a value in types that msgpack knows: text keys only, arrays as maps."""
+    if value is None or isinstance(value, (str, bytes, int, float)):
+        return value
+    if level > spec.LIMITS["nesting"] + 1:  # the envelope is a level of its own
+        raise ValueError(f"it is nested deeper than {spec.LIMITS['nesting']} levels")
     if isinstance(value, Mapping):
-        return dict(value)
+        return {map_key(key): _outgoing(item, level + 1) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_outgoing(item, level + 1) for item in value]
+    if isinstance(value, (bytearray, memoryview)):
+        return bytes(value)
+    if isinstance(value, complex) and not isinstance(value, np.generic):
+        return {_COMPLEX: True, _DATA: repr(value)}
+    return _array_map(value)
+
+
+def _array_map(value: Any) -> dict[bytes, Any]:
     array = as_array(value)
-    if array.ndim == 0 and isinstance(value, np.generic):
+    if isinstance(value, (np.number, np.bool_)):
         return {_ND: False, _TYPE: array.dtype.str, _DATA: array.tobytes()}
-    structured = array.dtype.names is not None
     return {
         _ND: True,
-        _TYPE: [list(entry) for entry in array.dtype.descr] if structured else array.dtype.str,
-        _KIND: spec.STRUCTURED_KIND if structured else b"",
+        _TYPE: describe_dtype(array.dtype),
+        _KIND: b"" if array.dtype.names is None else spec.STRUCTURED_KIND,
         _SHAPE: list(array.shape),
-        _DATA: memoryview(array).cast("B") if array.size and array.dtype.kind in "biufc" else array.tobytes(),
+        _DATA: data_of(array),
     }
 
 
-def _decode_map(entries: dict[Any, Any]) -> Any:
-    if _ND in entries or _ND.decode() in entries:
-        fields = _bin_keys(entries)
-        if _DATA in fields and _TYPE in fields:
-            return _array(fields)
-    if _COMPLEX in entries or _COMPLEX.decode() in entries:
-        fields = _bin_keys(entries)
-        if isinstance(fields.get(_DATA), str):
-            return complex(fields[_DATA])
-    if all(type(key) is str for key in entries):
-        return entries
-    return {_text_key(key): value for key, value in entries.items()}
+# -- reading -----------------------------------------------------------------------------------------------------------
 
 
-def _bin_keys(entries: dict[Any, Any]) -> dict[Any, Any]:
-    return {key.encode() if isinstance(key, str) else key: value for key, value in entries.items()}
+class _Reader:
+    """Makes values of the maps and lists of one frame, and counts what they hold."""
 
+    def __init__(self) -> None:
+        self._left = ELEMENTS
 
-def _text_key(key: Any) -> str:
-    if isinstance(key, (str, bytes)):
-        return key if isinstance(key, str) else key.decode(errors="replace")
-    if isinstance(key, int):
-        return str(key)
-    raise WireError(f"a map key must be text, got {type(key).__name__}")
+    def map(self, entries: dict[Any, Any]) -> Any:
+        self._count(len(entries))
+        by_name = {key.encode() if isinstance(key, str) else key: value for key, value in entries.items()}
+        if isinstance(by_name.get(_ND), bool) and _TYPE in by_name and _DATA in by_name:
+            return _array(by_name)
+        if by_name.get(_COMPLEX) is True and isinstance(by_name.get(_DATA), (str, bytes)):
+            return _complex(by_name[_DATA])
+        return entries if all(type(key) is str for key in entries) else _text_keys(entries)
+
+    def list(self, items: list[Any]) -> list[Any]:
+        self._count(len(items))
+        return items
+
+    def _count(self, entries: int) -> None:
+        self._left -= entries + 1
+        if self._left < 0:
+            raise WireError(f"the frame holds more than {ELEMENTS} list and map entries: send arrays")
 
 
 def _array(fields: dict[Any, Any]) -> Any:
-    dtype = _dtype(fields[_TYPE])
     data = fields[_DATA]
-    if not isinstance(data, (bytes, bytearray)):
+    if not isinstance(data, bytes):
         raise WireError(f"array data must be bytes, got {type(data).__name__}")
-    if not fields[_ND]:
-        if len(data) != dtype.itemsize:
-            raise WireError(f"a {dtype} scalar takes {dtype.itemsize} bytes, got {len(data)}")
-        return np.frombuffer(data, dtype=dtype)[0]
-    shape = fields.get(_SHAPE)
-    if not isinstance(shape, list) or not all(type(size) is int and size >= 0 for size in shape):
-        raise WireError(f"an array shape must be a list of sizes, got {shape!r}")
-    if math.prod(shape) * dtype.itemsize != len(data):
-        raise WireError(f"an array {shape} of {dtype} takes {math.prod(shape) * dtype.itemsize} bytes, got {len(data)}")
-    return np.frombuffer(data, dtype=dtype).reshape(shape) if data else np.empty(shape, dtype=dtype)
+    dtype = parse_dtype(fields[_TYPE])
+    return from_data(data, dtype, fields.get(_SHAPE) if fields[_ND] else ())[() if not fields[_ND] else ...]
 
 
-def _dtype(description: Any) -> np.dtype[Any]:
+def _complex(data: Any) -> complex:
     try:
-        if isinstance(description, list):
-            dtype = np.dtype([tuple(_text(part) for part in entry) for entry in description])
-        else:
-            dtype = np.dtype(_text(description))
-    except (TypeError, ValueError) as error:
-        raise WireError(f"unknown array type {description!r}: {error}") from None
-    if dtype.hasobject or dtype.kind not in _READABLE_KINDS or dtype.itemsize == 0:
-        raise WireError(f"arrays of type {dtype} are refused: only numbers, flags and text travel")
-    return dtype
+        return complex(data.decode() if isinstance(data, bytes) else data)
+    except ValueError:
+        raise WireError(f"{data!r:.80} is not a complex number") from None
 
 
-def _text(part: Any) -> Any:
-    if isinstance(part, bytes):
-        return part.decode()
-    return tuple(part) if isinstance(part, list) else part
+def _text_keys(entries: dict[Any, Any]) -> dict[str, Any]:
+    result = {}
+    for key, value in entries.items():
+        if not isinstance(key, (str, bytes, int)):
+            raise WireError(f"a map key must be text, got {type(key).__name__}")
+        result[key.decode(errors="replace") if isinstance(key, bytes) else str(key)] = value
+    return result
+
+
+def _refuse_extension(code: int, _: bytes) -> None:
+    raise WireError(f"msgpack extension type {code} is not part of the wire")
 
 
 def _msgpack() -> Any:

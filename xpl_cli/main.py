@@ -10,7 +10,7 @@ from typing import NoReturn
 import typer
 
 from xpl_cli import __version__
-from xpl_cli.commands import audit, demo, evaluate, lifecycle, new_policy, sdk, serve
+from xpl_cli.commands import audit, demo, evaluate, lifecycle, new_policy, sdk, serve, spec
 from xpl_cli.errors import ExitCode, UserError
 
 app = typer.Typer(
@@ -32,6 +32,7 @@ app.command("install")(lifecycle.install)
 app.command("prepare")(lifecycle.prepare)
 app.command("train")(lifecycle.train)
 app.command("demo")(demo.demo)
+app.add_typer(spec.app, name="spec")
 app.add_typer(sdk.app, name="sdk")
 
 

@@ -66,7 +66,7 @@ def _additional(error: _Error) -> Iterator[Problem]:
         if key not in known:
             missing = [name for name in known if name not in error.instance]
             yield Problem(
-                (*_path(error), key),
+                (*_path(error), str(key)),
                 f"unknown key {key!r}: expected {', '.join(known)}",
                 expected=", ".join(known),
                 got=str(key),
@@ -97,7 +97,8 @@ def _choice(error: _Error) -> Iterator[Problem]:
 
 
 def _type(error: _Error) -> Iterator[Problem]:
-    wanted = error.validator_value if isinstance(error.validator_value, list) else [error.validator_value]
+    types = error.validator_value
+    wanted: list[str] = types if isinstance(types, list) else [types]
     text = " or ".join(_TYPE_NAMES.get(name, name) for name in wanted)
     got = described(error.instance)
     yield Problem(_path(error), f"expected {text}, got {got}", expected=text, got=got)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl_cli import spec
 from xpl_cli.errors import NotFoundError
 from xpl_cli.validate import registry, shape_text
 
+if TYPE_CHECKING:
+    from referencing._core import Resolver
+
+_KIND_WIDTH = 40
 _PARTS = {
     "conventions": "orders, units, frames, defaults of behaviour",
     "package": "files and scripts of an adapter",
@@ -81,63 +85,67 @@ def _index_text(index: Mapping[str, Any]) -> str:
 
 
 def _schema_text(schema: Mapping[str, Any], version: str) -> str:
-    return "\n".join(
-        [f"{schema['title']}: {schema.get('description', '')}", "", *_outline(schema, schema["$id"], version)]
-    )
-
-
-def _outline(schema: Mapping[str, Any], base: str, version: str) -> Iterator[str]:
-    """Yield the lines of a schema: its keys, or its alternatives and definitions where it has none."""
+    """Write a schema as an outline: its keys, or those of its alternatives and definitions; `*` marks required ones."""
+    resolver = registry(version).resolver(base_uri=schema["$id"])
+    head = f"{schema['title']}: {schema.get('description', '')}"
     if "properties" in schema:
-        yield _table(list(_rows(schema, base, version, "")))
-        return
+        return "\n".join([head, "", _table(list(_rows(schema, resolver, "")))])
     options = schema.get("oneOf") or [{"$ref": f"#/$defs/{name}"} for name in schema.get("$defs", ())]
+    lines = []
     for option in options:
-        target = _resolve(option, base, version)
-        yield option["$ref"].rpartition("/")[2]
-        if "properties" in target:
-            yield _table(list(_rows(target, base, version, "  ")))
-        else:
-            yield f"    {_kind(target, base, version)}"
-    if not options:
-        yield _kind(schema, base, version)
+        target, at = _resolve(option, resolver)
+        rows = list(_rows(target, at, "  "))
+        lines.append(option["$ref"].rpartition("/")[2])
+        lines.append(_table(rows) if rows else f"    {_kind(target, at)}  {target.get('description', '')}".rstrip())
+    return "\n".join([head, "", *(lines or [_kind(schema, resolver)])])
 
 
-def _rows(schema: Mapping[str, Any], base: str, version: str, indent: str) -> Iterator[tuple[str, str, str]]:
-    for key, entry in schema.get("properties", {}).items():
-        resolved = _resolve(entry, base, version)
+def _rows(schema: Mapping[str, Any], resolver: Resolver[Any], indent: str) -> Iterator[tuple[str, str, str]]:
+    """Yield key, kind and meaning of everything in a map, inner maps indented below it."""
+    entries = dict(schema.get("properties", {}))
+    if isinstance(schema.get("additionalProperties"), Mapping):
+        entries["<any>"] = schema["additionalProperties"]
+    for key, entry in entries.items():
+        target, at = _resolve(entry, resolver)
         mark = "*" if key in schema.get("required", ()) else " "
-        text = entry.get("description", resolved.get("description", ""))
-        default = f" (default {_word(entry['default'])})" if "default" in entry else ""
-        yield f"{indent}{mark} {key}", _kind(entry, base, version), f"{text}{default}"
-        if "$ref" not in entry:
-            yield from _rows(entry, base, version, f"{indent}  ")
+        notes = [entry.get("description", target.get("description", ""))]
+        kind = _kind(entry, resolver)
+        if len(kind) > _KIND_WIDTH:
+            notes.append(f"[{kind}]")
+            kind = target.get("type", "one of")
+        if "default" in entry:
+            notes.append(f"(default {_word(entry['default'])})")
+        yield f"{indent}{mark} {key}", kind, " ".join(filter(None, notes))
+        yield from _rows(target, at, f"{indent}  ")
+        yield from _rows(*_resolve(target.get("items", {}), at), f"{indent}  ")
 
 
-def _kind(entry: Mapping[str, Any], base: str, version: str) -> str:
+def _kind(entry: Mapping[str, Any], resolver: Resolver[Any]) -> str:
     """Write what a value may be, in a few words."""
-    resolved = _resolve(entry, base, version)
-    if "x-array" in resolved:
-        return shape_text(resolved["x-array"])
-    if "enum" in resolved:
-        return " | ".join(_word(item) for item in resolved["enum"])
-    if "const" in resolved:
-        return _word(resolved["const"])
+    target, at = _resolve(entry, resolver)
+    if "$ref" in entry and "title" in target:
+        return str(target["title"]).lower()
+    if "x-array" in target:
+        return shape_text(target["x-array"])
+    if "enum" in target:
+        return " | ".join(_word(item) for item in target["enum"])
+    if "const" in target:
+        return _word(target["const"])
     for keyword in ("anyOf", "oneOf"):
-        if keyword in resolved:
-            return " | ".join(_kind(option, base, version) for option in resolved[keyword])
-    types = resolved.get("type", "any")
+        if keyword in target:
+            return " | ".join(_kind(option, at) for option in target[keyword])
+    types = target.get("type", "any")
     name = types if isinstance(types, str) else " | ".join(types)
-    items = resolved.get("items")
-    return f"{name} of {_kind(items, base, version)}" if name == "array" and items else name
+    items = target.get("items")
+    return f"{name} of {_kind(items, at)}" if name == "array" and items else name
 
 
-def _resolve(entry: Mapping[str, Any], base: str, version: str) -> Mapping[str, Any]:
+def _resolve(entry: Mapping[str, Any], resolver: Resolver[Any]) -> tuple[Mapping[str, Any], Resolver[Any]]:
+    """Follow a reference; return what it leads to, and what resolves the references in there."""
     if "$ref" not in entry:
-        return entry
-    found = registry(version).resolver(base_uri=base).lookup(entry["$ref"])
-    contents: Mapping[str, Any] = found.contents
-    return contents
+        return entry, resolver
+    found = resolver.lookup(entry["$ref"])
+    return found.contents, found.resolver
 
 
 def _word(value: Any) -> str:
@@ -146,7 +154,7 @@ def _word(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def _table(rows: list[tuple[str, ...]]) -> str:
+def _table(rows: Sequence[tuple[str, ...]]) -> str:
     """Align all columns but the last, which may be long."""
     if not rows:
         return ""

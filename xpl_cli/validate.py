@@ -68,10 +68,15 @@ def _validator(schema_name: str, version: str) -> Validator:
 @cache
 def registry(version: str = spec.CURRENT) -> Registry[Any]:
     """Return all schemas of a version under their `$id`, so that references between them resolve."""
-    from referencing import Registry, Resource
+    from referencing import Registry
+    from referencing.jsonschema import DRAFT202012
 
-    contents = [spec.schema(name, version) for name in spec.schema_names(version)]
-    return Registry().with_resources([(schema["$id"], Resource.from_contents(schema)) for schema in contents])
+    resources = []
+    for schema in (spec.schema(name, version) for name in spec.schema_names(version)):
+        # With `$schema` in place the validator would change to the plain class of that dialect at every reference.
+        contents = {key: value for key, value in schema.items() if key != "$schema"}
+        resources.append((schema["$id"], DRAFT202012.create_resource(contents)))
+    return Registry().with_resources(resources)
 
 
 # -- the keyword x-array -----------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from xpl import rotation
-from xpl.kinematics import pose
+from xpl.poses import pose
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.kinematics import compose, invert
+from xpl.poses import compose, invert
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

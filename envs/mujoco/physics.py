@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from xpl.kinematics import compose, pose
+from xpl.poses import compose, pose
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

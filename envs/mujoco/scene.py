@@ -11,7 +11,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import rotation
-from xpl.kinematics import pose
+from xpl.poses import pose
 
 from .arms import ArmNames, add_arm, contact_bits
 

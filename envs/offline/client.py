@@ -40,7 +40,9 @@ class OfflineEnv:
         return self._obs[0]
 
     def get_obs_batch(
-        self, env_idx_list: Sequence[int] | None = None, last_frame: bool = False
+        self,
+        env_idx_list: Sequence[int] | None = None,
+        last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks pass it by position
     ) -> list[dict[str, Any]]:
         """Return the observations of these environments, of all running ones by default."""
         return [self._obs[env] for env in (self.get_running_env_idx_list() if env_idx_list is None else env_idx_list)]

@@ -14,7 +14,8 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import rotation
-from xpl.kinematics import Chain, compose, invert, pose
+from xpl.kinematics import Chain
+from xpl.poses import compose, invert, pose
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
