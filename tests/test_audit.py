@@ -112,11 +112,13 @@ def test_an_adapter_whose_libraries_are_missing_is_incomplete_not_green(workspac
     """A third-party import that fails is no fault of the adapter: not run, exit 4."""
     assert xpl("new-policy", "Heavy", cwd=workspace).returncode == ExitCode.CLEAN
     model = workspace / "policy/Heavy/model.py"
-    model.write_text(model.read_text() + "        import a_library_that_is_not_here\n")
+    model.write_text(model.read_text() + "\n    def load(self, config):\n        import a_library_that_is_not_here\n")
     done = xpl("audit", "policy/Heavy", "--gate", "offline", "--json", cwd=workspace)
+    assert done.returncode == ExitCode.NOT_RUN
     report = json.loads(done.stdout)
-    assert report["targets"][0]["verdict"] in {"incomplete", "red"}
-    assert report["summary"]["not_run"] > 0
+    assert report["targets"][0]["verdict"] == "incomplete"
+    reasons = {result["reason"] for result in report["targets"][0]["gates"][0]["results"]}
+    assert all("a_library_that_is_not_here" in reason for reason in reasons)
 
 
 def test_explain_prints_the_whole_documentation(workspace: Path) -> None:

@@ -7,12 +7,14 @@ control and a pose [x, y, z, qw, qx, qy, qz] for end-effector control. Source: s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.embodiment import Embodiment
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
 
 
 class ActionError(ValueError):
@@ -89,7 +91,7 @@ def check_step(step: Any, embodiment: Embodiment, action_type: str) -> None:
         )
     flat = pack(step, embodiment, action_type, what="action step")
     if not np.isfinite(flat).all():
-        bad = [key for key in dims if not np.isfinite(np.asarray(step[key], dtype=np.float64)).all()]
+        bad = [key for key, values in unpack(flat, embodiment, action_type).items() if not np.isfinite(values).all()]
         raise ActionError(f"action step holds NaN or infinity in {', '.join(bad)}: every value must be finite")
     for arm in embodiment.arms:
         _check_arm(step, arm.prefix, parallel=arm.gripper == "parallel_gripper")
@@ -105,11 +107,12 @@ def check_chunk(chunk: Any, embodiment: Embodiment, action_type: str) -> None:
         raise ActionError(f"an action chunk must be a list of action steps, got {type(chunk).__name__}")
     if not chunk:
         raise ActionError("an action chunk must hold at least one action step, got an empty list")
-    for index, step in enumerate(chunk):
-        try:
+    index = 0
+    try:
+        for index, step in enumerate(chunk):  # noqa: B007 - the error names it
             check_step(step, embodiment, action_type)
-        except ActionError as error:
-            raise ActionError(f"step {index} of {len(chunk)}: {error}") from None
+    except ActionError as error:
+        raise ActionError(f"step {index} of {len(chunk)}: {error}") from None
 
 
 def _check_arm(step: Mapping[str, Any], prefix: str, *, parallel: bool) -> None:
@@ -126,9 +129,13 @@ def _check_arm(step: Mapping[str, Any], prefix: str, *, parallel: bool) -> None:
 
 def _vector(value: Any, dim: int, what: str) -> np.ndarray:
     try:
-        array = np.asarray(value, dtype=np.float32)
-    except (TypeError, ValueError):
+        array = np.asarray(value)
+    except (TypeError, ValueError):  # nested lists of unequal lengths, for example
         raise ActionError(f"{what} must be {dim} numbers, got {type(value).__name__}") from None
+    # Text that reads as a number is none: it would pass here and fail in the controller.
+    if array.dtype.kind not in "biuf":
+        raise ActionError(f"{what} must be {dim} numbers, got {type(value).__name__} of {array.dtype}")
     if array.shape != (dim,):
         raise ActionError(f"{what} must have shape ({dim},), got {array.shape}")
-    return array
+    with np.errstate(over="ignore"):  # becomes infinity, which the callers look for
+        return array.astype(np.float32)

@@ -1,15 +1,14 @@
 """Arrays as bytes: what may travel, how a dtype is written down, and how an array is made of bytes again.
 
 Both codecs (`xpl.wire`, `xpl.link`) build on this. A plain dtype is written as `dtype.str`, a structured one as
-`[[name, dtype], ...]`, or `[name, dtype, shape]` for a field that is an array itself. Objects and dates are refused both
-ways, also inside structures: nothing is ever unpickled.
+`[[name, dtype], ...]`, or `[name, dtype, shape]` for a field that is an array itself. Objects and dates are refused
+both ways, also inside structures: nothing is ever unpickled.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from typing import Any, Union
 
 import numpy as np
@@ -51,10 +50,10 @@ def as_array(value: Any) -> np.ndarray:
 def data_of(array: np.ndarray) -> Data:
     """Return the bytes of a C-contiguous array, without a copy."""
     # As unsigned bytes: buffers of text, structures and foreign byte orders have no format that all readers know.
-    return memoryview(array.reshape(-1).view(np.uint8)) if array.size else b""
+    return array.reshape(-1).view(np.uint8).data if array.size else b""
 
 
-def from_data(data: Data, dtype: np.dtype[Any], shape: Sequence[int]) -> np.ndarray:
+def from_data(data: Data, dtype: np.dtype[Any], shape: Any) -> np.ndarray:
     """Return the read-only array of some bytes, a view of them.
 
     Raises:
@@ -86,16 +85,14 @@ def parse_dtype(description: Any) -> np.dtype[Any]:
     Raises:
         ArrayError: if it stands for none, or for one that may not travel.
     """
+    if isinstance(description, list):
+        known: Any = [_parse_field(entry) for entry in description]
+    else:
+        known = _text(description)
+        if not _NAME.fullmatch(known):
+            raise ArrayError(f"unknown array type {known!r:.80}")
     try:
-        if isinstance(description, list):
-            dtype = np.dtype([_parse_field(entry) for entry in description])
-        else:
-            text = _text(description)
-            if not _NAME.fullmatch(text):
-                raise ArrayError(f"unknown array type {text!r:.80}")
-            dtype = np.dtype(text)
-    except ArrayError:
-        raise
+        dtype: np.dtype[Any] = np.dtype(known)
     except (TypeError, ValueError, OverflowError) as error:
         raise ArrayError(f"unknown array type {description!r:.80}: {error}") from None
     _check(dtype)
@@ -112,12 +109,15 @@ def _describe_field(dtype: np.dtype[Any]) -> list[Any]:
 def _parse_field(entry: Any) -> tuple[Any, ...]:
     if not isinstance(entry, list) or len(entry) not in (2, 3):
         raise ArrayError(f"a field of a structure must be [name, type] or [name, type, shape], got {entry!r:.80}")
-    return (_text(entry[0]), parse_dtype(entry[1]), *(tuple(shape) for shape in entry[2:]))
+    shape = entry[2] if len(entry) == 3 else []
+    if not isinstance(shape, list) or not all(type(size) is int and size > 0 for size in shape):
+        raise ArrayError(f"the shape of a structure's field must be a list of sizes, got {shape!r:.80}")
+    return (_text(entry[0]), parse_dtype(entry[1]), tuple(shape))
 
 
 def _text(value: Any) -> str:
     if isinstance(value, bytes):
-        return value.decode()
+        return value.decode(errors="replace")
     if not isinstance(value, str):
         raise ArrayError(f"an array type must be text, got {type(value).__name__}")
     return value

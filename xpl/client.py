@@ -11,15 +11,20 @@ which knows no `call`, observations are held back and sent with `infer`, and a b
 
 from __future__ import annotations
 
+import contextlib
+import inspect
+import itertools
+import math
 import time
 import uuid
 from collections.abc import Mapping, Sequence
-from typing import Any, Optional
+from typing import Any, Callable
 
 from xpl import _spec as spec
 from xpl import wire
+from xpl.observation import env_indices
 
-_D = spec.DEPLOY_DEFAULTS
+_CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
 
 
 class ClientError(RuntimeError):
@@ -34,7 +39,7 @@ class PolicyServerError(ClientError):
         details: map with, for example, a finer `reason`.
     """
 
-    def __init__(self, code: str, message: str, details: Optional[Mapping[str, Any]] = None) -> None:
+    def __init__(self, code: str, message: str, details: Mapping[str, Any] | None = None) -> None:
         super().__init__(f"{code}: {message}")
         self.code = code
         self.details = dict(details or {})
@@ -59,10 +64,11 @@ class Client:
         url: `ws://host:port`.
         evaluation_id: name of the evaluation; made up if not given.
         trial_id: name of the trial, where the benchmark has one.
-        config: the timing keys of deploy.yml; the spec's defaults otherwise. null in a limit means none.
+        config: the timing keys of deploy.yml; the spec's defaults otherwise. null in a limit means none, and 0 means
+            no cap on attempts and on the time to connect.
 
     Raises:
-        ServerConnectionError: if no connection came about within the limits.
+        ServerConnectionError: if no connection came about within the limits, or the server said that it failed.
         PolicyServerError: if the server refused the hello for good.
     """
 
@@ -70,18 +76,18 @@ class Client:
         self,
         url: str,
         *,
-        evaluation_id: Optional[str] = None,
-        trial_id: Optional[str] = None,
-        config: Optional[Mapping[str, Any]] = None,
+        evaluation_id: str | None = None,
+        trial_id: str | None = None,
+        config: Mapping[str, Any] | None = None,
     ) -> None:
         self._url = url
-        self._config = {**_D, **(config or {})}
+        self._config = {**spec.DEPLOY_DEFAULTS, **(config or {})}
         self._evaluation_id = evaluation_id or uuid.uuid4().hex
         self._trial_id = trial_id
         self._step = 0
         self._socket: Any = None
         self._held: list[Mapping[str, Any]] = []
-        self.server_instance_id: Optional[str] = None
+        self.server_instance_id: str | None = None
         self._connect()
 
     # -- the operations of the contract --------------------------------------------------------------------------------
@@ -104,7 +110,7 @@ class Client:
         if not self._first_generation:
             self._call(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
 
-    def get_action(self, obs: Optional[Mapping[str, Any]] = None) -> Any:
+    def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
         """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
         if obs is not None:
             return self.infer(obs)
@@ -114,31 +120,36 @@ class Client:
             return self.infer(self._held[0])
         return self._call(spec.Method.GET_ACTION)
 
-    def get_action_batch(self, env_idx_list: Optional[Sequence[int]] = None) -> Any:
+    def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
         """Return one action chunk per environment of the list; None means the last batch."""
         if not self._first_generation:
             return self._call(spec.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
-        held = {obs.get(spec.Obs.ENV_IDX, position): obs for position, obs in enumerate(self._held)}
+        held = dict(zip(env_indices(self._held), self._held))
         wanted = list(held) if env_idx_list is None else list(env_idx_list)
         missing = [index for index in wanted if index not in held]
-        if missing:
-            raise ClientError(f"environments {missing} have no observation; there are {list(held)}")
-        return [self.infer(held[index]) for index in wanted]
+        if missing or len(set(wanted)) != len(wanted):
+            raise ClientError(f"expected environments out of {list(held)}, each once; got {wanted}")
+        # Each infer stands alone there, so an index that followed from the position in the batch has to be written.
+        return [self.infer({**held[index], spec.Obs.ENV_IDX: index}) for index in wanted]
 
     # -- the other requests --------------------------------------------------------------------------------------------
 
     def infer(self, obs: Mapping[str, Any]) -> Any:
         """Return the action chunk for one observation: update_obs and get_action as one unit."""
-        actions = self._request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})[spec.Payload.ACTIONS]
+        answer = self._request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
+        if spec.Payload.ACTIONS not in answer:
+            raise ClientError(
+                f"the server's answer to infer has no {spec.Payload.ACTIONS!r}; it has {', '.join(answer)}"
+            )
         self._step += 1
-        return actions
+        return answer[spec.Payload.ACTIONS]
 
     def prepare_case(self, action_case_id: str, **meta: Any) -> Any:
         """Announce a case to the adapter's hook."""
         payload = {spec.Payload.ACTION_CASE_ID: action_case_id, **meta}
         return self._request(spec.Message.PREPARE_CASE, payload).get(spec.Payload.RESULT)
 
-    def trial_end(self, result: Optional[Mapping[str, Any]] = None) -> Any:
+    def trial_end(self, result: Mapping[str, Any] | None = None) -> Any:
         """Tell the adapter's hook how the trial ended."""
         payload = {spec.Payload.TRIAL_ID: self._trial_id, **(result or {})}
         return self._request(spec.Message.TRIAL_END, payload).get(spec.Payload.RESULT)
@@ -149,8 +160,8 @@ class Client:
 
     def call(self, func_name: str, obs: Any = None) -> Any:
         """Call an operation by name, as benchmarks do; further names are methods the adapter declares."""
-        operations = {
-            spec.Method.RESET: lambda: self.reset(),
+        operations: dict[str, Callable[[], Any]] = {
+            spec.Method.RESET: self.reset,
             spec.Method.UPDATE_OBS: lambda: self.update_obs(obs),
             spec.Method.UPDATE_OBS_BATCH: lambda: self.update_obs_batch(obs),
             spec.Method.GET_ACTION: lambda: self.get_action(obs),
@@ -166,14 +177,11 @@ class Client:
         """Say goodbye and close the connection; closing twice is fine."""
         if self._socket is None:
             return
-        try:
+        with contextlib.suppress(Exception):  # the connection may be gone already, which is what was wanted
             self._socket.send(wire.encode(self._frame(spec.Message.CLOSE, {})))
-            self._socket.close()
-        except Exception:  # noqa: BLE001, S110 - the connection may be gone already, which is what was wanted
-            pass
-        self._socket = None
+        self._drop()
 
-    def __enter__(self) -> Client:
+    def __enter__(self) -> Client:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -195,89 +203,136 @@ class Client:
         return wire.Frame(message_type, self._evaluation_id, payload, trial_id=self._trial_id, step=self._step)
 
     def _request(self, message_type: str, payload: dict[str, Any]) -> dict[str, Any]:
+        """Return the payload of the answer; reconnects once after a cut, all within the request's timeout."""
         if self._socket is None:
             raise ServerConnectionError("the client is closed")
         frame = self._frame(message_type, payload)
         data = wire.encode(frame)
+        timeout = self._config[spec.Deploy.REQUEST_TIMEOUT_S]
+        deadline = _deadline(timeout)
         try:
-            return self._exchange(frame, data, self._config[spec.Deploy.REQUEST_TIMEOUT_S])
-        except OSError:
+            return self._exchange(frame, data, deadline)
+        except OSError as error:
+            self._drop()
             if self._first_generation:
-                raise ServerConnectionError("the connection was cut; a server of the first generation may not be asked again") from None
+                raise ServerConnectionError(
+                    f"the connection was cut ({error}), and a server of the first generation must not be asked twice"
+                ) from None
         instance = self.server_instance_id
-        self._connect()
+        self._connect(deadline)
         if self.server_instance_id != instance:
             raise ServerRestartedError("the policy server was restarted: the episode's state is gone") from None
         try:
             # The same id: the server answers from its memory if the model ran already.
-            return self._exchange(frame, data, self._config[spec.Deploy.REQUEST_TIMEOUT_S])
-        except OSError:
-            raise ServerConnectionError("the connection was cut twice during one request") from None
+            return self._exchange(frame, data, deadline)
+        except OSError as error:
+            self._drop()
+            raise ServerConnectionError(f"the connection was cut twice during one request: {error}") from None
 
-    def _exchange(self, frame: wire.Frame, data: bytes, timeout: Optional[float]) -> dict[str, Any]:
+    def _exchange(self, frame: wire.Frame, data: bytes, deadline: float) -> dict[str, Any]:
         """Send a request and return the payload of its answer; a lost connection is an OSError."""
         from websockets.exceptions import ConnectionClosed
 
-        deadline = None if timeout is None else time.monotonic() + timeout
+        started = time.monotonic()
         try:
             self._socket.send(data)
             while True:
-                left = None if deadline is None else max(0.0, deadline - time.monotonic())
-                answer = wire.decode(self._socket.recv(timeout=left))
+                message = self._socket.recv(timeout=_left(deadline))
+                if isinstance(message, str):
+                    continue  # the wire is binary only
+                answer = wire.decode(message)
                 if answer.message_id == frame.message_id:
                     return _payload(answer, frame)
         except TimeoutError:
             self.close()
-            raise RequestTimeoutError(f"{frame.message_type} was not answered within {timeout} s") from None
+            waited = time.monotonic() - started
+            raise RequestTimeoutError(f"{frame.message_type} was not answered within {waited:.1f} s") from None
+        except wire.WireError as error:
+            self._drop()
+            raise ClientError(f"what the server sent cannot be understood: {error}") from None
         except ConnectionClosed as error:
+            if error.rcvd is not None and error.rcvd.code == wire.SERVER_FAILED:
+                self._drop()
+                raise ServerConnectionError(f"the policy server ended: {error.rcvd.reason}") from None
             raise ConnectionResetError(str(error)) from None
 
-    def _connect(self) -> None:
+    def _connect(self, deadline: float = math.inf) -> None:
+        """Connect and exchange hellos, trying again while nobody listens, the model loads or the server is busy."""
         config = self._config
-        limit = config[spec.Deploy.MAX_CONNECT_SECONDS]
-        deadline = time.monotonic() + limit if limit else float("inf")
-        attempts = config[spec.Deploy.MAX_CONNECT_ATTEMPTS]
-        problem = "no attempt was allowed"
-        for attempt in range(attempts):
-            if attempt:
-                if time.monotonic() + config[spec.Deploy.CONNECT_RETRY_DELAY_S] > deadline:
-                    break
-                time.sleep(config[spec.Deploy.CONNECT_RETRY_DELAY_S])
+        deadline = min(deadline, _deadline(config[spec.Deploy.MAX_CONNECT_SECONDS] or None))
+        most = config[spec.Deploy.MAX_CONNECT_ATTEMPTS] or math.inf
+        delay = config[spec.Deploy.CONNECT_RETRY_DELAY_S] or 0.0
+        for attempt in itertools.count(1):
             try:
-                return self._connect_once()
+                self._connect_once(deadline)
             except (OSError, RequestTimeoutError) as error:
-                problem = str(error)
+                problem: Exception = error
             except PolicyServerError as error:
                 if error.details.get("reason") != spec.ErrorReason.BUSY:
                     raise
-                problem = str(error)
-        raise ServerConnectionError(f"no policy server at {self._url} after {attempt + 1} attempts: {problem}")
+                problem = error
+            else:
+                return
+            if attempt >= most or time.monotonic() + delay > deadline:
+                raise ServerConnectionError(f"no policy server at {self._url} after {attempt} attempts: {problem}")
+            time.sleep(delay)
 
-    def _connect_once(self) -> None:
+    def _connect_once(self, deadline: float) -> None:
+        from websockets.exceptions import InvalidURI, WebSocketException
         from websockets.sync.client import connect
 
         config = self._config
-        self._socket = connect(
-            self._url,
-            compression=None,
-            max_size=None,
-            open_timeout=config[spec.Deploy.CONNECT_TIMEOUT_S],
-            close_timeout=config[spec.Deploy.CLOSE_TIMEOUT_S],
-        )
-        frame = self._frame(spec.Message.HELLO, {spec.Payload.CAPABILITIES: {"wire_version": spec.WIRE_VERSION}})
+        options = {
+            "compression": None,
+            "max_size": spec.LIMITS["frame_bytes"],
+            "open_timeout": _left(min(deadline, _deadline(config[spec.Deploy.CONNECT_TIMEOUT_S]))),
+            "close_timeout": config[spec.Deploy.CLOSE_TIMEOUT_S],
+        }
+        # What later versions of websockets added. Straight to the server, whatever proxy the environment names; and a
+        # simulator that keeps the interpreter busy must not be taken for a lost connection.
+        later = {"proxy": None, "ping_interval": config[spec.Deploy.WS_PING_INTERVAL_S], "ping_timeout": None}
+        known = inspect.signature(connect).parameters
+        options.update({name: value for name, value in later.items() if name in known})
         try:
-            greeting = self._exchange(frame, wire.encode(frame), config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
-        except PolicyServerError:
+            self._socket = connect(self._url, **options)
+        except InvalidURI as error:
+            raise ServerConnectionError(
+                f"a policy server's address is ws://host:port, got {self._url!r}: {error}"
+            ) from None
+        except WebSocketException as error:  # something answers there, but no policy server
+            raise ConnectionError(str(error)) from None
+        hello = self._frame(spec.Message.HELLO, {spec.Payload.CAPABILITIES: {"wire_version": spec.WIRE_VERSION}})
+        limit = min(deadline, _deadline(config[spec.Deploy.HANDSHAKE_TIMEOUT_S]))
+        try:
+            greeting = self._exchange(hello, wire.encode(hello), limit)
+        except BaseException:
             self.close()
             raise
         self.server_instance_id = greeting.get(spec.Payload.SERVER_INSTANCE_ID)
+
+    def _drop(self) -> None:
+        """Close the connection, if there is one, without a goodbye."""
+        socket, self._socket = self._socket, None
+        if socket is not None:
+            with contextlib.suppress(Exception):
+                socket.close()
+
+
+def _deadline(seconds: float | None) -> float:
+    return math.inf if seconds is None else time.monotonic() + seconds
+
+
+def _left(deadline: float) -> float | None:
+    return None if deadline == math.inf else max(0.0, deadline - time.monotonic())
 
 
 def _payload(answer: wire.Frame, request: wire.Frame) -> dict[str, Any]:
     payload = answer.payload
     if answer.message_type == spec.Message.ERROR:
-        code, message = str(payload.get(spec.Payload.CODE)), str(payload.get(spec.Payload.MESSAGE))
-        raise PolicyServerError(code, message, payload.get(spec.Payload.DETAILS))
+        code, message = payload.get(spec.Payload.CODE), str(payload.get(spec.Payload.MESSAGE))
+        known = str(code) if code in _CODES else spec.ErrorCode.INTERNAL
+        details = payload.get(spec.Payload.DETAILS)
+        raise PolicyServerError(known, message, details if isinstance(details, Mapping) else None)
     if answer.message_type != spec.ANSWERS[request.message_type]:
         raise ClientError(f"{request.message_type} was answered by {answer.message_type}")
     return payload

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl.action import ActionError, action_dim
-from xpl.embodiment import Embodiment
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
 
 
 def decode_rows(raw: Any, embodiment: Embodiment, action_type: str) -> list[dict[str, np.ndarray]]:
@@ -27,7 +30,7 @@ def decode_rows(raw: Any, embodiment: Embodiment, action_type: str) -> list[dict
     """
     rows = np.asarray(raw, dtype=np.float32)
     dim = action_dim(embodiment, action_type)
-    if rows.ndim != 2 or rows.shape[1] != dim:
+    if rows.ndim != 2 or rows.shape[1] != dim or not len(rows):
         raise ActionError(
             f"{action_type} control of {embodiment.name} takes rows of {dim} values, the model gave {rows.shape}"
         )
@@ -51,7 +54,9 @@ def decode_rows(raw: Any, embodiment: Embodiment, action_type: str) -> list[dict
 def _unit_poses(poses: np.ndarray, key: str) -> np.ndarray:
     norms = np.linalg.norm(poses[:, spec.POSITION_DIM :], axis=1, keepdims=True)
     if (norms < spec.QUATERNION_REPAIR).any():
-        raise ActionError(f"{key}: the quaternion [qw, qx, qy, qz] has norm {float(norms.min()):.3g}, it must be near 1")
+        raise ActionError(
+            f"{key}: the quaternion [qw, qx, qy, qz] has norm {float(norms.min()):.3g}, it must be near 1"
+        )
     return np.concatenate([poses[:, : spec.POSITION_DIM], poses[:, spec.POSITION_DIM :] / norms], axis=1)
 
 
@@ -62,10 +67,17 @@ def _gripper(values: np.ndarray, key: str) -> np.ndarray:
             f"{key} must run from 0 (closed) to 1 (open), the model gave {float(values.min()):.3g} to "
             f"{float(values.max()):.3g}: convert its scale in decode"
         )
-    return np.clip(values, spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN)
+    clipped: np.ndarray = np.clip(values, spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN)
+    return clipped
 
 
-def ensemble(predictions: dict[int, np.ndarray], raw: np.ndarray, step: int, decay: float) -> np.ndarray:
+def ensemble(
+    predictions: dict[int, np.ndarray],
+    newest: Any,
+    step: int,
+    decay: float,
+    quaternions: Sequence[slice] = (),
+) -> np.ndarray:
     """Return a chunk averaged with the earlier predictions of the same moments (temporal ensembling).
 
     Weights are exp(-decay * i), i = 0 for the oldest prediction (Zhao et al. 2023, "Learning Fine-Grained Bimanual
@@ -74,20 +86,38 @@ def ensemble(predictions: dict[int, np.ndarray], raw: np.ndarray, step: int, dec
     Args:
         predictions: earlier chunks of this environment by the step at which they were made; updated in place, and
             emptied of those that no longer reach `step`.
-        raw: (H, D) newest chunk, made at `step`.
+        newest: (H, D) absolute actions predicted at `step`.
         step: index of the newest observation in the episode.
         decay: m of the formula, at least 0.
+        quaternions: columns that hold one. q and -q are the same rotation, so each is given the sign that is nearer to
+            the newest prediction, and the average is normalised.
 
     Returns:
         (H, D) float64.
     """
-    predictions[step] = np.asarray(raw, dtype=np.float64)
+    predictions[step] = np.asarray(newest, dtype=np.float64)
     for made in [made for made, chunk in predictions.items() if made + len(chunk) <= step]:
         del predictions[made]
     averaged = np.empty_like(predictions[step])
     for offset in range(len(averaged)):
         moment = step + offset
-        rows = [chunk[moment - made] for made, chunk in sorted(predictions.items()) if moment - made < len(chunk)]
+        rows = np.array(
+            [chunk[moment - made] for made, chunk in sorted(predictions.items()) if moment - made < len(chunk)]
+        )
+        for columns in quaternions:
+            rows[:, columns] *= np.where(rows[:, columns] @ rows[-1, columns] < 0.0, -1.0, 1.0)[:, None]
         weights = np.exp(-decay * np.arange(len(rows)))
         averaged[offset] = np.average(rows, axis=0, weights=weights)
+        for columns in quaternions:
+            averaged[offset, columns] /= np.linalg.norm(averaged[offset, columns])
     return averaged
+
+
+def quaternion_columns(embodiment: Embodiment, action_type: str) -> list[slice]:
+    """Return which columns of a flat action are quaternions."""
+    columns, start = [], 0
+    for key, width in embodiment.dims(action_type).items():
+        if key.endswith(spec.State.EE_POSE):
+            columns.append(slice(start + spec.POSITION_DIM, start + spec.POSE_DIM))
+        start += width
+    return columns

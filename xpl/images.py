@@ -1,7 +1,7 @@
 """Image codec of the serving layer and the data tools (extra `images`). An adapter never decodes.
 
-JPEGs come in two byte formats: standard ones, stamped with a COM segment `XPL-RGB1`, and legacy ones without it, in which
-red and blue are exchanged. Decoders return RGB for both. PNG and other formats have no legacy form.
+JPEGs come in two byte formats: standard ones, stamped with a COM segment `XPL-RGB1`, and legacy ones without it, in
+which red and blue are exchanged. Decoders return RGB for both. PNG and other formats have no legacy form.
 """
 
 from __future__ import annotations
@@ -13,13 +13,18 @@ from typing import Any, Union
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.observation import ObservationError, color_of
+from xpl.observation import ObservationError, color_of, is_encoded
 
 Encoded = Union[bytes, bytearray, memoryview, np.ndarray]
 
 _SOI, _SOS, _COM = b"\xff\xd8", 0xDA, 0xFE
 _STANDALONE = frozenset((0x01, *range(0xD0, 0xD9)))
 DEFAULT_QUALITY = 95
+
+# Not all that Pillow knows: its EPS reader, for example, starts another program on what came over the wire.
+_FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
+PIXELS = 1 << 25
+"""Largest image that is decoded, a little over 8K video: a small file can unpack to gigabytes."""
 
 
 def encode_jpeg(image: np.ndarray, quality: int = DEFAULT_QUALITY) -> bytes:
@@ -40,15 +45,18 @@ def decode(data: Encoded) -> np.ndarray:
     """Return the (H, W, 3) uint8 RGB image of an encoded one; trailing NUL padding is ignored.
 
     Raises:
-        ObservationError: if the bytes are not an image.
+        ObservationError: if the bytes are not an image, or one of more than `PIXELS` pixels.
     """
     raw = data.tobytes() if isinstance(data, (np.ndarray, memoryview)) else bytes(data)
     pillow = _pillow()
     try:
-        with pillow.open(io.BytesIO(raw)) as opened:
-            image = np.array(opened.convert("RGB"))
-    except (OSError, ValueError, SyntaxError, pillow.DecompressionBombError) as error:
+        with pillow.open(io.BytesIO(raw), formats=_FORMATS) as opened:
+            pixels = opened.width * opened.height
+            image = np.array(opened.convert("RGB")) if pixels <= PIXELS else None
+    except Exception as error:  # noqa: BLE001 - Pillow's readers raise almost anything on damaged files
         raise ObservationError(f"{len(raw)} bytes do not decode as an image: {error}") from None
+    if image is None:
+        raise ObservationError(f"an encoded image has {pixels} pixels, more than {PIXELS}")
     legacy = raw.startswith(_SOI) and not has_marker(raw)
     return np.ascontiguousarray(image[:, :, ::-1]) if legacy else image
 
@@ -80,9 +88,7 @@ def decode_observation(obs: Any) -> Any:
 
 def _decoded_camera(camera: Any) -> Any:
     color = color_of(camera)
-    if not isinstance(color, (bytes, bytearray)) and not (
-        isinstance(color, np.ndarray) and color.ndim == 1 and color.dtype == np.uint8
-    ):
+    if not is_encoded(color):
         return camera
     image = decode(color)
     return {**camera, spec.Camera.COLOR: image} if isinstance(camera, Mapping) else image

@@ -1,9 +1,9 @@
 """The private link between the server's front end and a worker: a JSON header and raw buffers.
 
 One message is `<header length: u32 little endian><header: JSON, UTF-8><buffers>`. The header is
-`{"value": tree, "sizes": [n, ...]}`; in the tree an array is `{"@array": [index, dtype, shape]}`, a numpy scalar the same
-with shape null, and a byte string `{"@bytes": index}`, `index` naming a buffer. A text key that starts with `@` has it
-doubled. No pickle, no msgpack: a worker needs numpy and nothing else.
+`{"value": tree, "sizes": [n, ...]}`; in the tree an array is `{"@array": [index, dtype, shape]}`, a numpy scalar the
+same with shape null, and a byte string `{"@bytes": index}`, `index` naming a buffer. A text key that starts with `@`
+has it doubled. No pickle, no msgpack: a worker needs numpy and nothing else.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ def encode(value: Any) -> list[Data]:
     buffers: list[Data] = []
     try:
         tree = _to_tree(value, buffers)
-        header = json.dumps({"value": tree, "sizes": [len(buffer) for buffer in buffers]}, separators=(",", ":")).encode()
+        header = json.dumps(
+            {"value": tree, "sizes": [len(buffer) for buffer in buffers]}, separators=(",", ":")
+        ).encode()
     except RecursionError:
         raise LinkError("the value contains itself, or is nested too deeply to be sent") from None
     except ValueError as error:
@@ -59,7 +61,9 @@ def header_length(prefix: Data) -> int:
     """
     (length,) = _LENGTH.unpack(prefix)
     if length > HEADER_LIMIT:
-        raise LinkError(f"a link header of {length} bytes is over the limit of {HEADER_LIMIT}: the stream is out of step")
+        raise LinkError(
+            f"a link header of {length} bytes is over the limit of {HEADER_LIMIT}: the stream is out of step"
+        )
     return int(length)
 
 
@@ -77,7 +81,9 @@ def parse_header(header: Data) -> tuple[Any, list[int]]:
     if not isinstance(sizes, list) or not all(type(size) is int and size >= 0 for size in sizes):
         raise LinkError(f"the link's header has no list of buffer sizes, but {sizes!r:.80}")
     if sum(sizes) > BUFFERS_LIMIT:
-        raise LinkError(f"{sum(sizes)} bytes of buffers are over the limit of {BUFFERS_LIMIT}: the stream is out of step")
+        raise LinkError(
+            f"{sum(sizes)} bytes of buffers are over the limit of {BUFFERS_LIMIT}: the stream is out of step"
+        )
     return tree, sizes
 
 
@@ -107,8 +113,10 @@ def map_key(key: Any) -> str:
 
 
 def _to_tree(value: Any, buffers: list[Data]) -> Any:
+    if isinstance(value, (np.str_, np.float64)):  # Python's text and numbers by another name
+        return value.item()
     if value is None or isinstance(value, (str, bool, int, float)):
-        return value.item() if isinstance(value, np.generic) else value
+        return value
     if isinstance(value, Mapping):
         return {_escaped(map_key(key)): _to_tree(item, buffers) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

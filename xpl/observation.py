@@ -7,13 +7,15 @@ Source: spec/<version>/observation.schema.json.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Optional
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl.action import ActionError, pack
-from xpl.embodiment import Embodiment
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
 
 
 class ObservationError(ValueError):
@@ -53,12 +55,21 @@ def get_image(obs: Mapping[str, Any], camera: str) -> np.ndarray:
     image = color_of(vision[camera])
     if image is None:
         raise ObservationError(f"camera {camera!r} has no {spec.Camera.COLOR!r}; it has {_names(vision[camera])}")
-    if isinstance(image, (bytes, bytearray)):
-        raise ObservationError(f"camera {camera!r} is still encoded: the serving layer decodes images, an adapter does not")
-    array = np.asarray(image)
+    if is_encoded(image):
+        raise ObservationError(
+            f"camera {camera!r} is still encoded: the serving layer decodes images, an adapter does not"
+        )
+    array = image if isinstance(image, np.ndarray) else _from_lists(image)
     if array.ndim != 3 or array.shape[2] != spec.COLOR_CHANNELS or array.dtype != np.uint8:
         raise ObservationError(f"camera {camera!r} must be (H, W, 3) uint8 RGB, got {array.shape} {array.dtype}")
     return array
+
+
+def is_encoded(image: Any) -> bool:
+    """Tell whether a colour entry is an encoded image: bytes, or a one-dimensional uint8 array."""
+    return isinstance(image, (bytes, bytearray, memoryview)) or (
+        isinstance(image, np.ndarray) and image.ndim == 1 and image.dtype == np.uint8
+    )
 
 
 def color_of(camera: Any) -> Any:
@@ -74,16 +85,18 @@ def color_of(camera: Any) -> Any:
     return None
 
 
-def get_instruction(obs: Mapping[str, Any]) -> Optional[str]:
+def get_instruction(obs: Mapping[str, Any]) -> str | None:
     """Return the instruction: `instruction`, or the first of `instructions`, or None if the observation has neither.
 
     Raises:
         ObservationError: if what is there is not text.
     """
     value = obs.get(spec.Obs.INSTRUCTION)
-    if value is None:
-        several = obs.get(spec.Obs.INSTRUCTIONS)
-        value = several[0] if isinstance(several, Sequence) and len(several) else None
+    several = obs.get(spec.Obs.INSTRUCTIONS)
+    if value is None and several is not None:
+        if isinstance(several, str) or not isinstance(several, (Sequence, np.ndarray)):
+            raise ObservationError(f"{spec.Obs.INSTRUCTIONS} must be a list of text, got {type(several).__name__}")
+        value = several[0] if len(several) else None
     if value is not None and not isinstance(value, str):
         raise ObservationError(f"the instruction must be text, got {type(value).__name__}")
     return value
@@ -117,6 +130,16 @@ def env_index(value: Any) -> int:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < 0:
         raise ObservationError(f"an environment index must be a non-negative integer, got {value!r}")
     return int(value)
+
+
+def _from_lists(image: Any) -> np.ndarray:
+    """Return the array of nested lists; whole numbers from 0 to 255 become uint8, and nothing else is converted."""
+    try:
+        array = np.asarray(image)
+    except ValueError:
+        raise ObservationError("an image given as lists must have rows of equal length") from None
+    colour = array.dtype.kind in "iu" and array.size > 0 and array.min() >= 0 and array.max() <= np.iinfo(np.uint8).max
+    return array.astype(np.uint8) if colour else array
 
 
 def _names(value: Any) -> str:

@@ -13,13 +13,14 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Optional, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.action import ActionError, check_chunk
-from xpl.decoding import decode_rows, ensemble
+from xpl.action import ActionError, check_chunk, pack
+from xpl.arrays import as_array
+from xpl.decoding import decode_rows, ensemble, quaternion_columns
 from xpl.embodiment import get_embodiment
 from xpl.observation import env_index, env_indices
 
@@ -62,8 +63,8 @@ class Policy:
     configuration and is kept to.
 
     Args:
-        config: values of deploy.yml after overrides. Read: `env_cfg_type` (names the embodiment), `action_type`, `seed`;
-            and `manifest`, the parsed policy.yml, where the adapter is served.
+        config: values of deploy.yml after overrides. Read: `env_cfg_type` (names the embodiment), `action_type`,
+            `seed`; and `manifest`, the parsed policy.yml, where the adapter is served.
 
     Attributes:
         config: the configuration, without the manifest.
@@ -83,9 +84,9 @@ class Policy:
         manifest = config.get("manifest") or {}
         temporal = manifest.get("temporal") or {}
         self.config = {key: value for key, value in config.items() if key != "manifest"}
-        self.chunk: Optional[int] = temporal.get("chunk")
+        self.chunk: int | None = temporal.get("chunk")
         self.history: int = temporal.get("history") or 1
-        self._ensembling: Optional[float] = temporal.get("ensembling")
+        self._ensembling: float | None = temporal.get("ensembling")
         self.action_type: str = self.setting(spec.Deploy.ACTION_TYPE, spec.DEPLOY_DEFAULTS[spec.Deploy.ACTION_TYPE])
         if self.action_type not in spec.ACTION_TYPES:
             raise ConfigError(f"action_type must be one of {', '.join(spec.ACTION_TYPES)}, got {self.action_type!r}")
@@ -94,9 +95,10 @@ class Policy:
             raise ConfigError(f"env_cfg_type must name an embodiment, got {name!r}")
         self.embodiment = get_embodiment(name)
         self.seed: int = self.setting(spec.Deploy.SEED, spec.DEPLOY_DEFAULTS[spec.Deploy.SEED])
-        self.policy_dir = Path(str(sys.modules[type(self).__module__].__file__)).resolve().parent
+        file = getattr(sys.modules.get(type(self).__module__), "__file__", None)
+        self.policy_dir = Path(file).resolve().parent if file else Path.cwd()
         self._environments: dict[int, _Environment] = {}
-        self._order: list[int] = []
+        self._order: list[int] | None = None
         self._episode = 0
         self._observed = False
         self.load(self.config)
@@ -123,7 +125,7 @@ class Policy:
         """
         raise NotImplementedError(f"{type(self).__name__} must define predict(inputs, envs)")
 
-    def decode(self, raw: np.ndarray, obs: Observation, env: int) -> list[ActionStep]:
+    def decode(self, raw: np.ndarray, obs: Observation, env: int) -> list[ActionStep]:  # noqa: ARG002 - overridden
         """Return the action chunk of one environment (g_out).
 
         The default reads each row of `raw`, (H, D), as a flat absolute action. Override it where the model predicts
@@ -153,7 +155,7 @@ class Policy:
             value = float(value)
         if default is not None and type(value) is not wanted:
             raise ConfigError(f"{name} must be a {wanted.__name__}, got {value!r} ({type(value).__name__})")
-        return value  # type: ignore[no-any-return]
+        return cast("_Value", value)
 
     def rng(self, env: int) -> np.random.Generator:
         """Return the random generator of one environment, seeded by run seed, episode and environment index."""
@@ -176,12 +178,13 @@ class Policy:
         Raises:
             PolicyStateError: before an observation, or after a batch of several.
         """
+        if self._order is None:
+            raise PolicyStateError("get_action needs an observation since the last reset")
         if len(self._order) != 1:
-            had = f"the last batch held environments {self._order}" if self._order else "no observation since the last reset"
-            raise PolicyStateError(f"get_action answers one environment, but there was {had}")
+            raise PolicyStateError(f"get_action answers one environment, but the last batch held {self._order}")
         return self.get_action_batch(self._order)[0]
 
-    def get_action_batch(self, env_idx_list: Optional[Sequence[int]] = None) -> list[list[ActionStep]]:
+    def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> list[list[ActionStep]]:
         """Return the action chunks of exactly these environments, in this order.
 
         Args:
@@ -189,9 +192,10 @@ class Policy:
 
         Raises:
             PolicyStateError: if an environment is unknown or repeated, or nothing was observed.
+            ObservationError: if an index is not a non-negative integer.
         """
         if env_idx_list is None:
-            if not self._order:
+            if self._order is None:
                 raise PolicyStateError("get_action_batch() needs an observation since the last reset")
             env_idx_list = self._order
         envs = [env_index(index) for index in env_idx_list]
@@ -208,7 +212,7 @@ class Policy:
         """Start a new episode in every environment. Calling it again changes nothing."""
         known = list(self._environments)
         self._environments.clear()
-        self._order = []
+        self._order = None
         # Seeds depend on the episode; a client that resets twice must not get other ones.
         self._episode += self._observed
         self._observed = False
@@ -226,7 +230,7 @@ class Policy:
             state.frames.append(_Frame(obs))
             state.step += 1
         self._order = envs
-        self._observed = True
+        self._observed |= bool(envs)
 
     def _new_environment(self, env: int) -> _Environment:
         self.reset_env(env)
@@ -249,19 +253,26 @@ class Policy:
         return [encodings[0]] * (self.history - len(encodings)) + encodings
 
     def _checked(self, raw: Any, envs: list[int]) -> list[np.ndarray]:
-        rows = [np.asarray(row) for row in raw]
+        if isinstance(raw, Mapping) or not hasattr(raw, "__iter__"):
+            raise ActionError(f"predict must return (B, H, D) or a list of (H, D), got {type(raw).__name__}")
+        rows = [np.asarray(row) if isinstance(row, (list, tuple)) else as_array(row) for row in raw]
         if len(rows) != len(envs):
             raise ActionError(f"predict must return one chunk per environment: expected {len(envs)}, got {len(rows)}")
         for env, row in zip(envs, rows):
             if row.ndim != 2:
                 raise ActionError(f"predict must return (H, D) per environment, got shape {row.shape} for {env}")
-            if self.chunk is not None and len(row) != self.chunk:
-                raise ActionError(f"the manifest declares chunks of {self.chunk} steps, predict returned {len(row)}")
         return rows
 
     def _decoded(self, raw: np.ndarray, state: _Environment, env: int) -> list[ActionStep]:
-        if self._ensembling is not None:
-            raw = ensemble(state.predictions, raw, state.step, self._ensembling)
         steps = self.decode(raw, state.frames[-1].obs, env)
         check_chunk(steps, self.embodiment, self.action_type)
-        return steps
+        if self.chunk is not None and len(steps) != self.chunk:
+            raise ActionError(f"the manifest declares chunks of {self.chunk} steps, this one has {len(steps)}")
+        return steps if self._ensembling is None else self._ensembled(steps, state, self._ensembling)
+
+    def _ensembled(self, steps: list[ActionStep], state: _Environment, decay: float) -> list[ActionStep]:
+        """Average a chunk with earlier ones: absolute actions, as `decode` returns, not what the model emits."""
+        newest = [pack(step, self.embodiment, self.action_type) for step in steps]
+        quaternions = quaternion_columns(self.embodiment, self.action_type)
+        averaged = ensemble(state.predictions, newest, state.step, decay, quaternions)
+        return decode_rows(averaged, self.embodiment, self.action_type)

@@ -1,17 +1,17 @@
 """The wire codec: frames of msgpack with numpy arrays, without I/O. Needs msgpack (extra `client`).
 
 An array is a map with bin keys `{b"nd": True, b"type": dtype.str, b"kind": b"", b"shape": [...], b"data": bytes}` in C
-order; numpy scalars have `b"nd": False`. Text keys are accepted when reading. Nothing is ever unpickled; object and date
-types are refused both ways. Decoded arrays are read-only. Source: spec/<version>/wire.yml.
+order; numpy scalars have `b"nd": False`. Text keys are accepted when reading. Nothing is ever unpickled; object and
+date types are refused both ways. Decoded arrays are read-only. Source: spec/<version>/wire.yml.
 """
 
 from __future__ import annotations
 
-import datetime
+import datetime as dt
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Optional
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from xpl.link import map_key
 
 _K = spec.ARRAY_KEYS
 _ND, _TYPE, _KIND, _SHAPE, _DATA, _COMPLEX = (_K[name] for name in ("nd", "type", "kind", "shape", "data", "complex"))
+
+SERVER_FAILED = 4011
+"""Close code of a server that cannot go on; the close reason says why, and trying again is in vain."""
 
 ELEMENTS = 1 << 22
 """Most entries of all lists and maps of one frame: a short frame of empty lists would else fill the memory."""
@@ -54,12 +57,12 @@ class WireError(ValueError):
         identifiers: what could still be read of the fields that an answer repeats.
     """
 
-    def __init__(self, message: str, identifiers: Optional[Mapping[str, Any]] = None) -> None:
+    def __init__(self, message: str, identifiers: Mapping[str, Any] | None = None) -> None:
         super().__init__(message)
         self.identifiers = dict(identifiers or {})
 
     @property
-    def message_id(self) -> Optional[str]:
+    def message_id(self) -> str | None:
         """The frame's id where it could still be read: then the frame can be answered."""
         return self.identifiers.get(spec.Frame.MESSAGE_ID)
 
@@ -72,11 +75,11 @@ class Frame:
     evaluation_id: str
     payload: dict[str, Any] = field(default_factory=dict)
     message_id: str = field(default_factory=lambda: uuid.uuid4().hex)
-    action_case_id: Optional[str] = None
-    trial_id: Optional[str] = None
-    repeat_index: Optional[int] = None
+    action_case_id: str | None = None
+    trial_id: str | None = None
+    repeat_index: int | None = None
     step: int = 0
-    sent_at: str = field(default_factory=lambda: datetime.datetime.now(datetime.timezone.utc).isoformat())
+    sent_at: str = field(default_factory=lambda: dt.datetime.now(dt.timezone.utc).isoformat())
 
     def answer(self, message_type: str, payload: dict[str, Any]) -> Frame:
         """Return an answer that repeats this request's identifiers."""
@@ -114,8 +117,8 @@ def decode(data: bytes) -> Frame:
     try:
         fields = _msgpack().unpackb(
             data,
-            object_hook=reader.map,
-            list_hook=reader.list,
+            object_hook=reader.on_map,
+            list_hook=reader.on_list,
             ext_hook=_refuse_extension,
             raw=False,
             strict_map_key=False,
@@ -131,11 +134,12 @@ def decode(data: bytes) -> Frame:
     _check_envelope(fields)
     if depth(fields[spec.Frame.PAYLOAD]) > spec.LIMITS["nesting"]:
         raise WireError(f"the payload is nested deeper than {spec.LIMITS['nesting']} levels", _identifiers(fields))
-    return Frame(**{name: fields.get(name) for name in _ENVELOPE})
+    known: dict[str, Any] = {name: fields.get(name) for name in _ENVELOPE}
+    return Frame(**known)
 
 
 def depth(value: Any) -> int:
-    """Return how deeply maps and lists are nested in a value; 0 for a scalar. Stops counting beyond the wire's limit."""
+    """Return how deeply maps and lists are nested in a value, 0 for a scalar; stops counting beyond the limit."""
     level = 0
     current = [value] if isinstance(value, (dict, list)) else []
     while current and level <= spec.LIMITS["nesting"]:
@@ -188,7 +192,7 @@ def _outgoing(value: Any, level: int) -> Any:
     """Return a value in types that msgpack knows: text keys only, arrays as maps."""
     if value is None or isinstance(value, (str, bytes, int, float)):
         return value
-    if level > spec.LIMITS["nesting"] + 1:  # the envelope is a level of its own
+    if level > spec.LIMITS["nesting"]:  # the envelope is level 0, the payload 1
         raise ValueError(f"it is nested deeper than {spec.LIMITS['nesting']} levels")
     if isinstance(value, Mapping):
         return {map_key(key): _outgoing(item, level + 1) for key, item in value.items()}
@@ -223,7 +227,7 @@ class _Reader:
     def __init__(self) -> None:
         self._left = ELEMENTS
 
-    def map(self, entries: dict[Any, Any]) -> Any:
+    def on_map(self, entries: dict[Any, Any]) -> Any:
         self._count(len(entries))
         by_name = {key.encode() if isinstance(key, str) else key: value for key, value in entries.items()}
         if isinstance(by_name.get(_ND), bool) and _TYPE in by_name and _DATA in by_name:
@@ -232,7 +236,7 @@ class _Reader:
             return _complex(by_name[_DATA])
         return entries if all(type(key) is str for key in entries) else _text_keys(entries)
 
-    def list(self, items: list[Any]) -> list[Any]:
+    def on_list(self, items: list[Any]) -> list[Any]:
         self._count(len(items))
         return items
 
@@ -247,7 +251,9 @@ def _array(fields: dict[Any, Any]) -> Any:
     if not isinstance(data, bytes):
         raise WireError(f"array data must be bytes, got {type(data).__name__}")
     dtype = parse_dtype(fields[_TYPE])
-    return from_data(data, dtype, fields.get(_SHAPE) if fields[_ND] else ())[() if not fields[_ND] else ...]
+    if not fields[_ND]:
+        return from_data(data, dtype, ())[()]
+    return from_data(data, dtype, fields.get(_SHAPE))
 
 
 def _complex(data: Any) -> complex:

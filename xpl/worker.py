@@ -22,7 +22,7 @@ import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Callable, Optional
+from typing import Any, Callable, NoReturn
 
 from xpl import _spec as spec
 from xpl import link
@@ -30,6 +30,10 @@ from xpl import link
 
 class LoadError(RuntimeError):
     """model.py does not offer what the contract asks for."""
+
+
+class UnknownMethodError(AttributeError):
+    """A call names a method that the adapter does not offer."""
 
 
 def load_model_class(policy_dir: Path) -> type:
@@ -85,7 +89,8 @@ class Worker:
         }
         try:
             return {"ok": operations[request["op"]](request)}
-        except Exception as error:  # noqa: BLE001 - whatever an adapter raises is reported, not fatal
+        # SystemExit, too: libraries that parse the command line end the process over an argument that is not theirs.
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever an adapter raises is reported, not fatal
             return {"error": describe(error)}
 
     def _load(self, request: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,7 +112,8 @@ class Worker:
 
     def _call(self, request: Mapping[str, Any]) -> Any:
         if request["method"] not in self._methods:
-            raise AttributeError(f"the adapter has no method {request['method']!r}; it has {', '.join(sorted(self._methods))}")
+            offered = ", ".join(sorted(self._methods))
+            raise UnknownMethodError(f"the adapter has no method {request['method']!r}; it has {offered}")
         return getattr(self._model, request["method"])(*request["args"])
 
     def _infer(self, request: Mapping[str, Any]) -> Any:
@@ -122,7 +128,8 @@ def describe(error: BaseException) -> dict[str, str]:
     """Return type, message and traceback of an exception, without this module's own frames."""
     frames = error.__traceback__.tb_next if error.__traceback__ else None
     text = "".join(traceback.format_exception(type(error), error, frames))
-    return {"type": type(error).__name__, "message": str(error) or type(error).__name__, "traceback": text}
+    message = f"the adapter called sys.exit({error.code!r})" if isinstance(error, SystemExit) else str(error)
+    return {"type": type(error).__name__, "message": message or type(error).__name__, "traceback": text}
 
 
 def main(descriptor: int) -> None:
@@ -135,7 +142,7 @@ def main(descriptor: int) -> None:
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the front end, which ends the worker in order
     channel = socket.socket(fileno=descriptor)
-    channel.setblocking(True)
+    channel.settimeout(None)
     requests: queue.Queue[Any] = queue.Queue()
     threading.Thread(target=_read_all, args=(channel, requests), daemon=True).start()
     worker = Worker()
@@ -145,27 +152,42 @@ def main(descriptor: int) -> None:
 
 def _read_all(channel: socket.socket, requests: queue.Queue[Any]) -> None:
     while True:
-        message = receive(channel)
+        try:
+            message = receive(channel)
+        except link.LinkError as error:
+            sys.stderr.write(f"[worker] {error}\n")
+            message = None
         if message is None:
-            os._exit(0)  # the front end is gone; the main thread may be deep inside the model
+            _end()
         requests.put(message)
+
+
+def _end() -> NoReturn:
+    """End at once, with all child processes: the front end is gone, the main thread may be deep inside the model."""
+    if os.getpid() == os.getpgrp():  # the front end starts a worker as the leader of a group of its own
+        os.killpg(os.getpgrp(), signal.SIGKILL)
+    os._exit(0)
 
 
 def _send(channel: socket.socket, answer: dict[str, Any]) -> None:
     try:
         pieces = link.encode(answer)
-    except link.LinkError as error:
+    except Exception as error:  # noqa: BLE001 - also what a library's own array type raises while it is converted
         pieces = link.encode({"error": {**describe(error), "unserialisable": True}})
     try:
         for piece in pieces:
             channel.sendall(piece)
     except OSError:
-        os._exit(0)
+        _end()
 
 
-def receive(channel: socket.socket) -> Optional[Any]:
-    """Return the next message of a blocking socket, or None at its end."""
-    prefix = _exactly(channel, 4)
+def receive(channel: socket.socket) -> Any | None:
+    """Return the next message of a blocking socket, or None at its end.
+
+    Raises:
+        LinkError: if what arrives is not a message.
+    """
+    prefix = _exactly(channel, link.PREFIX_BYTES)
     if prefix is None:
         return None
     header = _exactly(channel, link.header_length(bytes(prefix)))
@@ -178,7 +200,7 @@ def receive(channel: socket.socket) -> Optional[Any]:
     return link.decode(tree, [memoryview(buffer) for buffer in buffers if buffer is not None])
 
 
-def _exactly(channel: socket.socket, size: int) -> Optional[bytearray]:
+def _exactly(channel: socket.socket, size: int) -> bytearray | None:
     data = bytearray(size)
     view = memoryview(data)
     while view:

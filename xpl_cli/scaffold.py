@@ -81,7 +81,7 @@ def choices(version: str = spec.CURRENT) -> dict[str, list[str]]:
     """Return the answers that the spec allows, for the questions where it lists them."""
     return {
         "embodiment": list(spec.embodiments(version)),
-        "action_type": list(spec.data("conventions", version)["action"]["types"]),
+        sdk.Deploy.ACTION_TYPE: list(spec.data("conventions", version)["action"]["types"]),
         "family": list(spec.schema("policy", version)["properties"]["family"]["enum"]),
     }
 

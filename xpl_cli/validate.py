@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["Problem", "registry", "shape_text", "validate", "validate_yaml_file"]
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_MOST_LEVELS = 100
 _LOCAL_SYMBOLS = frozenset("HWN")
 # Kinds of numpy dtypes: signed and unsigned integers, floats.
 _KINDS = {"uint8": "u", "float": "f", "number": "iuf"}
@@ -230,11 +231,13 @@ def validate_yaml_file(
     """
     content = path.read_bytes()
     try:
+        if _is_too_deep(content):
+            return [Problem((), f"nested more than {_MOST_LEVELS} levels deep", file=str(path))]
         root = yaml.compose(content, Loader=_LOADER)
         data = yaml.load(content, Loader=_LOADER)  # noqa: S506 - a safe loader
     except yaml.YAMLError as error:
         return [_syntax_problem(error, path)]
-    except (ValueError, RecursionError) as error:  # a date such as 2024-99-99; nesting without end
+    except ValueError as error:  # a date such as 2024-99-99
         return [Problem((), f"this is not a document that can be read: {error}", file=str(path))]
     if root is None:
         return [Problem((), "the file is empty: expected a map", "a map", "nothing", file=str(path), line=1, column=1)]
@@ -242,6 +245,16 @@ def validate_yaml_file(
     found = [*_repeated_keys(root), *((problem, _locate(root, problem.path)) for problem in problems)]
     placed = [replace(problem, file=str(path), line=mark.line + 1, column=mark.column + 1) for problem, mark in found]
     return sorted(placed, key=lambda problem: (problem.line or 0, problem.column or 0))
+
+
+def _is_too_deep(content: bytes) -> bool:
+    """Tell whether a document is nested deeper than any honest one; libyaml's composer would overflow the stack."""
+    depth = 0
+    for event in yaml.parse(content, Loader=_LOADER):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MOST_LEVELS:
+            return True
+    return False
 
 
 def _syntax_problem(error: Exception, path: Path) -> Problem:

@@ -32,15 +32,14 @@ def new_policy(
     from xpl_cli import console, scaffold
 
     scaffold.check_name(name)
-    given = {
-        "embodiment": embodiment,
-        "action_type": action_type,
-        "chunk": chunk,
-        "family": family,
-        "eval_only": eval_only or None,
-        "python": python,
-    }
-    chosen = {key: value for key, value in given.items() if value is not None}
+    chosen = _given(
+        embodiment=embodiment,
+        action_type=action_type,
+        chunk=chunk,
+        family=family,
+        eval_only=eval_only or None,
+        python=python,
+    )
     if not as_json and not dry_run:
         chosen.update(_ask(chosen))
     answers = scaffold.Answers(name=name, **{**scaffold.defaults(), **chosen})
@@ -66,6 +65,10 @@ def new_policy(
     console.data(f"{target}: {_SENTENCE[state].format(count=len(files))}, {len(open_places)} places to fill in")
     for command in following:
         console.data(f"next: {command}")
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {question: answer for question, answer in options.items() if answer is not None}
 
 
 _SENTENCE = {

@@ -21,6 +21,9 @@ def serve(
     gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
     insecure: bool = typer.Option(False, "--insecure", help="Allow an address other than loopback."),
     debug: bool = typer.Option(False, "--debug", help="Send tracebacks to clients."),
+    until_stdin_ends: bool = typer.Option(
+        False, "--until-stdin-ends", help="End when standard input ends, for whoever starts servers."
+    ),
 ) -> None:
     """Serve a policy until interrupted; prints one JSON line on stdout when it is ready."""
     from xpl import _spec as spec
@@ -32,4 +35,13 @@ def serve(
         overrides[spec.Deploy.HOST] = host
     if port is not None:
         overrides[spec.Deploy.PORT] = port
-    run_server(package.load(policy), overrides, python=python, env=policy_env, gpu=gpu, insecure=insecure, debug=debug)
+    run_server(
+        package.load(policy),
+        overrides,
+        python=python,
+        env=policy_env,
+        gpu=gpu,
+        insecure=insecure,
+        debug=debug,
+        until_stdin_ends=until_stdin_ends,
+    )

@@ -72,9 +72,9 @@ def compile_(
     from xpl_cli.content import room
     from xpl_cli.spec_compile import compile_source
 
-    checkout = room("spec").parent
-    target = checkout / "xpl" / "_spec.py"
-    if not target.parent.samefile(Path(xpl.__file__).parent) if target.parent.is_dir() else True:
+    package = Path(xpl.__file__).resolve().parent
+    target = package / "_spec.py"
+    if room("spec").resolve().parent != package.parent:
         raise UserError("the standard is compiled in a checkout of xpl, and this xpl is an installed one")
     source = compile_source().encode()
     current = target.is_file() and target.read_bytes() == source

@@ -80,15 +80,18 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         ServerStartError: if it does not become ready.
     """
     command = [sys.executable, "-m", "xpl_cli", "serve", str(policy), "--port", "0", "--host", "localhost"]
+    # The server holds our end of its standard input: if this process is killed, the server notices and ends too.
+    command.append("--until-stdin-ends")
     for key, value in (overrides or {}).items():
         command += ["--set", f"{key}={json.dumps(value)}"]
     for option, value in (("--python", python), ("--policy-env", env), ("--gpu", gpu)):
         command += [option, value] if value is not None else []
     process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
     )
     server = RunningServer(url="", pid=process.pid)
-    assert process.stdout is not None  # noqa: S101 - for the type checker: PIPE was asked for
+    assert process.stdin is not None  # noqa: S101 - for the type checker: PIPE was asked for
+    assert process.stdout is not None  # noqa: S101
     assert process.stderr is not None  # noqa: S101
     reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
     reader.start()
@@ -98,6 +101,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     finally:
         _stop(process)
         reader.join()
+        process.stdin.close()
         process.stdout.close()
         process.stderr.close()
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import sys
 import time
+import traceback
 import uuid
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,8 +15,9 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
 from xpl import _spec as spec
-from xpl import images, wire
+from xpl import images, link, wire
 from xpl.observation import ObservationError
+from xpl.worker import UnknownMethodError
 from xpl_cli import __version__
 from xpl_cli.serving.session import Lease, Replay, RequestError, operation
 from xpl_cli.serving.worker_process import WorkerDiedError, WorkerError
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
     from xpl_cli.serving.worker_process import WorkerProcess
 
 _CLEAN_CODES = (1000, 1001)
+_CLOSE_REASON_BYTES = 123  # RFC 6455, section 5.5
+_DRAIN_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,8 @@ class FrontEnd:
         self._instance = uuid.uuid4().hex
         self._lease = Lease()
         self._replay = Replay()
+        self._turn = asyncio.Lock()
+        self._answers: dict[ServerConnection, set[asyncio.Task[None]]] = {}
         self.ready = asyncio.Event()
         self.failed: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
@@ -65,73 +72,105 @@ class FrontEnd:
             compression=None,  # images do not shrink, and deflating them costs more than the rest of the request
             max_size=spec.LIMITS["frame_bytes"],
             ping_interval=settings.ping_interval,
-            ping_timeout=settings.ping_timeout,
+            ping_timeout=None,  # see `_notice_dead_peer`
             close_timeout=settings.close_timeout,
         )
 
-    async def _connection(self, socket: ServerConnection) -> None:
-        tasks: set[asyncio.Task[None]] = set()
+    async def dismiss(self, reason: str) -> None:
+        """Let the answers under way reach their clients, then close every connection and tell why."""
+        answers = [task for tasks in self._answers.values() for task in tasks]
+        if answers:
+            await asyncio.wait(answers, timeout=_DRAIN_S)
+        short = reason.encode()[:_CLOSE_REASON_BYTES].decode(errors="ignore")
+        await asyncio.gather(*(connection.close(wire.SERVER_FAILED, short) for connection in self._answers))
+
+    async def _connection(self, connection: ServerConnection) -> None:
+        self._notice_dead_peer(connection)
+        answers = self._answers[connection] = set()
         try:
-            async for data in socket:
+            async for data in connection:
                 if isinstance(data, str):
-                    continue  # the wire is binary only
-                frame = await self._understood(socket, data)
+                    _log("ignored a text message: the wire is binary")
+                    continue
+                frame = await self._understood(connection, data)
                 if frame is None:
                     continue
                 if frame.message_type == spec.Message.CLOSE:
-                    self._lease.release(socket, clean=True)
-                    await socket.close()
+                    self._lease.release(connection, clean=True)
+                    await connection.close()
                     break
-                # A task per frame keeps heartbeats answered during inference; the worker keeps requests in order.
-                task = asyncio.create_task(self._answer(socket, frame))
-                tasks.add(task)
-                task.add_done_callback(tasks.discard)
+                # Begun here, so that requests run in the order in which they came; answered by a task, so that
+                # heartbeats are answered during inference.
+                task = asyncio.create_task(self._answer(connection, frame, self._begin(connection, frame)))
+                answers.add(task)
+                task.add_done_callback(answers.discard)
         except ConnectionClosed:
             pass
         finally:
-            self._lease.release(socket, clean=socket.close_code in _CLEAN_CODES)
+            # A hello that still waits for the model must not lease it to a connection that is gone.
+            for task in answers:
+                task.cancel()
+            del self._answers[connection]
+            self._lease.release(connection, clean=connection.close_code in _CLEAN_CODES)
 
-    async def _understood(self, socket: ServerConnection, data: bytes) -> wire.Frame | None:
+    def _notice_dead_peer(self, connection: ServerConnection) -> None:
+        """Have the kernel cut the connection if the peer's machine no longer acknowledges what is sent, pings included.
+
+        Not by a missing pong: clients in the field answer pings only while a call is under way.
+        """
+        interval, timeout = self._settings.ping_interval, self._settings.ping_timeout
+        if interval and timeout and hasattr(socket, "TCP_USER_TIMEOUT"):
+            raw = connection.transport.get_extra_info("socket")
+            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * (interval + timeout)))
+
+    async def _understood(self, connection: ServerConnection, data: bytes) -> wire.Frame | None:
         try:
             return wire.decode(data)
         except wire.WireError as error:
             _log(f"refused a frame: {error}")
             if error.message_id is not None:
-                refusal = RequestError(spec.ErrorCode.INVALID_FRAME, str(error))
-                frame = wire.Frame(spec.Message.ERROR, "", refusal.payload(), message_id=error.message_id)
-                await socket.send(wire.encode(frame))
+                refusal = RequestError(spec.ErrorCode.INVALID_FRAME, str(error)).payload()
+                known = {spec.Frame.EVALUATION_ID: "", **error.identifiers}
+                await connection.send(wire.encode(wire.Frame(spec.Message.ERROR, payload=refusal, **known)))
             return None
 
-    async def _answer(self, socket: ServerConnection, frame: wire.Frame) -> None:
+    async def _answer(self, connection: ServerConnection, frame: wire.Frame, pending: asyncio.Future[bytes]) -> None:
         try:
-            data = await self._answer_once(socket, frame)
-        except RequestError as error:
-            data = wire.encode(frame.answer(spec.Message.ERROR, error.payload()))
-        try:
-            await socket.send(data)
+            await connection.send(await pending)
         except ConnectionClosed:
             _log(f"the client left before the answer to its {frame.message_type}")
 
-    async def _answer_once(self, socket: ServerConnection, frame: wire.Frame) -> bytes:
-        kind = frame.message_type
-        if kind not in spec.ANSWERS:
-            known = ", ".join(spec.ANSWERS)
-            raise RequestError(
-                spec.ErrorCode.INVALID_FRAME, f"message_type {kind!r} is not a request; known are {known}"
-            )
-        if kind == spec.Message.HEARTBEAT:
-            return self._encoded(frame, {spec.Payload.OK: True})
-        if kind == spec.Message.HELLO:
-            await self.ready.wait()
-            self._lease.take(socket, frame.evaluation_id)
+    def _begin(self, connection: ServerConnection, frame: wire.Frame) -> asyncio.Future[bytes]:
+        """Decide at once what becomes of a request, and return its future answer."""
+        try:
+            kind = frame.message_type
+            if kind not in spec.ANSWERS:
+                raise _not_a_request(kind)
+            if kind == spec.Message.HEARTBEAT:
+                return _done(self._encoded(frame, {spec.Payload.OK: True}))
+            if kind == spec.Message.HELLO:
+                return asyncio.ensure_future(self._hello(connection, frame))
+            self._take_lease(connection, frame)
+            running = self._replay.find(frame)
+            if running is None:
+                running = asyncio.ensure_future(self._run(frame))
+                self._replay.add(frame, running)
+        except RequestError as error:
+            return _done(_refusal(frame, error))
+        # Not tied to the connection: a cut must not stop what a retry will ask for.
+        return asyncio.shield(running)
+
+    async def _hello(self, connection: ServerConnection, frame: wire.Frame) -> bytes:
+        await self.ready.wait()
+        try:
+            self._take_lease(connection, frame)
             return self._encoded(frame, self._greeting())
-        self._lease.take(socket, frame.evaluation_id)
-        running = self._replay.find(frame)
-        if running is None:
-            # Not tied to the connection: a cut must not stop what a retry will ask for.
-            running = asyncio.ensure_future(self._run(frame))
-            self._replay.add(frame, running)
-        return await asyncio.shield(running)
+        except RequestError as error:
+            return _refusal(frame, error)
+
+    def _take_lease(self, connection: ServerConnection, frame: wire.Frame) -> None:
+        if self._lease.take(connection, frame.evaluation_id):
+            self._replay.forget()
 
     def _greeting(self) -> dict[str, Any]:
         return {
@@ -145,13 +184,18 @@ class FrontEnd:
         try:
             return self._encoded(frame, await self._result(frame))
         except RequestError as error:
-            return wire.encode(frame.answer(spec.Message.ERROR, error.payload()))
+            return _refusal(frame, error)
+        except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
+            _log(traceback.format_exc().rstrip())
+            text = f"fault of the server: {type(error).__name__}: {error}"
+            return _refusal(frame, RequestError(spec.ErrorCode.INTERNAL, text))
 
     async def _result(self, frame: wire.Frame) -> dict[str, Any]:
         await self.ready.wait()
         planned = operation(frame)
         started = time.perf_counter()
-        result = await self._ask(await _decoded(planned.request), planned.failure)
+        async with self._turn:  # around the decoding, too: a request without images must not overtake one with them
+            result = await self._ask(await _decoded(planned.request), planned.failure)
         latency = (time.perf_counter() - started) * 1000.0
         if frame.message_type == spec.Message.INFER:
             passed = (
@@ -172,14 +216,17 @@ class FrontEnd:
         timeout = self._settings.request_timeout
         try:
             return await asyncio.wait_for(self._worker.request(**request), timeout)
+        except link.LinkError as error:
+            raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
         except WorkerError as error:
-            _log(error.trace.rstrip())
             if error.unserialisable:
-                raise RequestError(spec.ErrorCode.INTERNAL, str(error)) from None
-            if error.kind == AttributeError.__name__ and "has no method" in str(error):
+                _log(str(error))
+                raise RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {error}") from None
+            if error.kind == UnknownMethodError.__name__:
                 if request["method"] in spec.HOOKS:
                     return None  # hooks are optional
                 raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
+            _log(error.trace.rstrip())
             text = error.trace if self._settings.debug else f"{error.kind}: {error}"
             raise RequestError(failure, text) from None
         except WorkerDiedError as error:
@@ -220,6 +267,22 @@ async def _decoded(request: dict[str, Any]) -> dict[str, Any]:
         return await asyncio.to_thread(decode) if "observation" in request or request.get("args") else request
     except ObservationError as error:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
+
+
+def _done(data: bytes) -> asyncio.Future[bytes]:
+    future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+    future.set_result(data)
+    return future
+
+
+def _refusal(frame: wire.Frame, error: RequestError) -> bytes:
+    return wire.encode(frame.answer(spec.Message.ERROR, error.payload()))
+
+
+def _not_a_request(kind: str) -> RequestError:
+    known = kind == spec.Message.ERROR or kind in spec.ANSWERS.values()
+    code = spec.ErrorCode.UNKNOWN_MESSAGE_TYPE if known else spec.ErrorCode.INVALID_FRAME
+    return RequestError(code, f"message_type {kind!r} is not a request; requests are {', '.join(spec.ANSWERS)}")
 
 
 def _log(text: str) -> None:

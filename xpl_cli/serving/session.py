@@ -13,6 +13,8 @@ from xpl import wire
 if TYPE_CHECKING:
     import asyncio
 
+_OBS_TYPES: dict[str, type] = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}
+
 GRACE_S = 10.0
 """How long a lease outlives a connection that was cut: long enough to reconnect, short enough not to block others."""
 
@@ -64,8 +66,14 @@ def _contract_call(payload: dict[str, Any]) -> dict[str, Any]:
     name, obs = payload.get(spec.Payload.FUNC_NAME), payload.get(spec.Payload.OBS)
     if not isinstance(name, str) or name.startswith("_"):
         raise RequestError(spec.ErrorCode.INVALID_FRAME, f"call needs the name of a public method, got {name!r}")
-    if name in (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH) and obs is None:
-        raise RequestError(spec.ErrorCode.INVALID_FRAME, f"{name} needs a payload with obs")
+    wanted = _OBS_TYPES.get(name)
+    if wanted is not None and not isinstance(obs, wanted):
+        kind = "map" if wanted is dict else "list"
+        raise RequestError(
+            spec.ErrorCode.INVALID_FRAME, f"{name} needs a payload with obs, a {kind}; got {type(obs).__name__}"
+        )
+    if name == spec.Method.GET_ACTION and isinstance(obs, dict):
+        return {"op": "infer", "observation": obs}
     if name in (spec.Method.RESET, spec.Method.GET_ACTION):
         return _call(name)
     return _call(name) if obs is None else _call(name, obs)
@@ -84,20 +92,21 @@ class Lease:
     _evaluation: str | None = None
     _free_at: float = 0.0
 
-    def take(self, connection: object, evaluation_id: str) -> None:
-        """Give the worker to a connection.
+    def take(self, connection: object, evaluation_id: str) -> bool:
+        """Give the worker to a connection; return whether to a new client, not one that has it or came back for it.
 
         Raises:
             RequestError: `busy` if another connection has it, or may still come back for it.
         """
         if self._connection is connection:
-            return
+            return False
         returning = self._connection is None and self._evaluation == evaluation_id
         if not returning and (self._connection is not None or time.monotonic() < self._free_at):
             raise RequestError(
                 spec.ErrorCode.INTERNAL, "the policy server is in use by another client", spec.ErrorReason.BUSY
             )
         self._connection, self._evaluation = connection, evaluation_id
+        return not returning
 
     def release(self, connection: object, *, clean: bool) -> None:
         """Take the worker back; after a cut its client has `grace` seconds to come back."""
@@ -131,20 +140,29 @@ class Replay:
     def add(self, frame: wire.Frame, answer: asyncio.Future[bytes]) -> None:
         """Remember the answer to a request while it is computed and, within the limits, afterwards."""
         self.entries[frame.message_id] = (frame.message_type, answer)
-        answer.add_done_callback(self._finished)
+        answer.add_done_callback(lambda done: self._finished(frame.message_id, done))
 
-    def _finished(self, answer: asyncio.Future[bytes]) -> None:
-        if not answer.cancelled() and answer.exception() is None:
-            self.size += len(answer.result())
-        while self.entries and self._over():
+    def forget(self) -> None:
+        """Forget all answers: ids are unique for one client only, and some clients merely count."""
+        self.entries.clear()
+        self.size = 0
+
+    def _finished(self, message_id: str, answer: asyncio.Future[bytes]) -> None:
+        if self.entries.get(message_id, (None, None))[1] is not answer:
+            return  # forgotten in the meantime
+        self.size += _length(answer)
+        while self._over():
             oldest, (_, first) = next(iter(self.entries.items()))
             if not first.done():
                 return
             del self.entries[oldest]
-            if not first.cancelled() and first.exception() is None:
-                self.size -= len(first.result())
+            self.size -= _length(first)
 
     def _over(self) -> bool:
         return len(self.entries) > spec.LIMITS["replay_entries"] or (
             self.size > spec.LIMITS["replay_bytes"] and len(self.entries) > 1
         )
+
+
+def _length(answer: asyncio.Future[bytes]) -> int:
+    return 0 if answer.cancelled() or answer.exception() is not None else len(answer.result())

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import codecs
 import contextlib
 import os
 import signal
 import socket
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import xpl
 from xpl import link
+
+if TYPE_CHECKING:
+    from xpl.arrays import Data
 
 # Makes `import xpl` work in any interpreter without putting a folder on its path: nothing but the SDK becomes
 # importable. Python 3.9, standard library.
@@ -62,7 +66,7 @@ class WorkerProcess:
     async def start(cls, python: str, *, cwd: Path, gpu: str | None = None) -> WorkerProcess:
         """Start a worker in the interpreter `python`; it loads nothing yet."""
         ours, theirs = socket.socketpair()
-        ours.setblocking(False)
+        ours.settimeout(0.0)
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         # The tool's own path settings must not leak into the policy's interpreter.
         environment.pop("PYTHONHOME", None)
@@ -90,19 +94,27 @@ class WorkerProcess:
         """Send one request and return the adapter's result.
 
         Raises:
+            LinkError: if the request cannot travel; nothing was sent then.
             WorkerError: if the adapter raised.
             WorkerDiedError: if the process ended.
         """
+        pieces = link.encode(request)
         async with self._turn:
             try:
-                await self._send(request)
-                answer = await self._receive()
+                answer = await self._exchange(pieces)
             except (OSError, EOFError):
-                raise WorkerDiedError(await self._last_words()) from None
+                raise WorkerDiedError(await self.ended()) from None
+            except link.LinkError as error:
+                self._channel.close()
+                raise WorkerDiedError(f"the link to the worker broke: {error}") from None
+            except asyncio.CancelledError:
+                # Half an exchange: the next request would be given the answer to this one.
+                self._channel.close()
+                raise
         if "error" in answer:
-            error = answer["error"]
-            unserialisable = bool(error.get("unserialisable"))
-            raise WorkerError(error["type"], error["message"], error["traceback"], unserialisable=unserialisable)
+            raised = answer["error"]
+            unserialisable = bool(raised.get("unserialisable"))
+            raise WorkerError(raised["type"], raised["message"], raised["traceback"], unserialisable=unserialisable)
         return answer["ok"]
 
     async def stop(self, grace: float) -> None:
@@ -113,15 +125,23 @@ class WorkerProcess:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         await self._process.wait()
-        await self._output
+        # What has left the group and still holds the pipe would keep it open for ever.
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._output, grace)
 
-    async def _send(self, request: dict[str, Any]) -> None:
+    async def ended(self) -> str:
+        """Wait for the process to end and return how it did."""
+        code = await self._process.wait()
+        if code >= 0:
+            return f"the worker ended with exit code {code}"
+        names = {number.value: number.name for number in signal.Signals}
+        return f"the worker was ended by signal {names.get(-code, -code)}"
+
+    async def _exchange(self, pieces: list[Data]) -> Any:
         loop = asyncio.get_running_loop()
-        for piece in link.encode(request):
+        for piece in pieces:
             await loop.sock_sendall(self._channel, piece)
-
-    async def _receive(self) -> Any:
-        prefix = await self._exactly(4)
+        prefix = await self._exactly(link.PREFIX_BYTES)
         tree, sizes = link.parse_header(await self._exactly(link.header_length(bytes(prefix))))
         buffers = [memoryview(await self._exactly(size)) for size in sizes]
         return link.decode(tree, buffers)
@@ -140,15 +160,7 @@ class WorkerProcess:
     async def _copy_output(self) -> None:
         """Show what the adapter prints on our standard error; nobody else writes there mid-line."""
         stream = self._process.stdout
+        text = codecs.getincrementaldecoder("utf-8")(errors="replace")  # a chunk may end inside a character
         while stream is not None and (chunk := await stream.read(65536)):
-            sys.stderr.write(chunk.decode(errors="replace"))
+            sys.stderr.write(text.decode(chunk))
             sys.stderr.flush()
-
-    async def _last_words(self) -> str:
-        try:
-            code = await asyncio.wait_for(self._process.wait(), 5)
-        except TimeoutError:
-            return "the worker closed its link but still runs"
-        if code < 0:
-            return f"the worker was ended by signal {signal.Signals(-code).name}"
-        return f"the worker ended with exit code {code}"
