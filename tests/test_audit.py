@@ -161,9 +161,7 @@ def test_exit_code_is_the_worst_outcome_and_nothing_checked_is_not_clean(
     assert exit_code([target]) == code
 
 
-def test_a_crashing_rule_is_an_error_and_hides_no_other(
-    workspace: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_crashing_rule_is_an_error_and_hides_no_other(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its outcome is `error` with the place of the crash; rules after it still run."""
 
     def crash(path: Path) -> Iterator[Any]:

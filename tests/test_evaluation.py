@@ -68,7 +68,7 @@ def test_the_scripts_of_a_scaffold_run_a_debug_evaluation(tmp_path: Path) -> Non
     arguments = ["my bench", "echo", "ckpt", "arx_x5", "joint", "0", "0", "0", "none", "none"]
     environment = {**os.environ, "EVAL_ENV_TYPE": "debug", "XPL": str(tool)}
     done = subprocess.run(
-        ["bash", str(tmp_path / "policy/Foo/eval.sh"), *arguments],
+        ["/bin/bash", str(tmp_path / "policy/Foo/eval.sh"), *arguments],
         cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -9,8 +9,8 @@ from xpl import _spec as spec
 from xpl import get_embodiment
 from xpl.action import ActionError, pack
 from xpl.embodiment import _from_entry
-from xpl.poses import invert, transform
 from xpl.observation import ObservationError
+from xpl.poses import invert, transform
 from xpl_cli.content import load_module, room
 
 pytest.importorskip("mujoco")

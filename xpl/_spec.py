@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Obs:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     DATA_FORMAT_VERSION = "data_format_version"
     INSTRUCTION = "instruction"
@@ -23,7 +23,7 @@ class Obs:
 
 
 class Camera:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     COLOR = "color"
     DEPTH = "depth"
@@ -33,7 +33,7 @@ class Camera:
 
 
 class State:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     ARM_JOINT_STATE = "arm_joint_state"
     EE_JOINT_STATE = "ee_joint_state"
@@ -46,7 +46,7 @@ class State:
 
 
 class Deploy:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     POLICY_NAME = "policy_name"
     PROTOCOL = "protocol"
@@ -71,8 +71,25 @@ class Deploy:
     CLOSE_TIMEOUT_S = "close_timeout_s"
 
 
+class File:
+    """Names of the standard."""
+
+    README_MD = "README.md"
+    INIT_PY = "__init__.py"
+    INSTALL_SH = "install.sh"
+    EVAL_SH = "eval.sh"
+    SETUP_EVAL_POLICY_SERVER_SH = "setup_eval_policy_server.sh"
+    SETUP_EVAL_ENV_CLIENT_SH = "setup_eval_env_client.sh"
+    DEPLOY_YML = "deploy.yml"
+    DEPLOY_PY = "deploy.py"
+    MODEL_PY = "model.py"
+    PROCESS_DATA_SH = "process_data.sh"
+    TRAIN_SH = "train.sh"
+    POLICY_YML = "policy.yml"
+
+
 class Frame:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     MESSAGE_TYPE = "message_type"
     MESSAGE_ID = "message_id"
@@ -86,7 +103,7 @@ class Frame:
 
 
 class Message:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     HELLO = "hello"
     PREPARE_CASE = "prepare_case"
@@ -107,7 +124,7 @@ class Message:
 
 
 class Payload:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     ACTION_CASE_ID = "action_case_id"
     ACTIONS = "actions"
@@ -128,7 +145,7 @@ class Payload:
 
 
 class ErrorCode:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     INVALID_FRAME = "invalid_frame"
     UNKNOWN_MESSAGE_TYPE = "unknown_message_type"
@@ -140,7 +157,7 @@ class ErrorCode:
 
 
 class ErrorReason:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     BUSY = "busy"
     LOADING = "loading"
@@ -150,7 +167,7 @@ class ErrorReason:
 
 
 class Method:
-    """Key names of the schema."""
+    """Names of the standard."""
 
     UPDATE_OBS = "update_obs"
     UPDATE_OBS_BATCH = "update_obs_batch"

@@ -8,8 +8,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, Optional
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -39,13 +39,13 @@ class Arm:
     prefix: str
     dof: int
     ee_dim: int
-    joint_names: Optional[tuple[str, ...]]
-    lower: Optional[np.ndarray]
-    upper: Optional[np.ndarray]
-    velocity: Optional[np.ndarray]
-    home: Optional[np.ndarray]
+    joint_names: tuple[str, ...] | None
+    lower: np.ndarray | None
+    upper: np.ndarray | None
+    velocity: np.ndarray | None
+    home: np.ndarray | None
     gripper: str
-    stroke: Optional[float]
+    stroke: float | None
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def embodiment_names() -> list[str]:
     return sorted(spec.EMBODIMENTS)
 
 
-@lru_cache(maxsize=None)
+@cache
 def get_embodiment(name: str) -> Embodiment:
     """Return the embodiment `name`, which may be an alias such as `dual_x5`.
 
@@ -125,7 +125,7 @@ def _from_entry(entry: Mapping[str, Any]) -> Embodiment:
     return Embodiment(name=entry["name"], arms=arms, data=entry)
 
 
-def _column(joints: list[dict[str, Any]], key: str) -> Optional[np.ndarray]:
+def _column(joints: list[dict[str, Any]], key: str) -> np.ndarray | None:
     """Return one property of all joints as an array, or None unless it is known for every joint."""
     values = [joint.get(key) for joint in joints]
     return None if not values or any(value is None for value in values) else _frozen(values)

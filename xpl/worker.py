@@ -45,7 +45,7 @@ def load_model_class(policy_dir: Path) -> type:
     Raises:
         LoadError: if there is no model.py or no class `Model` in it.
     """
-    path = policy_dir / "model.py"
+    path = policy_dir / spec.File.MODEL_PY
     if not path.is_file():
         raise LoadError(f"{policy_dir} has no model.py")
     _offer_ecosystem(policy_dir)

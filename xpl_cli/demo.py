@@ -80,6 +80,7 @@ class Demo:
     def _serve(self, policy: str) -> None:
         """Serve the adapter in its own process and ask it for one chunk."""
         from xpl import Client, get_embodiment
+        from xpl import _spec as spec
         from xpl_cli import environments, package
         from xpl_cli.serving.launch import serving
 
@@ -87,7 +88,7 @@ class Demo:
         self.say(f"\n# {step.title}\n$ xpl serve {policy}")
         started = time.perf_counter()
         path = self.folder / policy
-        robot = get_embodiment(str(package.load(path).config()["env_cfg_type"]))
+        robot = get_embodiment(str(package.load(path).config()[spec.Deploy.ENV_CFG_TYPE]))
         obs = environments.module("offline", "scenario").observation(robot)
         with serving(path) as server, Client(server.url) as client:
             client.reset()

@@ -119,7 +119,7 @@ def environment_settings(request: Request, config: Mapping[str, Any]) -> dict[st
         "num_envs": request.num_envs,
         # Cameras cost most of a step: only who declares them gets them, and who has no manifest.
         "cameras": wanted is None or any(name.startswith(sdk.Obs.VISION) for name in wanted),
-        "privileged": wanted is not None and sdk.Obs.PRIVILEGED in wanted,
+        sdk.Obs.PRIVILEGED: wanted is not None and sdk.Obs.PRIVILEGED in wanted,
     }
 
 
@@ -131,7 +131,7 @@ def load_loop(policy_dir: Path, *, batch: bool) -> Callable[[Any, Any], None]:
     """
     single, batched = spec.data("package")["loop"]["functions"]
     name = batched if batch else single
-    path = policy_dir / "deploy.py"
+    path = policy_dir / sdk.File.DEPLOY_PY
     if not path.is_file():
         raise NotFoundError(f"{policy_dir} has no deploy.py")
     loop = getattr(content.load_module(path), name, None)
@@ -180,7 +180,7 @@ def _report(
         "environment": request.environment,
         "task": settings["task"],
         "embodiment": settings["embodiment"],
-        "action_type": settings[sdk.Deploy.ACTION_TYPE],
+        sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
         "episodes": episodes,
         "successes": won if judged else None,
         "success_rate": won / len(judged) if judged else None,

@@ -13,7 +13,9 @@ from xpl_cli.errors import NotFoundError, UserError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-Kind = str
+_MARKS = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML, sdk.File.POLICY_YML)
+"""Any of these files makes a folder an adapter."""
+
 POLICY, ENV = "policy", "env"
 
 
@@ -59,9 +61,7 @@ def find_policy(path: Path | str) -> Path:
     given = Path(path)
     candidates = [given, Path("policy") / given, content.room("policy") / given]
     for candidate in candidates:
-        if candidate.is_dir() and any(
-            (candidate / name).is_file() for name in ("model.py", "deploy.yml", "policy.yml")
-        ):
+        if candidate.is_dir() and any((candidate / name).is_file() for name in _MARKS):
             return candidate.resolve()
     if given.is_dir():
         raise NotFoundError(
@@ -78,7 +78,7 @@ def load(path: Path | str) -> Package:
         UserError: if a file is not a YAML map.
     """
     folder = find_policy(path)
-    return Package(path=folder, deploy=_map(folder / "deploy.yml"), manifest=_map(folder / "policy.yml"))
+    return Package(path=folder, deploy=_map(folder / sdk.File.DEPLOY_YML), manifest=_map(folder / sdk.File.POLICY_YML))
 
 
 def parse_overrides(settings: Sequence[str]) -> dict[str, Any]:

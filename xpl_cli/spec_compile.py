@@ -7,6 +7,7 @@ it needs are written once as Python literals. The file is committed and a test c
 from __future__ import annotations
 
 import pprint
+import re
 from typing import Any
 
 from xpl_cli import spec
@@ -40,6 +41,7 @@ def compile_source(version: str = spec.CURRENT) -> str:
         "Camera": list(camera),
         "State": [*leaves, *mobile],
         "Deploy": list(deploy["properties"]),
+        "File": [*package["files"]["required"], *package["files"]["training"], package["files"]["manifest"]],
         "Frame": list(spec.schema("frame", version)["properties"]),
         "Message": [*wire["answers"], *filter(None, wire["answers"].values()), wire["error_answer"]],
         "Payload": sorted(
@@ -92,8 +94,13 @@ def compile_source(version: str = spec.CURRENT) -> str:
 
 
 def _class(name: str, keys: list[str]) -> str:
-    body = "\n".join(f'    {key.upper()} = "{key}"' for key in dict.fromkeys(keys))
-    return f'class {name}:\n    """Key names of the schema."""\n\n{body}\n'
+    body = "\n".join(f'    {_constant(key)} = "{key}"' for key in dict.fromkeys(keys))
+    return f'class {name}:\n    """Names of the standard."""\n\n{body}\n'
+
+
+def _constant(name: str) -> str:
+    """Return the attribute under which a key or file name is reached: `env_idx` as ENV_IDX, `model.py` as MODEL_PY."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").upper()
 
 
 def _assignment(name: str, value: Any) -> str:

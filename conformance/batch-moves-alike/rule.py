@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import blame
 from xpl_cli.audit.simulation import Simulation
@@ -48,7 +49,7 @@ def batch_moves_alike(simulation: Simulation) -> Iterator[Finding]:
                 got="other commands",
                 evidence={
                     "task": task,
-                    "seed": seed,
+                    spec.Deploy.SEED: seed,
                     "step": step,
                     "alone": alone.commands[place][step].tolist(),
                     "beside": together.commands[place][step].tolist(),

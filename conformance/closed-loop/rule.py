@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import blame
 from xpl_cli.audit.simulation import ENVIRONMENT, STEPS, Simulation
@@ -37,6 +38,6 @@ def closed_loop(simulation: Simulation) -> Iterator[Finding]:
                 f"the closed loop of {task} breaks off after {played.steps} steps: {played.problem}",
                 expected=f"{STEPS} control steps without an error",
                 got=played.problem,
-                evidence={"task": task, "seed": played.seeds[0], "steps": played.steps},
+                evidence={"task": task, spec.Deploy.SEED: played.seeds[0], "steps": played.steps},
                 fix=Fix("command", f"xpl eval {simulation.probe.package.path} --env {ENVIRONMENT} --task {task}"),
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import Probe, same, varied
 
@@ -35,7 +36,7 @@ def inputs_matter(probe: Probe) -> Iterator[Finding]:
         if same(before, probe.answer(varied(obs, name))):
             yield Finding(
                 message=f"{name} is declared as required, but changing it changes nothing: the policy does not see it",
-                path="policy.yml",
+                path=spec.File.POLICY_YML,
                 expected=f"another action for another {name}, or {name} under inputs.unused",
                 got="the same action",
                 fix=Fix("advice", f"use {name} in encode, or move it to inputs.unused in policy.yml"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.probe import blame
 from xpl_cli.audit.simulation import Simulation
@@ -44,7 +45,7 @@ def same_seed_same_motion(simulation: Simulation) -> Iterator[Finding]:
             f"two runs of {task} with one seed move differently from step {step} on",
             expected=first.results[0]["digest"],
             got=again.results[0]["digest"],
-            evidence={"task": task, "seed": 1, "first_difference": step},
+            evidence={"task": task, spec.Deploy.SEED: 1, "first_difference": step},
             fix=Fix(
                 "advice", "draw random numbers from self.rng(env); declare deterministic: false if that is impossible"
             ),

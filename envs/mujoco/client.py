@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .episode import Episode
 
 NATIVE = "native"
-_RESET_OPTIONS = ("task", "privileged", "max_steps", "cameras", "setting")
+_RESET_OPTIONS = ("task", spec.Obs.PRIVILEGED, "max_steps", "cameras", "setting")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Config:
         robot = get_embodiment(self.embodiment)
         _one_of("task", self.task, facts["tasks"])
         _one_of("embodiment", robot.name, facts["ready"])
-        _one_of("action_type", self.action_type, facts["action_types"])
+        _one_of(spec.Deploy.ACTION_TYPE, self.action_type, facts["action_types"])
         _one_of("setting", self.setting, facts["settings"])
         arms = facts["tasks"][self.task]["arms"]
         if len(robot.arms) not in arms:

@@ -62,7 +62,7 @@ class Episode:
     def __init__(self, setup: Setup, seed: int, env_idx: int) -> None:
         facts = manifest()
         self._setup, self._seed, self._env_idx = setup, seed, env_idx
-        self._instruction: str = facts["tasks"][setup.task]["instruction"]
+        self._instruction: str = facts["tasks"][setup.task][spec.Obs.INSTRUCTION]
         self._frequency: float = facts["control_frequency"]
         scene = build_scene(setup.embodiment, facts)
         self._task = load_task(setup.task)(facts["tasks"][setup.task], facts["success"])
@@ -131,10 +131,10 @@ class Episode:
     def result(self) -> dict[str, Any]:
         """Return the episode's outcome so far: plain values, ready for a report."""
         return {
-            "env_idx": self._env_idx,
+            spec.Obs.ENV_IDX: self._env_idx,
             "task": self._setup.task,
-            "seed": self._seed,
-            "instruction": self._instruction,
+            spec.Deploy.SEED: self._seed,
+            spec.Obs.INSTRUCTION: self._instruction,
             "success": self._task.succeeded,
             "score": self._task.score,
             "stages": dict(self._task.stages),
@@ -156,7 +156,7 @@ class Episode:
 
     def _report(self, corrections: dict[str, dict[str, float]]) -> dict[str, Any]:
         return {
-            "env_idx": self._env_idx,
+            spec.Obs.ENV_IDX: self._env_idx,
             "step": self._steps,
             "end_reason": self.end_reason,
             "corrections": corrections,

@@ -80,8 +80,8 @@ class OfflineEnv:
         """Return one result per environment; there is no task to succeed at."""
         return [
             {
-                "env_idx": env,
-                "seed": seed,
+                spec.Obs.ENV_IDX: env,
+                spec.Deploy.SEED: seed,
                 "success": None,
                 "score": None,
                 "steps": self._steps,

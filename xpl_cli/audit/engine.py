@@ -38,7 +38,7 @@ class Options:
     overrides: dict[str, Any] = field(default_factory=dict)
     python: str | None = None
     env: str | None = None
-    progress: Progress = Progress()
+    progress: Progress = field(default_factory=Progress)
 
 
 def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) -> TargetReport:

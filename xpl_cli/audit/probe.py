@@ -413,7 +413,7 @@ def first_step(chunk: Any) -> dict[str, list[float]]:
 
 def blame(message: str, **details: Any) -> Finding:
     """Return a finding about behaviour: it lies in model.py, on no particular line."""
-    return Finding(message=message, path="model.py", **details)
+    return Finding(message=message, path=sdk.File.MODEL_PY, **details)
 
 
 def brief(value: Any) -> str:

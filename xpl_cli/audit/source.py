@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from xpl import _spec as sdk
 from xpl_cli import spec
 from xpl_cli.audit.model import NotRun
 
@@ -35,7 +36,7 @@ class Source:
     def files(self) -> tuple[str, ...]:
         """Names of the boundary's files, sorted."""
         names = {entry.name for entry in self.path.iterdir() if entry.is_file() and not entry.is_symlink()}
-        names |= {name for name in ("model.py", "deploy.py") if (self.path / name).is_file()}
+        names |= {name for name in (sdk.File.MODEL_PY, sdk.File.DEPLOY_PY) if (self.path / name).is_file()}
         return tuple(sorted(names | self._imported(names)))
 
     @cached_property
@@ -91,7 +92,7 @@ class Source:
             NotRun: if model.py does not parse or does not define it.
         """
         wanted = spec.data("package")["model_class"]
-        for node in ast.walk(self.tree("model.py")):
+        for node in ast.walk(self.tree(sdk.File.MODEL_PY)):
             if isinstance(node, ast.ClassDef) and node.name == wanted:
                 return node
         raise NotRun(f"model.py defines no class {wanted}")
@@ -104,17 +105,17 @@ class Source:
     @cached_property
     def deploy(self) -> dict[str, Any]:
         """The map in deploy.yml; empty if it is missing or no map, which the rule `deploy-config` reports."""
-        return self._yaml("deploy.yml")
+        return self._yaml(sdk.File.DEPLOY_YML)
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
         """The map in policy.yml; empty for an adapter of the ecosystem, which has none."""
-        return self._yaml("policy.yml")
+        return self._yaml(sdk.File.POLICY_YML)
 
     @property
     def is_ecosystem(self) -> bool:
         """Whether the adapter follows the field's layout, without a manifest of ours."""
-        return not self.has("policy.yml")
+        return not self.has(sdk.File.POLICY_YML)
 
     def _yaml(self, name: str) -> dict[str, Any]:
         import yaml
@@ -128,7 +129,7 @@ class Source:
     def _imported(self, top: set[str]) -> set[str]:
         """Return local modules below the folder that the boundary's own modules import, one level deep."""
         found: set[str] = set()
-        for name in sorted(top & {"model.py", "deploy.py"}):
+        for name in sorted(top & {sdk.File.MODEL_PY, sdk.File.DEPLOY_PY}):
             try:
                 tree = self.tree(name)
             except NotRun:

@@ -20,6 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli import spec
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def build(subject: Subject, target: Path) -> Path:
             stream.write(f"\n{added}")
     if subject.methods:
         # The class is the last thing in the scaffold's model.py.
-        with (target / "model.py").open("a", encoding="utf-8") as stream:
+        with (target / sdk.File.MODEL_PY).open("a", encoding="utf-8") as stream:
             stream.write("\n" + textwrap.indent(subject.methods, "    "))
     ignored = shutil.ignore_patterns(OVERLAY, "__pycache__")
     shutil.copytree(subject.folder, target, dirs_exist_ok=True, ignore=ignored)

@@ -18,9 +18,7 @@ def evaluate(
     settings: list[str] = SETTINGS,
     info: str | None = typer.Option(None, metavar="K=V,...", help="Further overrides in the launchers' form."),
     policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
-    eval_env: str | None = typer.Option(
-        None, help="Environment of the simulator; ours need none."
-    ),
+    eval_env: str | None = typer.Option(None, help="Environment of the simulator; ours need none."),
     policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
     env_gpu: str | None = typer.Option(None, help="Device of the simulator; ours need none."),
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
@@ -55,7 +53,8 @@ def evaluate(
     if as_json:
         console.data_json(report)
         return
-    played = f"{report['environment']}/{report['task']}, {report['embodiment']}, {report['action_type']} control"
+    control = report[spec.Deploy.ACTION_TYPE]
+    played = f"{report['environment']}/{report['task']}, {report['embodiment']}, {control} control"
     where = f"{report['policy']} on {played}"
     count = len(report["episodes"])
     if report["success_rate"] is None:
