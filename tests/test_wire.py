@@ -44,7 +44,7 @@ def meant(value: Any) -> Any:
         return np.array(items, dtype=dtype).reshape(array["shape"])
     if "scalar" in value:
         return np.dtype(value["scalar"]["dtype"]).type(value["scalar"]["item"])
-    if "complex" in value:
+    if isinstance(value.get("complex"), list):
         return complex(*value["complex"])
     if "bytes" in value:
         return bytes.fromhex(value["bytes"])

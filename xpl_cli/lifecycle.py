@@ -24,6 +24,9 @@ CONFIG_VARIABLE = "XPL_CONFIG"
 """Environment variable that hands the configuration of a run to an author's script, as JSON."""
 
 
+_WORKER_NEEDS = ("numpy",)
+
+
 def install(package: Package) -> str:
     """Make the interpreter that the manifest declares, and return it.
 
@@ -44,7 +47,7 @@ def install(package: Package) -> str:
     folder = package.path / (declared.get("name") or ".venv")
     existed = folder.is_dir()
     try:
-        _make_environment(folder, declared.get("requirements") or ())
+        _make_environment(folder, declared.get("python"), declared.get("requirements") or ())
     except BaseException:
         if not existed:
             shutil.rmtree(folder, ignore_errors=True)
@@ -78,19 +81,28 @@ def run_script(package: Package, name: str, overrides: Mapping[str, Any], gpu: s
         raise UserError(f"{script} failed with exit code {done.returncode}", code=ExitCode.NOT_RUN)
 
 
-def _make_environment(folder: Path, requirements: Sequence[str]) -> None:
-    wanted = list(requirements) or list(_default_requirements())
+def _make_environment(folder: Path, version: str | None, requirements: Sequence[str]) -> None:
+    wanted = list(requirements) or [*_WORKER_NEEDS]
     if uv := shutil.which("uv"):
-        _run([uv, "venv", "--quiet", "--allow-existing", "--python", sys.executable, str(folder)])
+        _run([uv, "venv", "--quiet", "--allow-existing", "--python", version or sys.executable, str(folder)])
         _run([uv, "pip", "install", "--quiet", "--python", str(folder / "bin" / "python"), *wanted])
         return
-    _run([sys.executable, "-m", "venv", str(folder)])
+    _run([_python(version), "-m", "venv", str(folder)])
     _run([str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted])
 
 
-def _default_requirements() -> tuple[str, ...]:
-    """Return what a worker needs at least."""
-    return ("numpy",)
+def _python(version: str | None) -> str:
+    """Return an interpreter of a version such as 3.10, or our own."""
+    if version is None:
+        return sys.executable
+    found = shutil.which(f"python{version}")
+    if found is None:
+        raise UserError(
+            f"there is no python{version} on PATH",
+            hint="install it, or install uv, which brings interpreters of any version",
+            code=ExitCode.NOT_RUN,
+        )
+    return found
 
 
 def _run(command: list[str]) -> None:

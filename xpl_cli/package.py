@@ -95,7 +95,7 @@ def parse_overrides(settings: Sequence[str]) -> dict[str, Any]:
         if not separator or not key:
             raise UserError(f"--set takes KEY=VALUE, got {setting!r}")
         try:
-            result[key] = yaml.safe_load(value)
+            result[key] = spec.parse_yaml(value)
         except yaml.YAMLError as error:
             raise UserError(f"--set {key}: {value!r} is not a YAML value ({type(error).__name__})") from None
     return result

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 CURRENT = "v1"
 """The spec version that this release scaffolds and audits by."""
 
+_MOST_LEVELS = 100
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -36,9 +37,23 @@ def folder(version: str = CURRENT) -> Path:
 
 
 def read_yaml(path: Path) -> Any:
-    """Parse one YAML file with the safe loader (libyaml's where it is built in)."""
-    with path.open("rb") as stream:
-        return yaml.load(stream, Loader=_Loader)  # noqa: S506 - _Loader is a safe loader
+    """Parse one YAML file (see `parse_yaml`)."""
+    return parse_yaml(path.read_bytes())
+
+
+def parse_yaml(content: bytes | str) -> Any:
+    """Parse YAML with the safe loader (libyaml's where it is built in).
+
+    Raises:
+        yaml.YAMLError: if it is not YAML, or nested deeper than any honest document: libyaml's composer would overflow
+            the stack of the process.
+    """
+    depth = 0
+    for event in yaml.parse(content, Loader=_Loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MOST_LEVELS:
+            raise yaml.YAMLError(f"nested more than {_MOST_LEVELS} levels deep")
+    return yaml.load(content, Loader=_Loader)  # noqa: S506 - _Loader is a safe loader
 
 
 @cache

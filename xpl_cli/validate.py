@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["Problem", "registry", "shape_text", "validate", "validate_yaml_file"]
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_MOST_LEVELS = 100
 _LOCAL_SYMBOLS = frozenset("HWN")
 # Kinds of numpy dtypes: signed and unsigned integers, floats.
 _KINDS = {"uint8": "u", "float": "f", "number": "iuf"}
@@ -231,10 +230,8 @@ def validate_yaml_file(
     """
     content = path.read_bytes()
     try:
-        if _is_too_deep(content):
-            return [Problem((), f"nested more than {_MOST_LEVELS} levels deep", file=str(path))]
+        data = spec.parse_yaml(content)
         root = yaml.compose(content, Loader=_LOADER)
-        data = yaml.load(content, Loader=_LOADER)  # noqa: S506 - a safe loader
     except yaml.YAMLError as error:
         return [_syntax_problem(error, path)]
     except ValueError as error:  # a date such as 2024-99-99
@@ -245,16 +242,6 @@ def validate_yaml_file(
     found = [*_repeated_keys(root), *((problem, _locate(root, problem.path)) for problem in problems)]
     placed = [replace(problem, file=str(path), line=mark.line + 1, column=mark.column + 1) for problem, mark in found]
     return sorted(placed, key=lambda problem: (problem.line or 0, problem.column or 0))
-
-
-def _is_too_deep(content: bytes) -> bool:
-    """Tell whether a document is nested deeper than any honest one; libyaml's composer would overflow the stack."""
-    depth = 0
-    for event in yaml.parse(content, Loader=_LOADER):
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > _MOST_LEVELS:
-            return True
-    return False
 
 
 def _syntax_problem(error: Exception, path: Path) -> Problem:
