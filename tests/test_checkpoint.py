@@ -33,7 +33,9 @@ def test_absolute_and_home_paths_are_kept(policy: Path, monkeypatch: pytest.Monk
     assert resolve({"model_path": "~/given"}, Path("/nowhere")) == policy / "given"
 
 
-def test_the_working_directory_plays_no_part(policy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: Any) -> None:
+def test_the_working_directory_plays_no_part(
+    policy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: Any
+) -> None:
     """An adapter is started from anywhere."""
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     (elsewhere / "only_here").mkdir()

@@ -41,7 +41,7 @@ def test_structured_arrays_survive_the_json_header() -> None:
     arrived = sent(array)
     assert arrived.shape == (2, 1)
     assert arrived.dtype == np.dtype([("a", "i1"), ("b", [("c", ">f4", (2,))]), ("d", "<U2")])
-    assert arrived.tolist() == array.tolist()
+    assert str(arrived) == str(array)
 
 
 @pytest.mark.parametrize(
@@ -70,8 +70,10 @@ def test_arrays_arrive_equal_and_read_only(array: np.ndarray) -> None:
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text() | st.binary(),
-    lambda inner: st.lists(inner, max_size=4)
-    | st.dictionaries(st.text() | st.sampled_from(["@", "@array", "@@bytes"]), inner, max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.text() | st.sampled_from(["@", "@array", "@@bytes"]), inner, max_size=4)
+    ),
     max_leaves=12,
 )
 
@@ -182,7 +184,9 @@ def test_a_stream_out_of_step_is_a_link_error(message: bytes) -> None:
 @given(st.data())
 def test_corrupt_messages_raise_nothing_else(data: st.DataObject) -> None:
     """Decoded or refused."""
-    good = bytearray(b"".join(link.encode({"a": np.arange(3), "b": [b"xy", 1.5, "z"], "@array": np.zeros(1, [("f", "i4")])})))
+    good = bytearray(
+        b"".join(link.encode({"a": np.arange(3), "b": [b"xy", 1.5, "z"], "@array": np.zeros(1, [("f", "i4")])}))
+    )
     for _ in range(data.draw(st.integers(1, 4))):
         good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
     try:

@@ -20,7 +20,7 @@ class UnknownEmbodimentError(LookupError):
     """No embodiment of this name is in the standard."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # there is one object of each robot; arrays have no single truth value
 class Arm:
     """One arm and its end effector.
 
@@ -48,7 +48,7 @@ class Arm:
     stroke: float | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Embodiment:
     """A robot: its arms in packing order, and the whole entry of the spec under `data`."""
 
@@ -96,13 +96,15 @@ def get_embodiment(name: str) -> Embodiment:
     """
     for entry in spec.EMBODIMENTS.values():
         if name == entry["name"] or name in entry.get("aliases", ()):
-            return _from_entry(entry)
+            return _build(entry["name"])
     near = difflib.get_close_matches(str(name), spec.EMBODIMENTS, n=2, cutoff=0.3)
     hint = f"; did you mean {' or '.join(near)}?" if near else ""
     raise UnknownEmbodimentError(f"unknown embodiment {name!r}: known are {', '.join(embodiment_names())}{hint}")
 
 
-def _from_entry(entry: Mapping[str, Any]) -> Embodiment:
+@cache
+def _build(name: str) -> Embodiment:
+    entry = spec.EMBODIMENTS[name]
     prefixes = spec.ARM_PREFIXES[len(entry["arms"])]
     model, effector = entry["arm"], entry["end_effector"]
     joints = model["joints"] or []

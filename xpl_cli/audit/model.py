@@ -117,12 +117,12 @@ class GateReport:
 
     @property
     def outcome(self) -> Outcome:
-        """The worst of the gate's results; `not_run` if no rule proved anything."""
+        """The worst of the gate's results; `not_applicable` if no rule had anything to prove."""
         outcomes = {result.outcome for result in self.results}
         for worst in (Outcome.FAIL, Outcome.ERROR, Outcome.NOT_RUN):
             if worst in outcomes:
                 return worst
-        return Outcome.PASS if outcomes & {Outcome.PASS, Outcome.WARN} else Outcome.NOT_RUN
+        return Outcome.PASS if outcomes & {Outcome.PASS, Outcome.WARN} else Outcome.NOT_APPLICABLE
 
     @property
     def finish(self) -> str | None:
@@ -152,11 +152,11 @@ class TargetReport:
 
     @property
     def verdict(self) -> str:
-        """`green` if everything that was asked for ran and held, `red` with a failure, else `incomplete`."""
-        outcomes = [gate.outcome for gate in self.gates]
-        if Outcome.FAIL in outcomes or Outcome.ERROR in outcomes:
+        """`green` if something was proved and all that was asked for held, `red` with a failure, else `incomplete`."""
+        outcomes = {gate.outcome for gate in self.gates}
+        if outcomes & {Outcome.FAIL, Outcome.ERROR}:
             return "red"
-        return "green" if outcomes and set(outcomes) == {Outcome.PASS} else "incomplete"
+        return "green" if _sound(outcomes) else "incomplete"
 
 
 def counted(results: Iterable[Result]) -> Counter[str]:
@@ -166,9 +166,14 @@ def counted(results: Iterable[Result]) -> Counter[str]:
 
 def exit_code(targets: Iterable[TargetReport]) -> ExitCode:
     """Return the exit code of an audit: findings before crashes before checks that could not run."""
-    outcomes = {gate.outcome for target in targets for gate in target.gates}
-    if Outcome.FAIL in outcomes:
+    outcomes = [{gate.outcome for gate in target.gates} for target in targets]
+    if any(Outcome.FAIL in found for found in outcomes):
         return ExitCode.FINDINGS
-    if Outcome.ERROR in outcomes:
+    if any(Outcome.ERROR in found for found in outcomes):
         return ExitCode.INTERNAL
-    return ExitCode.CLEAN if outcomes == {Outcome.PASS} else ExitCode.NOT_RUN
+    return ExitCode.CLEAN if outcomes and all(_sound(found) for found in outcomes) else ExitCode.NOT_RUN
+
+
+def _sound(outcomes: set[Outcome]) -> bool:
+    """Tell whether gates with these outcomes proved something and left nothing open."""
+    return Outcome.PASS in outcomes and outcomes <= {Outcome.PASS, Outcome.NOT_APPLICABLE}

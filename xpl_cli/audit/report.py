@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli import __version__, spec
-from xpl_cli.audit.model import Finding, GateReport, Outcome, Result, TargetReport, counted, exit_code
+from xpl_cli.audit.model import Finding, Gate, GateReport, Outcome, Result, TargetReport, counted, exit_code
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,8 +45,12 @@ def next_commands(reports: Sequence[TargetReport]) -> list[str]:
     incomplete = [report for report in reports if report.verdict != "green"]
     if incomplete:
         return [f"xpl audit {report.path} --format json" for report in incomplete]
-    policies = [report for report in reports if report.kind == "policy"]
-    return [f"xpl eval {report.path} --env mujoco --task lift_cube" for report in policies]
+    return [
+        f"xpl eval {report.path} --env {gate.name} --episodes 10"
+        for report in reports
+        for gate in report.gates
+        if gate.name is Gate.MUJOCO and gate.outcome is Outcome.PASS
+    ]
 
 
 def _target(report: TargetReport) -> dict[str, Any]:
@@ -124,25 +128,28 @@ def _gate_lines(gate: GateReport, report: TargetReport) -> list[Any]:
     from rich.text import Text
 
     colour, mark = _MARK[gate.outcome]
-    counts = counted(gate.results)
-    said = ", ".join(f"{counts[outcome]} {_MARK[outcome][1]}" for outcome in Outcome if counts[outcome])
-    head = Text.assemble(
-        (f"{gate.name:<8} ", "bold"), (f"{mark:<8}", colour), (f"{said}  ", ""), (f"{gate.seconds:.1f} s", "dim")
-    )
-    lines: list[Any] = [head]
+    head = Text.assemble((f"{gate.name:<8} ", "bold"), (f"{mark:<8}", colour))
     if gate.reason is not None:
-        return [Text.assemble((f"{gate.name:<8} ", "bold"), (f"{mark:<8}", colour), (gate.reason, ""))]
+        return [head.append(gate.reason)]
+    counts = counted(gate.results)
+    head.append(", ".join(f"{counts[outcome]} {_MARK[outcome][1]}" for outcome in Outcome if counts[outcome]))
+    lines: list[Any] = [head.append(f"  {gate.seconds:.1f} s", style="dim")]
+    lines += [_finding_lines(finding, result, report) for result in gate.results for finding in result.findings]
+    lines += [Text(f"  {line}") for line in _unproved(gate)]
+    return [*lines, Text(f"  {gate.finish}", style="dim")]
+
+
+def _unproved(gate: GateReport) -> list[str]:
+    """Say once for each reason which rules could not prove anything for it."""
+    shown = {Outcome.ERROR, Outcome.NOT_RUN} | ({gate.outcome} & {Outcome.NOT_APPLICABLE})
+    by_reason: dict[tuple[Outcome, str | None], list[str]] = {}
     for result in gate.results:
-        if result.findings:
-            lines.extend(_finding_lines(finding, result, report) for finding in result.findings)
-        elif result.outcome in (Outcome.ERROR, Outcome.NOT_RUN):
-            colour, mark = _MARK[result.outcome]
-            lines.append(
-                Text.assemble(("  ", ""), (f"{result.code} {result.slug} ", colour), (f"{mark}: {result.reason}", ""))
-            )
-    if gate.finish is not None:
-        lines.append(Text(f"  {gate.finish}", style="dim"))
-    return lines
+        if result.outcome in shown:
+            by_reason.setdefault((result.outcome, result.reason), []).append(f"{result.code} {result.slug}")
+    return [
+        f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {_MARK[outcome][1]}: {reason}"
+        for (outcome, reason), names in by_reason.items()
+    ]
 
 
 def _finding_lines(finding: Finding, result: Result, report: TargetReport) -> Any:

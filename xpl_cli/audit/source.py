@@ -5,15 +5,21 @@ from __future__ import annotations
 import ast
 import hashlib
 import io
+import re
 import tokenize
+import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli import spec
 from xpl_cli.audit.model import NotRun
+from xpl_cli.audit.shell import Command, parse
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.adapter import Adapter, Symbols
 
 SIZE_LIMIT = 2 * 1024 * 1024
 """Files beyond this many bytes are data, not source."""
@@ -23,21 +29,31 @@ _SOURCE_SUFFIXES = frozenset((".py", ".sh", ".yml", ".yaml", ".md", ".toml", ".t
 
 @dataclass
 class Source:
-    """The boundary of one adapter: the files directly in its folder, and local modules that model.py imports.
+    """The boundary of one adapter: what a reader of the adapter reads.
 
-    Vendored trees below it are not looked at. Paths are relative to the folder, with forward slashes.
+    That is the files directly in its folder, the local modules that model.py, deploy.py and process_data.py reach (into
+    a subfolder only one step, so that vendored trees are not looked at), and the Python files that process_data.sh
+    calls. Paths are relative to the
+    folder, with forward slashes.
     """
 
     path: Path
     _texts: dict[str, str] = field(default_factory=dict)
     _trees: dict[str, ast.Module] = field(default_factory=dict)
+    _lines: dict[str, list[str]] = field(default_factory=dict)
+    _commands: dict[str, list[Command]] = field(default_factory=dict)
+    _imports: dict[str, dict[str, str]] = field(default_factory=dict)
+    memory: dict[str, Symbols] = field(default_factory=dict)
 
     @cached_property
     def files(self) -> tuple[str, ...]:
         """Names of the boundary's files, sorted."""
+        named = (sdk.File.MODEL_PY, sdk.File.DEPLOY_PY)
         names = {entry.name for entry in self.path.iterdir() if entry.is_file() and not entry.is_symlink()}
-        names |= {name for name in (sdk.File.MODEL_PY, sdk.File.DEPLOY_PY) if (self.path / name).is_file()}
-        return tuple(sorted(names | self._imported(names)))
+        names |= {name for name in named if self.has(name)}
+        entries = [*named, f"{Path(sdk.File.PROCESS_DATA_SH).stem}.py"]
+        imported = {file for entry in entries for file in self.reached(entry)}
+        return tuple(sorted(names | imported | self._called_by(sdk.File.PROCESS_DATA_SH)))
 
     @cached_property
     def python_files(self) -> tuple[str, ...]:
@@ -80,67 +96,187 @@ class Source:
         """
         if name not in self._trees:
             try:
-                self._trees[name] = ast.parse(self.text(name), filename=name)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # an invalid escape is not ours to print
+                    self._trees[name] = ast.parse(self.text(name), filename=name)
             except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
                 raise NotRun(f"{name} does not parse: {error}") from None
         return self._trees[name]
-
-    def model_class(self) -> ast.ClassDef:
-        """Return the class `Model` of model.py.
-
-        Raises:
-            NotRun: if model.py does not parse or does not define it.
-        """
-        wanted = spec.data("package")["model_class"]
-        for node in ast.walk(self.tree(sdk.File.MODEL_PY)):
-            if isinstance(node, ast.ClassDef) and node.name == wanted:
-                return node
-        raise NotRun(f"model.py defines no class {wanted}")
 
     def record(self) -> str:
         """Return a hash of the boundary's files, for the gate's digest."""
         contents = "\0".join(f"{name}\0{self.text(name)}" for name in self.text_files)
         return hashlib.sha256(contents.encode(errors="replace")).hexdigest()[:16]
 
+    def yaml(self, name: str) -> Any:
+        """Return what a YAML file holds.
+
+        Raises:
+            NotRun: if there is no such file, or it does not parse; the rule `parses` reports where.
+        """
+        problem = self.yaml_problem(name)
+        if problem is not None:
+            raise NotRun(f"{name} does not parse: {problem[0]}")
+        return spec.read_yaml(self.path / name)
+
+    def yaml_problem(self, name: str) -> tuple[str, int, int] | None:
+        """Return why a YAML file does not parse, with line and column, or None if it does.
+
+        Raises:
+            NotRun: if there is no such file, or it is too large.
+        """
+        import yaml
+
+        self.text(name)
+        try:
+            spec.read_yaml(self.path / name)
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark
+            return str(error.problem or error), (mark.line + 1 if mark else 1), (mark.column + 1 if mark else 1)
+        except (ValueError, RecursionError, yaml.YAMLError) as error:
+            return " ".join(str(error).split()), 1, 1
+        return None
+
     @cached_property
     def deploy(self) -> dict[str, Any]:
-        """The map in deploy.yml; empty if it is missing or no map, which the rule `deploy-config` reports."""
-        return self._yaml(sdk.File.DEPLOY_YML)
+        """The map in deploy.yml; empty if it is missing or no map, which other rules report."""
+        return self._map(sdk.File.DEPLOY_YML)
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
         """The map in policy.yml; empty for an adapter of the ecosystem, which has none."""
-        return self._yaml(sdk.File.POLICY_YML)
+        return self._map(sdk.File.POLICY_YML)
 
     @property
     def is_ecosystem(self) -> bool:
         """Whether the adapter follows the field's layout, without a manifest of ours."""
         return not self.has(sdk.File.POLICY_YML)
 
-    def _yaml(self, name: str) -> dict[str, Any]:
-        import yaml
-
+    def _map(self, name: str) -> dict[str, Any]:
         try:
-            value = spec.read_yaml(self.path / name)
-        except (OSError, ValueError, RecursionError, yaml.YAMLError):
+            value = self.yaml(name)
+        except NotRun:
             return {}
         return value if isinstance(value, dict) else {}
 
-    def _imported(self, top: set[str]) -> set[str]:
-        """Return local modules below the folder that the boundary's own modules import, one level deep."""
-        found: set[str] = set()
-        for name in sorted(top & {sdk.File.MODEL_PY, sdk.File.DEPLOY_PY}):
-            try:
-                tree = self.tree(name)
-            except NotRun:
-                continue
-            for node in ast.walk(tree):
-                if isinstance(node, ast.ImportFrom) and node.module and node.level <= 1:
-                    candidate = node.module.replace(".", "/") + ".py"
-                    file = self.path / candidate
-                    if file.is_file() and file.resolve().is_relative_to(self.path.resolve()):
-                        found.add(candidate)
+    def reached(self, name: str) -> list[str]:
+        """Return a Python file and the adapter's own files that it imports, those in subfolders only one step deep."""
+        found = [name] if self.has(name) else []
+        for file in found:
+            if "/" not in file:
+                found += [other for other in dict.fromkeys(self.imports(file).values()) if other not in found]
         return found
+
+    def imports(self, name: str) -> dict[str, str]:
+        """Return the boundary's modules that a Python file imports: dotted name as written, to file."""
+        if name not in self._imports:
+            self._imports[name] = self._read_imports(name)
+        return self._imports[name]
+
+    def _read_imports(self, name: str) -> dict[str, str]:
+        found: dict[str, str] = {}
+        try:
+            tree = self.tree(name)
+        except NotRun:
+            return found
+        here = name.rpartition("/")[0]
+        for node in ast.walk(tree):
+            wanted: list[tuple[str, int]] = []
+            if isinstance(node, ast.Import):
+                wanted = [(alias.name, 0) for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                dot = "." if node.module else ""
+                wanted = [(node.module or "", node.level)]
+                wanted += [(f"{node.module or ''}{dot}{alias.name}", node.level) for alias in node.names]
+            for module, level in wanted:
+                file = self._module_file(module, level, here)
+                if file is not None and file != name:
+                    found["." * level + module] = file
+        return found
+
+    def at(self, name: str, node: ast.AST) -> dict[str, Any]:
+        """Return a node's place for a `Finding`: file, and 1-based lines and columns counted in characters."""
+        line, end = getattr(node, "lineno", 1), getattr(node, "end_lineno", None)
+        place = {"path": name, "line": line, "column": self._column(name, line, getattr(node, "col_offset", 0))}
+        if end is not None:
+            place |= {"end_line": end, "end_column": self._column(name, end, getattr(node, "end_col_offset", 0))}
+        return place
+
+    def commands(self, name: str) -> list[Command]:
+        """Return the commands of a shell script.
+
+        Raises:
+            NotRun: if there is no such file, or it is too large.
+        """
+        if name not in self._commands:
+            self._commands[name] = parse(self.text(name))
+        return self._commands[name]
+
+    @cached_property
+    def adapter(self) -> Adapter:
+        """The class `Model` and what it reaches.
+
+        Raises:
+            NotRun: if model.py does not parse or does not define it.
+        """
+        from xpl_cli.audit.adapter import Adapter, Symbols
+
+        return Adapter.of(self)
+
+    @cached_property
+    def conversion_files(self) -> tuple[str, ...]:
+        """The boundary's Python files that turn trajectories into training data."""
+        stem = Path(sdk.File.PROCESS_DATA_SH).stem
+        named = {name for name in self.python_files if Path(name).stem.startswith((stem, "convert"))}
+        return tuple(sorted(named | self._called_by(sdk.File.PROCESS_DATA_SH)))
+
+    def _column(self, name: str, line: int, offset: int) -> int:
+        """Turn an offset in UTF-8 bytes, as syntax trees have it, into a column."""
+        lines = self._lines.setdefault(name, self.text(name).split("\n"))
+        text = lines[line - 1] if line <= len(lines) else ""
+        return len(text.encode()[:offset].decode(errors="ignore")) + 1
+
+    def _module_file(self, module: str, level: int, here: str) -> str | None:
+        """Return the file of a module that an import names, if it is the adapter's own."""
+        base = Path(here)
+        for _ in range(level - 1):
+            if base == Path():
+                return None
+            base = base.parent
+        bases = [base] if level else [base, Path()]
+        for folder in bases if module else []:
+            candidate = (folder / module.replace(".", "/")).with_suffix(".py").as_posix()
+            if self._is_ours(candidate):
+                return candidate
+        return None
+
+    def _called_by(self, script: str) -> set[str]:
+        """Return the adapter's Python files that a script calls, by any prefix that ends in its own folder."""
+        if not self.has(script):
+            return set()
+        values: dict[str, str] = {}
+        found: set[str] = set()
+        for command in self.commands(script):
+            values.update({variable: _expanded(word.text, values) for variable, word in command.assignments})
+            for word in command.words:
+                for text in re.findall(r"[^\s\"'()=]+\.py\b", _expanded(word.raw, values)):
+                    parts = [part for part in text.split("/") if part not in {"", "."}]
+                    tails = ("/".join(parts[place:]) for place in range(len(parts)))
+                    found.update({next((tail for tail in tails if self._is_ours(tail)), "")} - {""})
+        return found
+
+    def _is_ours(self, name: str) -> bool:
+        file = self.path / name
+        try:
+            return file.is_file() and file.resolve().is_relative_to(self.path.resolve())
+        except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
+            return False
+
+
+def _expanded(text: str, values: dict[str, str]) -> str:
+    """Put the values of known variables into a word; substitutions and the unknown become a folder of no name."""
+    text = re.sub(r"\$\((?:[^()]|\([^()]*\))*\)", "", text)
+    return re.sub(r"\$\{?(\w+)(?::?[-=][^}]*)?\}?", lambda found: values.get(found.group(1), ""), text)
 
 
 def _decoded(data: bytes, *, python: bool) -> str:

@@ -1,0 +1,45 @@
+"""Fixtures of the tests that serve adapters: real processes, real sockets, ports that the system chooses."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import textwrap
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.peer import MARK, processes, wait_until
+from xpl_cli.serving.launch import RunningServer, serving
+
+
+@pytest.fixture(scope="module")
+def write_adapter(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return a function that writes an adapter package."""
+
+    def write(model: str, **manifest: Any) -> Path:
+        folder = tmp_path_factory.mktemp("policy") / "Subject"
+        folder.mkdir()
+        (folder / "model.py").write_text(textwrap.dedent(model), encoding="utf-8")
+        # JSON is YAML.
+        (folder / "deploy.yml").write_text(json.dumps({"env_cfg_type": "franka_single"}), encoding="utf-8")
+        (folder / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
+        return folder
+
+    return write
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., RunningServer]]:
+    """Return a function that serves an adapter until the test ends, and check that nothing is left then."""
+    mark = uuid.uuid4().hex
+    os.environ[MARK] = mark
+    try:
+        with contextlib.ExitStack() as stack:
+            yield lambda folder, **options: stack.enter_context(serving(folder, **options))
+        wait_until(lambda: not processes(mark), "all processes of the server are gone")
+    finally:
+        del os.environ[MARK]

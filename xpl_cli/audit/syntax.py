@@ -1,0 +1,178 @@
+"""Questions that rules ask of Python syntax trees. Names are compared as they are written: nothing is imported."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+FunctionNode = ast.FunctionDef | ast.AsyncFunctionDef
+SCOPES = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)
+LOOPS = (ast.For, ast.AsyncFor, ast.While, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+
+
+@dataclass(frozen=True)
+class KeyRead:
+    """`owner[key]`, `owner.get(key)` or `owner.get(key, default)` with a constant key."""
+
+    node: ast.expr
+    owner: ast.expr
+    key: str
+    default: ast.expr | None
+    required: bool
+
+
+def dotted(node: ast.AST) -> str:
+    """Return `a.b.c` for a chain of names, and "" for everything else."""
+    parts: list[str] = []
+    while isinstance(node, ast.Attribute):
+        parts.append(node.attr)
+        node = node.value
+    if not isinstance(node, ast.Name):
+        return ""
+    return ".".join([node.id, *reversed(parts)])
+
+
+def called(node: ast.AST) -> str:
+    """Return the dotted name of what a call calls; for `f(x).g()` the last name alone, "" if it is no call."""
+    if not isinstance(node, ast.Call):
+        return ""
+    return dotted(node.func) or (node.func.attr if isinstance(node.func, ast.Attribute) else "")
+
+
+def last(name: str) -> str:
+    """Return the last part of a dotted name."""
+    return name.rpartition(".")[2]
+
+
+def calls(node: ast.AST, *names: str) -> Iterator[ast.Call]:
+    """Yield every call below `node` whose last name is one of `names`."""
+    for child in ast.walk(node):
+        if isinstance(child, ast.Call) and last(called(child)) in names:
+            yield child
+
+
+def own(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield everything below `node` in source order, without entering nested functions and classes."""
+    for child in ast.iter_child_nodes(node):
+        yield child
+        if not isinstance(child, SCOPES):
+            yield from own(child)
+
+
+def parents(node: ast.AST) -> dict[ast.AST, ast.AST]:
+    """Return the parent of every node below `node`."""
+    return {child: parent for parent in ast.walk(node) for child in ast.iter_child_nodes(parent)}
+
+
+def enclosing(node: ast.AST, up: dict[ast.AST, ast.AST]) -> Iterator[ast.AST]:
+    """Yield the ancestors of a node, nearest first."""
+    while node in up:
+        node = up[node]
+        yield node
+
+
+def names(node: ast.AST) -> set[str]:
+    """Return every plain name that is read or written below `node`."""
+    return {child.id for child in ast.walk(node) if isinstance(child, ast.Name)}
+
+
+def texts(node: ast.AST) -> set[str]:
+    """Return every string constant below `node`, parts of f-strings included."""
+    return {child.value for child in ast.walk(node) if isinstance(child, ast.Constant) and isinstance(child.value, str)}
+
+
+def constant(node: ast.AST | None) -> object:
+    """Return the value of a constant, with its sign; Ellipsis, which no rule asks for, for everything else."""
+    if isinstance(node, ast.Constant):
+        return node.value
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub) and isinstance(node.operand, ast.Constant):
+        value = node.operand.value
+        return -value if isinstance(value, (int, float)) else ...
+    return ...
+
+
+def key_read(node: ast.AST) -> KeyRead | None:
+    """Return what a node reads from a map, or None if it reads nothing under a constant key."""
+    if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Load):
+        key = constant(node.slice)
+        return KeyRead(node, node.value, key, None, required=True) if isinstance(key, str) else None
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in {"get", "pop"}:
+        key = constant(node.args[0]) if node.args else ...
+        if isinstance(key, str):
+            return KeyRead(node, node.func.value, key, node.args[1] if len(node.args) > 1 else None, required=False)
+    return None
+
+
+def key_reads(node: ast.AST) -> Iterator[KeyRead]:
+    """Yield everything below `node` that reads a map under a constant key."""
+    for child in ast.walk(node):
+        found = key_read(child)
+        if found is not None:
+            yield found
+
+
+def self_attribute(node: ast.AST) -> str | None:
+    """Return `x` for `self.x`, whatever is then reached inside it: `self.x[0].y`, `self.x.append`."""
+    while isinstance(node, (ast.Attribute, ast.Subscript, ast.Starred)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "self":
+            return node.attr
+        node = node.value
+    return None
+
+
+def targets(node: ast.AST) -> list[ast.expr]:
+    """Return what a statement assigns to, tuples unpacked."""
+    found: list[ast.expr] = []
+    if isinstance(node, ast.Assign):
+        found = list(node.targets)
+    elif isinstance(node, (ast.AnnAssign, ast.AugAssign, ast.For, ast.AsyncFor, ast.NamedExpr)):
+        found = [node.target]
+    elif isinstance(node, ast.withitem) and node.optional_vars is not None:
+        found = [node.optional_vars]
+    flat: list[ast.expr] = []
+    for target in found:
+        flat.extend(target.elts if isinstance(target, (ast.Tuple, ast.List)) else [target])
+    return flat
+
+
+def parameters(function: FunctionNode) -> list[str]:
+    """Return the names of a method's positional parameters, without self."""
+    given = [argument.arg for argument in (*function.args.posonlyargs, *function.args.args)]
+    return given[1:] if given[:1] in (["self"], ["cls"]) else given
+
+
+def always_raises(body: list[ast.stmt]) -> bool:
+    """Tell whether a block certainly ends by raising."""
+    return any(isinstance(statement, ast.Raise) for statement in body)
+
+
+def leaves(body: list[ast.stmt]) -> bool:
+    """Tell whether a block ends by leaving its loop or function."""
+    return bool(body) and isinstance(body[-1], (ast.Return, ast.Raise, ast.Break, ast.Continue))
+
+
+def is_broad(handler: ast.ExceptHandler) -> bool:
+    """Tell whether a handler catches everything: bare, Exception or BaseException."""
+    if handler.type is None:
+        return True
+    caught = handler.type.elts if isinstance(handler.type, ast.Tuple) else [handler.type]
+    return any(last(dotted(entry)) in {"Exception", "BaseException"} for entry in caught)
+
+
+def is_conditional(node: ast.AST, function: ast.AST, up: dict[ast.AST, ast.AST]) -> bool:
+    """Tell whether a statement of a function runs only sometimes: inside a branch, or after one that may return."""
+    inner = node
+    for ancestor in enclosing(node, up):
+        if isinstance(ancestor, (ast.If, ast.IfExp, ast.ExceptHandler, ast.While, ast.Match, ast.BoolOp)):
+            return True
+        for block in ("body", "orelse", "finalbody"):
+            statements = getattr(ancestor, block, None)
+            if isinstance(statements, list) and inner in statements:
+                before = statements[: statements.index(inner)]
+                if any(isinstance(entry, ast.If) and leaves(entry.body) for entry in before):
+                    return True
+        if ancestor is function:
+            return False
+        inner = ancestor
+    return False
