@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
+import subprocess
 import textwrap
 import uuid
 from collections.abc import Callable, Iterator
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from tests.peer import MARK, processes, wait_until
 from xpl_cli.serving.launch import RunningServer, serving
 
@@ -43,3 +46,12 @@ def serve() -> Iterator[Callable[..., RunningServer]]:
         wait_until(lambda: not processes(mark), "all processes of the server are gone")
     finally:
         del os.environ[MARK]
+
+
+@pytest.fixture(scope="session")
+def old_python() -> str:
+    """Return a Python 3.9 with numpy that PATH has; the test is skipped if there is none."""
+    found = shutil.which("python3.9")
+    if not found or subprocess.run([found, "-c", "import numpy"], capture_output=True, check=False).returncode:
+        pytest.skip("no python3.9 with numpy on PATH")
+    return found

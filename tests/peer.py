@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import time
 import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 from xpl import wire
 
@@ -42,7 +43,8 @@ class Peer:
 
     def __init__(self, url: str, evaluation_id: str | None = None) -> None:
         self.evaluation_id = evaluation_id or uuid.uuid4().hex
-        self.socket: ClientConnection = connect(url, compression=None, max_size=None, proxy=None)
+        self._open = contextlib.ExitStack()
+        self.socket = self._open.enter_context(connect(url, compression=None, max_size=None, proxy=None))
 
     def send(self, message_type: str, payload: Mapping[str, Any] | None = None, **fields: Any) -> wire.Frame:
         """Send a request and return it."""
@@ -65,8 +67,8 @@ class Peer:
 
     def cut(self) -> None:
         """Lose the connection without a word of the protocol."""
-        self.socket.socket.close()
+        self.socket.socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Close the connection in order."""
-        self.socket.close()
+        self._open.close()

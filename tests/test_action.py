@@ -188,7 +188,7 @@ def test_ensembling_weights_by_hand() -> None:
 
 @given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), min_size=4, max_size=4))
 def test_the_sign_of_a_quaternion_does_not_matter(seed: int, flips: list[bool]) -> None:
-    """q and -q are one rotation: a model may give either at every step."""
+    """A rotation has two quaternions, q and -q: a model may give either at every step."""
     rng = np.random.default_rng(seed)
     robot = get_embodiment("arx_x5")
     columns = quaternion_columns(robot, "ee")

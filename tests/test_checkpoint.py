@@ -84,7 +84,7 @@ def test_seed_zero_is_part_of_a_run_name() -> None:
 
 @pytest.mark.parametrize("empty", [{}, {"ckpt_name": None}, {"ckpt_name": ""}, {"model_path": "", "ckpt_name": None}])
 def test_nothing_given_is_an_error(policy: Path, empty: dict[str, Any]) -> None:
-    """null and empty mean not given; the policy folder itself is never taken for a checkpoint."""
+    """Both null and empty mean not given; the policy folder itself is never taken for a checkpoint."""
     with pytest.raises(CheckpointError, match="no checkpoint is configured"):
         resolve(empty, policy)
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import io
 import zlib
 from typing import Any
@@ -119,10 +120,8 @@ def test_damaged_images_raise_nothing_else(kind: str, damage: list[tuple[int, in
     data = bytearray(images.encode_jpeg(picture()) if kind == "jpeg" else images.encode_png(picture()))
     for position, byte in damage:
         data[position % len(data)] = byte
-    try:
+    with contextlib.suppress(ObservationError):
         assert images.decode(bytes(data)).dtype == np.uint8
-    except ObservationError:
-        pass
 
 
 def test_a_small_file_cannot_unpack_to_gigabytes() -> None:

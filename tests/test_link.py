@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import tracemalloc
@@ -34,7 +35,7 @@ def sent(value: Any) -> Any:
 
 
 def test_structured_arrays_survive_the_json_header() -> None:
-    """JSON makes lists of tuples, and a dtype wants tuples; padding is dropped, nesting and fields of arrays are kept."""
+    """JSON makes lists of tuples, and a dtype wants tuples; padding is dropped, everything else is kept."""
     dtype = np.dtype([("a", "i1"), ("b", [("c", ">f4", (2,))]), ("d", "<U2")], align=True)
     array = np.zeros((2, 1), dtype)
     array["a"], array["b"]["c"], array["d"] = 3, [1.5, -2.5], "né"
@@ -189,10 +190,8 @@ def test_corrupt_messages_raise_nothing_else(data: st.DataObject) -> None:
     )
     for _ in range(data.draw(st.integers(1, 4))):
         good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
-    try:
+    with contextlib.suppress(LinkError):
         parse(bytes(good))
-    except LinkError:
-        pass
 
 
 @given(hnp.arrays(st.sampled_from([np.uint8, np.float32, np.int64]), hnp.array_shapes(min_dims=0, min_side=0)))

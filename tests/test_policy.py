@@ -140,7 +140,7 @@ class Memory(RuleBasedStateMachine):
     def act_for_some(self, envs: list[int]) -> None:
         """Exactly those, in that order; [] is answered by []; unknown and repeated ones are errors."""
         if len(set(envs)) != len(envs) or not set(envs) <= set(self.seen):
-            with pytest.raises(PolicyStateError, match="repeated|has no observation"):
+            with pytest.raises(PolicyStateError, match=r"repeated|has no observation"):
                 self.policy.get_action_batch(envs)
         else:
             self.check(self.policy.get_action_batch(envs), envs)
@@ -386,7 +386,7 @@ def test_ensembling_of_poses_ignores_the_sign_of_quaternions() -> None:
     ],
 )
 def test_a_setting_keeps_its_type(value: Any, default: Any, result: Any) -> None:
-    """null means not given; a whole number may stand for a float."""
+    """A null means not given; a whole number may stand for a float."""
     got = Tracing(config(key=value)).setting("key", default)
     assert (got, type(got)) == (result, type(result))
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import tracemalloc
@@ -31,7 +32,7 @@ def data_of(entry: dict[str, Any]) -> bytes:
     return b"".join(bytes.fromhex(piece) for piece, _ in entry["bytes"])
 
 
-def meant(value: Any) -> Any:
+def meant(value: Any) -> Any:  # noqa: PLR0911 - one for each kind of value
     """Return the value that the JSON of a golden vector stands for."""
     if isinstance(value, list):
         return [meant(item) for item in value]
@@ -397,7 +398,7 @@ def test_a_declared_size_allocates_nothing(dtype: str, shape: list[int]) -> None
 
 HOSTILE = st.recursive(
     st.none() | st.booleans() | st.integers(-5, 5) | st.floats() | st.text(max_size=3) | st.binary(max_size=9)
-    | st.sampled_from(["<f4", "|O", "<M8[s]", "f4,f4", "(2,)f4", "|V0", "?", "|S0", "float32", b"<f4", "1+2j", "((((", ">U1"]),
+    | st.sampled_from(["<f4", "|O", "<M8[s]", "f4,f4", "(2,)f4", "|V0", "?", "|S0", "float32", b"<f4", "2j", "(("]),
     lambda inner: st.lists(inner, max_size=3)
     | st.dictionaries(
         st.sampled_from([*spec.ARRAY_KEYS, *spec.ARRAY_KEYS.values(), 3, 1.5, None, True]), inner, max_size=5
@@ -443,10 +444,8 @@ def test_corrupt_frames_raise_nothing_else(changes: list[tuple[int, int]]) -> No
     data = bytearray(GOOD)
     for position, byte in changes:
         data[position] = byte
-    try:
+    with contextlib.suppress(WireError):
         assert isinstance(wire.decode(bytes(data)), Frame)
-    except WireError:
-        pass
 
 
 @settings(max_examples=300)

@@ -86,6 +86,7 @@ class Client:
         self._trial_id = trial_id
         self._step = 0
         self._socket: Any = None
+        self._open = contextlib.ExitStack()
         self._held: list[Mapping[str, Any]] = []
         self.server_instance_id: str | None = None
         self._connect()
@@ -294,7 +295,8 @@ class Client:
         known = inspect.signature(connect).parameters
         options.update({name: value for name, value in later.items() if name in known})
         try:
-            self._socket = connect(self._url, **options)
+            # As a context, which is the one form that all versions of websockets take.
+            self._socket = self._open.enter_context(connect(self._url, **options))
         except InvalidURI as error:
             raise ServerConnectionError(
                 f"a policy server's address is ws://host:port, got {self._url!r}: {error}"
@@ -312,10 +314,9 @@ class Client:
 
     def _drop(self) -> None:
         """Close the connection, if there is one, without a goodbye."""
-        socket, self._socket = self._socket, None
-        if socket is not None:
-            with contextlib.suppress(Exception):
-                socket.close()
+        self._socket = None
+        with contextlib.suppress(Exception):
+            self._open.close()
 
 
 def _deadline(seconds: float | None) -> float:

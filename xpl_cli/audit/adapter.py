@@ -105,8 +105,13 @@ class Adapter:
             raise NotApplicable(f"model.py takes {wanted} from a package that is not part of the adapter")
         if found is None:
             raise NotRun(f"model.py defines no class {wanted}")
-        adapter = cls(source, *found)
-        adapter._inherit(adapter.file, adapter.node, set())
+        return cls.described(source, *found)
+
+    @classmethod
+    def described(cls, source: Source, file: str, node: ast.ClassDef) -> Adapter:
+        """Describe a class of the boundary."""
+        adapter = cls(source, file, node)
+        adapter._inherit(file, node, set())
         return adapter
 
     def _inherit(self, file: str, node: ast.ClassDef, seen: set[str]) -> None:
@@ -163,6 +168,30 @@ class Adapter:
                     yield self.methods[node.attr]
             elif isinstance(node, ast.Name) and node.id in local and isinstance(node.ctx, ast.Load):
                 yield local[node.id]
+
+    @cached_property
+    def components(self) -> dict[str, Adapter]:
+        """Attributes that hold an object of another class of the boundary, with that class."""
+        found: dict[str, Adapter] = {}
+        for function in self.reach(*LOADING):
+            for node in function.nodes:
+                made = self._made(function, node.value) if isinstance(node, ast.Assign) else None
+                for target in targets(node) if made is not None else []:
+                    attribute = _plain_attribute(target)
+                    if attribute is not None and made is not None:
+                        found[attribute] = made
+        return found
+
+    def _made(self, function: Function, value: ast.expr, depth: int = 2) -> Adapter | None:
+        """Return the class of what an expression makes: a constructor, or a function that returns one's result."""
+        if not isinstance(value, ast.Call) or depth == 0:
+            return None
+        cls = symbols(self.source, function.file).classes.get(dotted(value.func))
+        if cls is not None:
+            return Adapter.described(self.source, *cls)
+        maker = self._callee(function, value)
+        returned = [node.value for node in maker.nodes if isinstance(node, ast.Return) and node.value] if maker else []
+        return self._made(maker, returned[-1], depth - 1) if maker and returned else None
 
     @cached_property
     def settings(self) -> list[Setting]:

@@ -44,7 +44,7 @@ def next_commands(reports: Sequence[TargetReport]) -> list[str]:
         return [*(f"xpl explain {code}" for code in codes[:3]), f"xpl audit {paths}"]
     incomplete = [report for report in reports if report.verdict != "green"]
     if incomplete:
-        return [f"xpl audit {report.path} --format json" for report in incomplete]
+        return [f"xpl serve {report.path}" for report in incomplete]
     return [
         f"xpl eval {report.path} --env {gate.name} --episodes 10"
         for report in reports

@@ -79,7 +79,7 @@ class FrontEnd:
     async def dismiss(self, reason: str) -> None:
         """Let the answers under way reach their clients, then close every connection and tell why."""
         answers = [task for tasks in self._answers.values() for task in tasks]
-        if answers:
+        if answers and self.ready.is_set():  # otherwise all of them wait for a model that will not come
             await asyncio.wait(answers, timeout=_DRAIN_S)
         short = reason.encode()[:_CLOSE_REASON_BYTES].decode(errors="ignore")
         await asyncio.gather(*(connection.close(wire.SERVER_FAILED, short) for connection in self._answers))

@@ -1,0 +1,1 @@
+from my_policy.adapter import MyPolicy as Model

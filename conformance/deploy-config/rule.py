@@ -1,0 +1,51 @@
+"""XPL103: deploy.yml has the required keys with sensible values, and names the folder it lies in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.source import Source
+
+
+@rule(code="XPL103", slug="deploy-config", gate="static", requirement="XPL-CFG-1")
+def deploy_config(source: Source) -> Iterator[Finding]:
+    """deploy.yml lacks a required key, has a value of the wrong kind, or names another policy.
+
+    ## What it does
+    Validates `deploy.yml` against the schema of the standard and compares `policy_name` with the folder's name.
+
+    ## Why it matters
+    Launchers override these keys and pass them on. A missing one stops the run, or worse, is replaced by somebody's
+    default; with a wrong `policy_name` another adapter is evaluated.
+
+    ## Example
+    A copy of an adapter whose `policy_name` still names the original.
+
+    ## Use instead
+    `xpl spec show deploy` lists the keys, their kinds and their defaults. null means not given.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    from xpl_cli.problems import path_text
+    from xpl_cli.validate import validate_yaml_file
+
+    name = sdk.File.DEPLOY_YML
+    values = source.yaml(name)
+    for problem in validate_yaml_file(source.path / name, "deploy"):
+        yield Finding(
+            f"launchers cannot rely on {path_text(problem.path) or name}: {problem.message}",
+            path=name, line=problem.line, column=problem.column, expected=problem.expected, got=problem.got,
+            fix=Fix("command", "xpl spec show deploy"),
+        )  # fmt: skip
+    given = values.get(sdk.Deploy.POLICY_NAME) if isinstance(values, dict) else None
+    if isinstance(given, str) and given != source.path.name:
+        line = next((number for number, text in enumerate(source.text(name).split("\n"), start=1)
+                     if text.startswith(sdk.Deploy.POLICY_NAME)), 1)  # fmt: skip
+        yield Finding(
+            f"launchers look for the policy {given}, but this is {source.path.name}",
+            path=name, line=line, column=1, expected=source.path.name, got=given,
+            fix=Fix("safe_edit", f"{sdk.Deploy.POLICY_NAME}: {source.path.name}"),
+        )  # fmt: skip

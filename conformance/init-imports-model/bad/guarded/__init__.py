@@ -1,0 +1,4 @@
+try:
+    from .model import *
+except ImportError:
+    pass

@@ -1,0 +1,5 @@
+from .model import Model
+
+
+def make(config):
+    return Model(config)

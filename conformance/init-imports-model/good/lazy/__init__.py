@@ -1,0 +1,4 @@
+def get_model(config):
+    from .model import Model
+
+    return Model(config)

@@ -1,0 +1,81 @@
+"""XPL102: Every file of the boundary parses, and no merge conflict is left in one."""
+
+from __future__ import annotations
+
+import ast
+import re
+import warnings
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit.source import Source
+
+_CONFLICT = re.compile(r"^(<{7} |>{7} |\|{7} )")
+_DATA = (".yml", ".yaml")
+
+
+@rule(code="XPL102", slug="parses", gate="static", requirement="XPL-PKG-4")
+def parses(source: Source) -> Iterator[Finding]:
+    """A file does not parse, or a merge conflict is left in it.
+
+    ## What it does
+    Parses every Python and YAML file of the boundary, and looks for the markers that git leaves at a conflict.
+
+    ## Why it matters
+    A script with a marker in it fails when it is run, often hours after the job was queued. What does not parse cannot
+    be checked any further either.
+
+    ## Example
+    `<<<<<<< HEAD` in `train.sh`, after a merge that was committed unresolved.
+
+    ## Use instead
+    Resolve the conflict and commit again; `python -m py_compile model.py` shows that a module parses.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for name in source.text_files:
+        yield from _conflicts(source, name)
+    for name in source.python_files:
+        yield from _python(source, name)
+    for name in source.text_files:
+        if name.endswith(_DATA):
+            problem = source.yaml_problem(name)
+            if problem is not None:
+                message, line, column = problem
+                yield Finding(
+                    f"{name} cannot be read, so that none of its values arrive: {message}",
+                    path=name, line=line, column=column, expected="YAML", got=message,
+                    fix=Fix("advice", "mend the syntax at this place"),
+                )  # fmt: skip
+
+
+def _conflicts(source: Source, name: str) -> Iterator[Finding]:
+    for number, line in enumerate(source.text(name).split("\n"), start=1):
+        if _CONFLICT.match(line):
+            yield Finding(
+                f"a merge conflict is left in {name}: whoever runs it gets an error, or both versions",
+                path=name, line=number, column=1, expected="one version", got=line[:40],
+                fix=Fix("advice", "keep one side and delete the markers"),
+            )  # fmt: skip
+            return
+
+
+def _python(source: Source, name: str) -> Iterator[Finding]:
+    try:
+        text = source.text(name)
+    except NotRun as reason:
+        yield Finding(f"{name} cannot be checked: {reason}", path=name, expected="source text", got=str(reason))
+        return
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            ast.parse(text, filename=name)
+    except SyntaxError as error:
+        yield Finding(
+            f"{name} does not parse: importing it fails",
+            path=name, line=error.lineno or 1, column=max(error.offset or 1, 1), expected="Python", got=error.msg,
+            fix=Fix("advice", "mend the syntax at this place"),
+        )  # fmt: skip
+    except (ValueError, RecursionError, MemoryError) as error:
+        yield Finding(f"{name} does not parse: {error}", path=name, expected="Python", got=str(error))

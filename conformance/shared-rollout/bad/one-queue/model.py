@@ -1,0 +1,30 @@
+class Model:
+    def __init__(self, config):
+        self.observed = []
+
+    def update_obs(self, obs):
+        self.update_obs_batch([obs])
+
+    def update_obs_batch(self, obs_list):
+        self.observed = obs_list
+
+    def get_action(self):
+        return self.get_action_batch()[0]
+
+    def reset(self):
+        self.observed = []
+
+    def act(self, obs):
+        return [obs["state"]]
+
+    def get_action_batch(self, env_idx_list=None):
+        chunks = []
+        for env in env_idx_list:
+            self.update_obs(self.by_env[env])
+            chunks.append(self.next_chunk())
+        return chunks
+
+    def next_chunk(self):
+        if not self.pending:
+            self.pending.extend(self.act(self.observed[0]))
+        return [self.pending.popleft()]
