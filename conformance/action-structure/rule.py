@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, blame, shapes, structure_problem
+from xpl_cli.audit.compare import shapes, structure_problem
+from xpl_cli.audit.probe import Probe, blame
 
 
 @rule(code="XPL202", slug="action-structure", gate="offline", requirement="XPL-ACT-1")

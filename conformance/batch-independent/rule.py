@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, answers, blame, difference, first_step
+from xpl_cli.audit.compare import answers, difference, first_step
+from xpl_cli.audit.probe import Probe, blame
 
 
 @rule(code="XPL207", slug="batch-independent", gate="offline", requirement="XPL-BAT-5")

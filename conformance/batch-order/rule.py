@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, answers, blame, brief, difference, first_step, mistaken
+from xpl_cli.audit.compare import answers, brief, difference, first_step, mistaken
+from xpl_cli.audit.probe import Probe, blame
 
 
 @rule(code="XPL203", slug="batch-order", gate="offline", requirement="XPL-BAT-1")

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, blame, difference
+from xpl_cli.audit.compare import difference
+from xpl_cli.audit.probe import Probe, blame
 
 
 @rule(code="XPL206", slug="batch-without-index", gate="offline", requirement="XPL-BAT-4")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotRun, rule
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import last, called
+from xpl_cli.audit.syntax import called, last
 
 _CONSEQUENCE = "a client that calls it gets an error"
 

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, same, varied
+from xpl_cli.audit.compare import same
+from xpl_cli.audit.inputs import varied
+from xpl_cli.audit.probe import Probe
 
 
 @rule(code="XPL212", slug="inputs-matter", gate="offline", requirement="XPL-OBS-6")

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, blame, difference
+from xpl_cli.audit.compare import difference
+from xpl_cli.audit.probe import Probe, blame
 
 
 @rule(code="XPL216", slug="lists-and-extras", gate="offline", requirement="XPL-OBS-1")

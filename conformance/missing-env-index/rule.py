@@ -9,7 +9,7 @@ from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import UPDATE_BATCH, Function
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import KeyRead, LOOPS, constant, enclosing, key_read, texts
+from xpl_cli.audit.syntax import LOOPS, KeyRead, constant, enclosing, key_read, texts
 
 _KEY = sdk.Obs.ENV_IDX
 _FIX = Fix("advice", f"enumerate the batch and use obs.get({_KEY!r}, place) both for the order and for the store")

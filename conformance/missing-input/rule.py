@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, blame, brief, error_code, without
+from xpl_cli.audit.compare import brief, error_code
+from xpl_cli.audit.inputs import without
+from xpl_cli.audit.probe import Probe, blame
 
 
 @rule(code="XPL213", slug="missing-input", gate="offline", requirement="XPL-OBS-3")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, blame, difference
+from xpl_cli.audit.compare import difference
+from xpl_cli.audit.probe import Probe, blame
 
 
 @rule(code="XPL208", slug="reset-forgets", gate="offline", requirement="XPL-EPI-1")

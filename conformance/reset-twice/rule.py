@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import Probe, blame, brief, difference, error_code
+from xpl_cli.audit.compare import brief, difference, error_code
+from xpl_cli.audit.probe import Probe, blame
 
 
 @rule(code="XPL210", slug="reset-twice", gate="offline", requirement="XPL-EPI-2")

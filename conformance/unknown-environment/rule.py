@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import ACT_BATCH, Function
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import constant, last, dotted, self_attribute, targets
+from xpl_cli.audit.syntax import constant, dotted, last, self_attribute, targets
 
 
 @rule(code="XPL111", slug="unknown-environment", gate="static", requirement="XPL-BAT-3")

@@ -115,9 +115,12 @@ class Adapter:
         return adapter
 
     def _inherit(self, file: str, node: ast.ClassDef, seen: set[str]) -> None:
-        for child in node.body:
-            if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef)) and child.name not in self.methods:
-                self.methods[child.name] = Function(file, child, node)
+        defined = {  # of two definitions in one class the later one counts
+            child.name: Function(file, child, node)
+            for child in node.body
+            if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef))
+        }
+        self.methods = {**defined, **self.methods}
         for base in node.bases:
             name = dotted(base)
             local = None if name in seen else symbols(self.source, file).classes.get(name)

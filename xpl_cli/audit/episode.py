@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from xpl_cli.audit.adapter import Function
-from xpl_cli.audit.syntax import called, dotted, enclosing, last, self_attribute, targets
+from xpl_cli.audit.syntax import called, dotted, enclosing, last, self_attribute, targets, texts
 
 _GROWING: Final = frozenset(
     ("append", "appendleft", "extend", "extendleft", "insert", "add", "update", "put", "push", "setdefault")
@@ -51,7 +51,8 @@ def writes(functions: list[Function]) -> Iterator[Write]:
 def _has_key(node: ast.expr) -> bool:
     """Tell whether an entry of the attribute is meant: `self.x[k]`, `self.x[k].y`, `self.x.setdefault(k, [])`."""
     return any(
-        isinstance(child, ast.Subscript) or (isinstance(child, ast.Call) and last(called(child)) in {"setdefault", "get"})
+        isinstance(child, ast.Subscript)
+        or (isinstance(child, ast.Call) and last(called(child)) in {"setdefault", "get"})
         for child in ast.walk(node)
     )
 
@@ -84,7 +85,7 @@ def is_memo(write: Write) -> bool:
     """
     inner: ast.AST = write.node
     for ancestor in enclosing(write.node, write.function.up):
-        if isinstance(ancestor, ast.If) and write.attribute in _asked_whether_missing(ancestor.test):
+        if isinstance(ancestor, ast.If) and write.attribute in _asked_whether_missing(ancestor.test, write.kind):
             return inner not in ancestor.orelse
         if isinstance(ancestor, ast.ExceptHandler) and ancestor.type is not None:
             return last(dotted(ancestor.type)) in {"KeyError", "AttributeError"}
@@ -94,19 +95,23 @@ def is_memo(write: Write) -> bool:
     return False
 
 
-def _asked_whether_missing(test: ast.expr) -> set[str]:
-    """Return the attributes whose absence a test asks for: `x not in self.a`, `self.a is None`, `not self.a`."""
+def _asked_whether_missing(test: ast.expr, kind: Kind) -> set[str]:
+    """Return the attributes whose absence a test asks for: `x not in self.a`, `self.a is None`, `not self.a`.
+
+    A list that is filled where it is empty is no cache but a queue: of what grows, only a missing key counts.
+    """
     found: set[str | None] = set()
     for node in ast.walk(test):
         if isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.NotIn):
             found.add(self_attribute(node.comparators[0]))
+        elif kind == "grown":
+            continue
         elif isinstance(node, ast.Compare) and isinstance(node.ops[0], (ast.Is, ast.Eq)):
             found.add(self_attribute(node.left))
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             found.add(self_attribute(node.operand))
-            if isinstance(node.operand, ast.Call) and called(node.operand) == "hasattr" and len(node.operand.args) == 2:
-                name = node.operand.args[1]
-                found.add(name.value if isinstance(name, ast.Constant) and isinstance(name.value, str) else None)
+            if isinstance(node.operand, ast.Call) and called(node.operand) == "hasattr":
+                found.update(texts(node.operand))
     return {attribute for attribute in found if attribute is not None}
 
 

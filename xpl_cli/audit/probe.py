@@ -14,27 +14,21 @@ import contextlib
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
-
 from xpl import Client
 from xpl import _spec as sdk
-from xpl.action import ActionError, check_chunk
 from xpl.client import ClientError, PolicyServerError
 from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment
 from xpl_cli import environments, package
+from xpl_cli.audit.compare import error_code, same
 from xpl_cli.audit.finish import Recorder
 from xpl_cli.audit.model import Finding, NotApplicable, NotRun
 from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from xpl_cli.audit.engine import Options
-
-_POSES = (sdk.State.EE_POSE, sdk.State.TCP_POSE)
-_TOLERANCE = 1e-6
-"""Actions of equal inputs may differ by this much: batched kernels sum in another order than single ones."""
 
 
 class Session:
@@ -85,11 +79,6 @@ class Session:
         # Texts of errors may hold addresses and paths; that there was one is what counts.
         self._recorder.add(name, error_code(answer) if isinstance(answer, PolicyServerError) else answer)
         return answer
-
-
-def error_code(answer: Any) -> str | None:
-    """Return the wire's error code if an answer is an error, else None."""
-    return answer.code if isinstance(answer, PolicyServerError) else None
 
 
 class Probe:
@@ -304,123 +293,6 @@ class Probe:
             yield Session(client, self.recorder)
 
 
-def same(first: Any, second: Any) -> bool:
-    """Tell whether two answers hold the same values, up to rounding."""
-    return difference(first, second) is None
-
-
-def difference(first: Any, second: Any) -> str | None:
-    """Return where two answers first differ, in words, or None if they do not. Two errors of one code are alike."""
-    if isinstance(first, PolicyServerError) or isinstance(second, PolicyServerError):
-        return None if error_code(first) == error_code(second) else f"{brief(first)} against {brief(second)}"
-    if isinstance(first, dict) and isinstance(second, dict) and first.keys() == second.keys():
-        return _first_difference((key, first[key], second[key]) for key in first)
-    if isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)) and len(first) == len(second):
-        return _first_difference((f"[{index}]", a, b) for index, (a, b) in enumerate(zip(first, second, strict=True)))
-    if any(isinstance(value, (dict, list, tuple)) for value in (first, second)):
-        return f"{brief(first)} against {brief(second)}"
-    return _array_difference(first, second)
-
-
-def _first_difference(entries: Iterable[tuple[str, Any, Any]]) -> str | None:
-    return next((f"{label} {found}" for label, a, b in entries if (found := difference(a, b))), None)
-
-
-def _array_difference(first: Any, second: Any) -> str | None:
-    a, b = np.asarray(first), np.asarray(second)
-    if a.shape != b.shape:
-        return f"shape {a.shape} against {b.shape}"
-    if a.dtype.kind in "biuf" and b.dtype.kind in "biuf":
-        if np.allclose(a, b, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
-            return None
-        worst = float(np.nanmax(np.abs(a.astype(float) - b.astype(float))))
-        return f"{brief(first)} against {brief(second)} (largest difference {worst:.3g})"
-    return None if np.array_equal(a, b) else f"{brief(first)} against {brief(second)}"
-
-
-def answers(value: Any, count: int | None = None) -> bool:
-    """Tell whether an answer is a non-empty list (of `count` entries) and not an error."""
-    return isinstance(value, (list, tuple)) and len(value) > 0 and (count is None or len(value) == count)
-
-
-def mistaken(answer: Any, alone: dict[int, Any], wanted: Sequence[int]) -> str:
-    """Say for which environments a wrong batch answers, given what each of them answers."""
-    if not isinstance(answer, (list, tuple)):
-        return f"gives {brief(answer)}"
-    if len(answer) != len(wanted):
-        return f"gives {len(answer)} chunks"
-    actual = [next((env for env, chunk in alone.items() if same(chunk, item)), None) for item in answer]
-    if None in actual:
-        return "answers with actions of no environment that was observed"
-    plural = "environment" if len(actual) == 1 else "environments"
-    return f"answers for {plural} {', '.join(map(str, actual))}"
-
-
-def structure_problem(chunk: Any, embodiment: Embodiment, action_type: str) -> str | None:
-    """Return what is wrong with a chunk's keys, dimensions or values, or None."""
-    if isinstance(chunk, PolicyServerError):
-        return str(chunk)
-    try:
-        check_chunk(chunk, embodiment, action_type)
-    except ActionError as error:
-        return str(error)
-    return None
-
-
-def shapes(chunk: Any) -> str:
-    """Return keys and shapes of a chunk's first step, in words."""
-    if not answers(chunk) or not isinstance(chunk[0], dict):
-        return brief(chunk)
-    return ", ".join(f"{key} {np.shape(value)}" for key, value in chunk[0].items())
-
-
-def varied(obs: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return the observation with one input changed, `name` as in the manifest (`instruction`, `vision.cam_head`)."""
-    group, _, leaf = name.partition(".")
-    if group == sdk.Obs.INSTRUCTION:
-        return {**obs, group: "do something else entirely, quickly"}
-    if group == sdk.Obs.VISION:
-        camera = obs[group][leaf]
-        image = camera[sdk.Camera.COLOR]
-        other = np.ascontiguousarray(255 - image[::-1, :, ::-1])
-        return {**obs, group: {**obs[group], leaf: {**camera, sdk.Camera.COLOR: other}}}
-    state = {key: _nudged(key, value) if key.endswith(leaf) else value for key, value in obs[group].items()}
-    return {**obs, group: state}
-
-
-def without(obs: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return the observation without one input, `name` as in the manifest."""
-    group, _, leaf = name.partition(".")
-    if not leaf:
-        return {key: value for key, value in obs.items() if key != group}
-    return {**obs, group: {key: value for key, value in obs[group].items() if not key.endswith(leaf)}}
-
-
-def _nudged(key: str, value: Any) -> Any:
-    if not key.endswith(_POSES):
-        return value * 0.9 + 0.02
-    moved = np.array(value)
-    moved[: sdk.POSITION_DIM] += 0.02
-    return moved
-
-
-def first_step(chunk: Any) -> dict[str, list[float]]:
-    """Return the first action of a chunk as short lists, for evidence."""
-    if not isinstance(chunk, (list, tuple)) or not chunk or not isinstance(chunk[0], dict):
-        return {}
-    return {key: [round(float(item), 4) for item in np.ravel(value)] for key, value in chunk[0].items()}
-
-
 def blame(message: str, **details: Any) -> Finding:
     """Return a finding about behaviour: it lies in model.py, on no particular line."""
     return Finding(message=message, path=sdk.File.MODEL_PY, **details)
-
-
-def brief(value: Any) -> str:
-    """Return an answer in at most 80 characters."""
-    if isinstance(value, PolicyServerError):
-        return f"an error ({value.code})"
-    text = (
-        np.array2string(np.asarray(value), precision=4, threshold=6) if isinstance(value, np.ndarray) else repr(value)
-    )
-    return text if len(text) <= 80 else text[:77] + "..."

@@ -219,7 +219,7 @@ class Source:
         Raises:
             NotRun: if model.py does not parse or does not define it.
         """
-        from xpl_cli.audit.adapter import Adapter, Symbols
+        from xpl_cli.audit.adapter import Adapter
 
         return Adapter.of(self)
 

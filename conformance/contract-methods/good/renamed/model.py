@@ -1,1 +1,0 @@
-from my_policy.adapter import MyPolicy as Model

@@ -1,0 +1,63 @@
+"""XPL116: A reset that fails raises."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.adapter import RESET, RESETTING, Function
+from xpl_cli.audit.source import Source
+from xpl_cli.audit.syntax import called, dotted, is_broad, last
+
+
+@rule(code="XPL116", slug="reset-swallows", gate="static", requirement="XPL-EPI-4")
+def reset_swallows(source: Source) -> Iterator[Finding]:
+    """A reset that fails is passed over in silence.
+
+    ## What it does
+    Looks in `reset`, and in what it calls, for handlers that catch every exception and do not raise.
+
+    ## Why it matters
+    The episode goes on with the memory of the one before. Nobody looks at a warning in the middle of a hundred episodes;
+    an error ends the run and can be repeated.
+
+    ## Example
+    `try: self.server.reset_memory()` with `except Exception: logging.warning(...)`.
+
+    ## Use instead
+    Let the exception pass, or raise one that says what to do.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for function in source.adapter.reach(*RESETTING):
+        for node in function.nodes:
+            if isinstance(node, ast.Try):
+                for handler in node.handlers:
+                    if is_broad(handler) and _goes_on(function, node, handler):
+                        yield _finding(source, function, handler, "the error is caught and dropped")
+            elif isinstance(node, (ast.With, ast.AsyncWith)) and _suppresses(node):
+                yield _finding(source, function, node, "the error is suppressed")
+
+
+def _finding(source: Source, function: Function, node: ast.AST, got: str) -> Finding:
+    return Finding(
+        f"{RESET} that fails passes in silence: the next episode goes on with the memory of the one before",
+        **source.at(function.file, node) | {"end_line": None, "end_column": None}, expected="an exception", got=got,
+        fix=Fix("advice", "let the exception pass, or raise one that says what to do"),
+    )
+
+
+def _goes_on(function: Function, node: ast.Try, handler: ast.ExceptHandler) -> bool:
+    """Tell whether nothing is raised after the handler either, and the guarded block did something."""
+    if any(isinstance(child, ast.Raise) for child in ast.walk(handler)):
+        return False
+    later = [entry for entry in function.nodes if isinstance(entry, ast.Raise) and entry.lineno > (handler.end_lineno or 0)]
+    only_imports = all(isinstance(entry, (ast.Import, ast.ImportFrom, ast.Pass)) for entry in node.body)
+    return not later and not only_imports
+
+
+def _suppresses(node: ast.With | ast.AsyncWith) -> bool:
+    return any(last(called(item.context_expr)) == "suppress" and isinstance(item.context_expr, ast.Call) and any(
+        last(dotted(entry)) in {"Exception", "BaseException"} for entry in item.context_expr.args) for item in node.items)
