@@ -65,13 +65,22 @@ def test_the_json_report_is_valid_against_its_schema(green: dict[str, Any]) -> N
 
 
 def test_a_broken_copy_is_caught_with_place_and_advice(workspace: Path) -> None:
-    """The finding says for whom the adapter answers, where, and what to do; the next gate is not started."""
+    """The static gate names the line, and the next gates are not started."""
     done = xpl("audit", "policy/Broken", cwd=workspace)
     assert done.returncode == ExitCode.FINDINGS
-    assert "get_action_batch([9]) answers for environment 3" in done.stdout
-    assert "policy/Broken/model.py" in done.stdout
-    assert "xpl explain XPL203" in done.stdout
+    (line,) = [found for found in done.stdout.splitlines() if "batch-by-position" in found]
+    number = int(line.rpartition("policy/Broken/model.py:")[2])
+    assert "env_idx_list" in (workspace / "policy/Broken/model.py").read_text().splitlines()[number - 1]
+    assert re.search(r"offline\s+not run", done.stdout)
     assert re.search(r"mujoco\s+not run", done.stdout)
+
+
+def test_the_offline_gate_shows_what_the_broken_copy_answers(workspace: Path) -> None:
+    """The finding says for whom the adapter answers when it is asked for 9."""
+    done = xpl("audit", "policy/Broken", "--gate", "offline", cwd=workspace)
+    assert done.returncode == ExitCode.FINDINGS
+    assert "get_action_batch([9]) answers for environment 3" in done.stdout
+    assert "xpl explain XPL203" in done.stdout
 
 
 def test_equal_adapters_have_equal_digests_and_changed_behaviour_another(
@@ -82,7 +91,7 @@ def test_equal_adapters_have_equal_digests_and_changed_behaviour_another(
     finish = [gate["finish"] for gate in green["targets"][0]["gates"]]
     assert None not in finish
     assert [gate["finish"] for gate in again["targets"][0]["gates"]] == finish
-    broken = json.loads(xpl("audit", "policy/Broken", "--json", cwd=workspace).stdout)
+    broken = json.loads(xpl("audit", "policy/Broken", "--json", "--keep-going", cwd=workspace).stdout)
     for ours, theirs in zip(green["targets"][0]["gates"][:2], broken["targets"][0]["gates"][:2], strict=True):
         assert ours["digest"] != theirs["digest"]
         assert ours["fingerprint"] == theirs["fingerprint"]

@@ -87,7 +87,6 @@ def embodiment_names() -> list[str]:
     return sorted(spec.EMBODIMENTS)
 
 
-@cache
 def get_embodiment(name: str) -> Embodiment:
     """Return the embodiment `name`, which may be an alias such as `dual_x5`.
 
@@ -104,7 +103,11 @@ def get_embodiment(name: str) -> Embodiment:
 
 @cache
 def _build(name: str) -> Embodiment:
-    entry = spec.EMBODIMENTS[name]
+    """Return the one object of a robot, whatever alias it was asked for by."""
+    return _from_entry(spec.EMBODIMENTS[name])
+
+
+def _from_entry(entry: Mapping[str, Any]) -> Embodiment:
     prefixes = spec.ARM_PREFIXES[len(entry["arms"])]
     model, effector = entry["arm"], entry["end_effector"]
     joints = model["joints"] or []

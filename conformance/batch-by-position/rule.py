@@ -44,8 +44,10 @@ def batch_by_position(source: Source) -> Iterator[Finding]:
     if verdict is not None:
         message, node = verdict
         yield Finding(
-            message, **source.at(function.file, node),
-            expected=f"each entry of {given[0]} decides what is answered", got=ast.unparse(node).split("\n")[0],
+            message,
+            **source.at(function.file, node),
+            expected=f"each entry of {given[0]} decides what is answered",
+            got=ast.unparse(node).split("\n")[0],
             fix=_FIX,
         )
 
@@ -63,8 +65,11 @@ def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
     for node in function.nodes:  # names that hold the list, under another name or copied
         if isinstance(node, ast.Assign) and _is_list(node.value, aliases):
             aliases.update(target.id for target in targets(node) if isinstance(target, ast.Name))
-    reads = [node for node in function.nodes
-             if isinstance(node, ast.Name) and node.id in aliases and isinstance(node.ctx, ast.Load)]
+    reads = [
+        node
+        for node in function.nodes
+        if isinstance(node, ast.Name) and node.id in aliases and isinstance(node.ctx, ast.Load)
+    ]
     for read in reads:
         use = _use(read, up, aliases)
         if use == "content":
@@ -72,12 +77,16 @@ def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
         if use == "count":
             counted = counted or _outermost(read, up)
     if counted is not None:
-        return (f"{ACT_BATCH}([9]) answers for the environment that was observed first, say 3: the list is only counted, "
-                f"robots receive each other's commands"), counted
+        return (
+            f"{ACT_BATCH}([9]) answers for the environment that was observed first, say 3: the list is only counted, "
+            f"robots receive each other's commands"
+        ), counted
     if any(isinstance(node, ast.Name) and node.id == parameter for node in reads):
         return None  # looked at in some other way
-    return (f"{ACT_BATCH}([9]) answers every environment that was observed, and so 3 when asked for 9: "
-            f"{parameter} is never read"), function.node
+    return (
+        f"{ACT_BATCH}([9]) answers every environment that was observed, and so 3 when asked for 9: "
+        f"{parameter} is never read"
+    ), function.node
 
 
 def _is_list(value: ast.expr, aliases: set[str]) -> bool:
@@ -112,9 +121,15 @@ def _use(read: ast.Name, up: dict[ast.AST, ast.AST], aliases: set[str]) -> str:
         node, parent = parent, up.get(parent)
     if isinstance(parent, (ast.Assign, ast.AnnAssign)):
         return "nothing"
-    if isinstance(parent, (ast.Compare, ast.UnaryOp)) or (isinstance(parent, (ast.If, ast.While)) and node is parent.test):
+    if isinstance(parent, (ast.Compare, ast.UnaryOp)) or (
+        isinstance(parent, (ast.If, ast.While)) and node is parent.test
+    ):
         return "nothing" if not _asks_for_member(parent) else "content"
-    if isinstance(parent, ast.comprehension) and isinstance(up.get(parent), ast.ListComp) and _is_list_comp(parent, up, aliases):
+    if (
+        isinstance(parent, ast.comprehension)
+        and isinstance(up.get(parent), ast.ListComp)
+        and _is_list_comp(parent, up, aliases)
+    ):
         return "nothing"
     if isinstance(parent, ast.Call):
         name = called(parent)

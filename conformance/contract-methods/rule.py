@@ -42,27 +42,33 @@ def contract_methods(source: Source) -> Iterator[Finding]:
     except NotRun:
         yield Finding(
             f"{name} has no class {sdk.MODEL_CLASS}: the server has nothing to construct",
-            path=name, line=1, column=1, expected=f"class {sdk.MODEL_CLASS}",
+            path=name,
+            line=1,
+            column=1,
+            expected=f"class {sdk.MODEL_CLASS}",
             got=", ".join(node.name for node in tree.body if isinstance(node, ast.ClassDef)) or "no class",
             fix=Fix("advice", f"define class {sdk.MODEL_CLASS}, or import it under that name"),
-        )  # fmt: skip
+        )
         return
     missing = [method for method in sdk.CONTRACT_METHODS if adapter.is_closed and not adapter.has(method)]
     if missing:
         yield Finding(
             f"{sdk.MODEL_CLASS} lacks {' and '.join(missing)}: {_CONSEQUENCE}",
-            **source.at(adapter.file, adapter.node) | {"end_line": None, "end_column": None},
-            expected=", ".join(sdk.CONTRACT_METHODS), got=", ".join(sorted(adapter.methods)),
+            **source.start(adapter.file, adapter.node),
+            expected=", ".join(sdk.CONTRACT_METHODS),
+            got=", ".join(sorted(adapter.methods)),
             fix=Fix("advice", "derive from xpl.Policy, which has them all, or write them"),
-        )  # fmt: skip
+        )
     for method in sdk.CONTRACT_METHODS:
         function = adapter.method(method)
         if function is not None and _is_stub(function.node.body):
             yield Finding(
                 f"{method} only raises NotImplementedError: {_CONSEQUENCE}",
-                **source.at(function.file, function.node), expected="an implementation", got="raise NotImplementedError",
+                **source.at(function.file, function.node),
+                expected="an implementation",
+                got="raise NotImplementedError",
                 fix=Fix("advice", "derive from xpl.Policy, or write it"),
-            )  # fmt: skip
+            )
 
 
 def _is_stub(body: list[ast.stmt]) -> bool:

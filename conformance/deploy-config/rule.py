@@ -37,15 +37,29 @@ def deploy_config(source: Source) -> Iterator[Finding]:
     for problem in validate_yaml_file(source.path / name, "deploy"):
         yield Finding(
             f"launchers cannot rely on {path_text(problem.path) or name}: {problem.message}",
-            path=name, line=problem.line, column=problem.column, expected=problem.expected, got=problem.got,
+            path=name,
+            line=problem.line,
+            column=problem.column,
+            expected=problem.expected,
+            got=problem.got,
             fix=Fix("command", "xpl spec show deploy"),
-        )  # fmt: skip
+        )
     given = values.get(sdk.Deploy.POLICY_NAME) if isinstance(values, dict) else None
     if isinstance(given, str) and given != source.path.name:
-        line = next((number for number, text in enumerate(source.text(name).split("\n"), start=1)
-                     if text.startswith(sdk.Deploy.POLICY_NAME)), 1)  # fmt: skip
+        line = next(
+            (
+                number
+                for number, text in enumerate(source.text(name).split("\n"), start=1)
+                if text.startswith(sdk.Deploy.POLICY_NAME)
+            ),
+            1,
+        )
         yield Finding(
             f"launchers look for the policy {given}, but this is {source.path.name}",
-            path=name, line=line, column=1, expected=source.path.name, got=given,
+            path=name,
+            line=line,
+            column=1,
+            expected=source.path.name,
+            got=given,
             fix=Fix("safe_edit", f"{sdk.Deploy.POLICY_NAME}: {source.path.name}"),
-        )  # fmt: skip
+        )

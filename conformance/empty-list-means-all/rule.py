@@ -42,13 +42,17 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
             default = " or ".join(ast.unparse(value) for value in node.values[1:])
             yield Finding(
                 f"{ACT_BATCH}([]) answers for {default} although no environment runs any more: [] counts as false",
-                **source.at(function.file, node), expected="[] is answered by []", got=ast.unparse(node),
+                **source.at(function.file, node),
+                expected="[] is answered by []",
+                got=ast.unparse(node),
                 fix=Fix("unsafe_edit", f"{default} if {name} is None else {name}"),
             )
         elif isinstance(node, ast.IfExp) and (_is(node.test, name) or _is_not(node.test, name)):
             yield Finding(
                 f"{ACT_BATCH}([]) answers as if no list were given although no environment runs any more",
-                **source.at(function.file, node), expected="[] is answered by []", got=ast.unparse(node),
+                **source.at(function.file, node),
+                expected="[] is answered by []",
+                got=ast.unparse(node),
                 fix=Fix("advice", f"test `{name} is None`"),
             )
         elif isinstance(node, ast.If) and _is_not(node.test, name) and not _knows_none(function.node, name, node):
@@ -56,7 +60,8 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
             if consequence is not None:
                 yield Finding(
                     f"{ACT_BATCH}([]) {consequence} although no environment runs any more",
-                    **source.at(function.file, node.test), expected="[] is answered by []",
+                    **source.at(function.file, node.test),
+                    expected="[] is answered by []",
                     got=f"if {ast.unparse(node.test)}: {ast.unparse(node.body[0])}",
                     fix=Fix("advice", f"test `{name} is None`, and return [] for an empty list"),
                 )

@@ -46,16 +46,23 @@ def first_instruction(source: Source) -> Iterator[Finding]:
         for node, consequence in (*_first(function), *_last(function, reading)):
             yield Finding(
                 f"the whole batch acts on the instruction of {consequence}",
-                **source.at(function.file, node), expected="one instruction per environment",
-                got=ast.unparse(node).split("\n")[0], fix=_FIX,
+                **source.at(function.file, node),
+                expected="one instruction per environment",
+                got=ast.unparse(node).split("\n")[0],
+                fix=_FIX,
             )
 
 
 def _first(function: Function) -> Iterator[tuple[ast.AST, str]]:
     """Yield reads of the instruction from entry 0 of a batch, under its own name or another."""
     batch = parameters(function.node)[0]
-    firsts = {target.id for node in function.nodes if isinstance(node, ast.Assign) and _is_first(node.value, batch)
-              for target in targets(node) if isinstance(target, ast.Name)}
+    firsts = {
+        target.id
+        for node in function.nodes
+        if isinstance(node, ast.Assign) and _is_first(node.value, batch)
+        for target in targets(node)
+        if isinstance(target, ast.Name)
+    }
     for node in function.nodes:
         found = key_read(node)
         if found is not None and found.key in _KEYS:
@@ -84,5 +91,10 @@ def _is_first(node: ast.AST, batch: str) -> bool:
 
 def _refuses_batches(function: Function) -> bool:
     """Tell whether the method refuses batches of more than one."""
-    return any(isinstance(node, ast.If) and "len(" in ast.unparse(node.test) and any(
-        isinstance(entry, ast.Raise) for entry in node.body) and "1" in ast.unparse(node.test) for node in function.nodes)
+    return any(
+        isinstance(node, ast.If)
+        and "len(" in ast.unparse(node.test)
+        and any(isinstance(entry, ast.Raise) for entry in node.body)
+        and "1" in ast.unparse(node.test)
+        for node in function.nodes
+    )

@@ -48,7 +48,9 @@ def heavy_imports(source: Source) -> Iterator[Finding]:
             if module.partition(".")[0] not in _ALWAYS_THERE and module not in own:
                 yield Finding(
                     f"{name} cannot be imported where {module} is missing, not even to be looked at",
-                    **source.at(name, node), expected="the import inside load()", got=ast.unparse(node),
+                    **source.at(name, node),
+                    expected="the import inside load()",
+                    got=ast.unparse(node),
                     fix=Fix("advice", "move the import into load(), or into the function that uses it"),
                 )
 

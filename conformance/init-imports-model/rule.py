@@ -43,7 +43,9 @@ def init_imports_model(source: Source) -> Iterator[Finding]:
                 yield Finding(
                     f"importing the package imports {' and so '.join(way)}: a simulator that needs "
                     f"{sdk.File.DEPLOY_PY} loads the policy's libraries too",
-                    **source.at(name, node), expected="no import of the model", got=ast.unparse(node),
+                    **source.at(name, node),
+                    expected="no import of the model",
+                    got=ast.unparse(node),
                     fix=Fix("advice", "delete the import, or move it into the function that needs it"),
                 )
 

@@ -40,24 +40,36 @@ def manifest(source: Source) -> Iterator[Finding]:
     for problem in validate_yaml_file(source.path / name, "policy"):
         yield Finding(
             f"{path_text(problem.path) or name} is not understood: {problem.message}",
-            path=name, line=problem.line, column=problem.column, expected=problem.expected, got=problem.got,
+            path=name,
+            line=problem.line,
+            column=problem.column,
+            expected=problem.expected,
+            got=problem.got,
             fix=Fix("command", "xpl spec show policy"),
-        )  # fmt: skip
+        )
     values = values if isinstance(values, dict) else {}
     if isinstance(values.get("name"), str) and values["name"] != source.path.name:
         yield Finding(
             f"the manifest describes {values['name']}, but this is {source.path.name}: results get the wrong name",
-            path=name, line=_line(source, "name"), column=1, expected=source.path.name, got=values["name"],
+            path=name,
+            line=_line(source, "name"),
+            column=1,
+            expected=source.path.name,
+            got=values["name"],
             fix=Fix("safe_edit", f"name: {source.path.name}"),
-        )  # fmt: skip
+        )
     robots = values.get("embodiments")
     for robot in robots if isinstance(robots, list) else []:
         if isinstance(robot, str) and not _is_known(robot):
             yield Finding(
                 f"nobody can evaluate this policy on {robot}: the standard has no embodiment of that name",
-                path=name, line=_line(source, "embodiments"), column=1,
-                expected=", ".join(sdk.EMBODIMENTS), got=robot, fix=Fix("command", "xpl spec show embodiments"),
-            )  # fmt: skip
+                path=name,
+                line=_line(source, "embodiments"),
+                column=1,
+                expected=", ".join(sdk.EMBODIMENTS),
+                got=robot,
+                fix=Fix("command", "xpl spec show embodiments"),
+            )
 
 
 def _is_known(robot: str) -> bool:

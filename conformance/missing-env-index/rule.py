@@ -40,8 +40,11 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
     function = source.adapter.method(UPDATE_BATCH)
     if function is None or _asks_first(function):
         return
-    reads = [found for node in function.nodes
-             if (found := key_read(node)) is not None and found.key == _KEY and _is_in_loop(found, function)]
+    reads = [
+        found
+        for node in function.nodes
+        if (found := key_read(node)) is not None and found.key == _KEY and _is_in_loop(found, function)
+    ]
     by_position = any(read.default is not None and constant(read.default) is ... for read in reads)
     for read in reads:
         if read.default is not None and isinstance(constant(read.default), int):
@@ -53,13 +56,18 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
             )
             yield _finding(source, function, read, f"of a batch without {_KEY} {consequence}")
         elif read.required:
-            yield _finding(source, function, read, f"a batch without {_KEY} raises KeyError, although the key is optional")
+            yield _finding(
+                source, function, read, f"a batch without {_KEY} raises KeyError, although the key is optional"
+            )
 
 
 def _finding(source: Source, function: Function, read: KeyRead, message: str) -> Finding:
     return Finding(
-        message, **source.at(function.file, read.node), expected="position in the batch where the key is missing",
-        got=ast.unparse(read.node), fix=_FIX,
+        message,
+        **source.at(function.file, read.node),
+        expected="position in the batch where the key is missing",
+        got=ast.unparse(read.node),
+        fix=_FIX,
     )
 
 
@@ -69,5 +77,7 @@ def _is_in_loop(read: KeyRead, function: Function) -> bool:
 
 def _asks_first(function: Function) -> bool:
     """Tell whether the method asks for the key before it relies on it."""
-    return any(isinstance(node, ast.Compare) and isinstance(node.ops[0], (ast.In, ast.NotIn)) and _KEY in texts(node.left)
-               for node in function.nodes)
+    return any(
+        isinstance(node, ast.Compare) and isinstance(node.ops[0], (ast.In, ast.NotIn)) and _KEY in texts(node.left)
+        for node in function.nodes
+    )

@@ -45,9 +45,13 @@ def parses(source: Source) -> Iterator[Finding]:
                 message, line, column = problem
                 yield Finding(
                     f"{name} cannot be read, so that none of its values arrive: {message}",
-                    path=name, line=line, column=column, expected="YAML", got=message,
+                    path=name,
+                    line=line,
+                    column=column,
+                    expected="YAML",
+                    got=message,
                     fix=Fix("advice", "mend the syntax at this place"),
-                )  # fmt: skip
+                )
 
 
 def _conflicts(source: Source, name: str) -> Iterator[Finding]:
@@ -55,9 +59,13 @@ def _conflicts(source: Source, name: str) -> Iterator[Finding]:
         if _CONFLICT.match(line):
             yield Finding(
                 f"a merge conflict is left in {name}: whoever runs it gets an error, or both versions",
-                path=name, line=number, column=1, expected="one version", got=line[:40],
+                path=name,
+                line=number,
+                column=1,
+                expected="one version",
+                got=line[:40],
                 fix=Fix("advice", "keep one side and delete the markers"),
-            )  # fmt: skip
+            )
             return
 
 
@@ -74,8 +82,12 @@ def _python(source: Source, name: str) -> Iterator[Finding]:
     except SyntaxError as error:
         yield Finding(
             f"{name} does not parse: importing it fails",
-            path=name, line=error.lineno or 1, column=max(error.offset or 1, 1), expected="Python", got=error.msg,
+            path=name,
+            line=error.lineno or 1,
+            column=max(error.offset or 1, 1),
+            expected="Python",
+            got=error.msg,
             fix=Fix("advice", "mend the syntax at this place"),
-        )  # fmt: skip
+        )
     except (ValueError, RecursionError, MemoryError) as error:
         yield Finding(f"{name} does not parse: {error}", path=name, expected="Python", got=str(error))

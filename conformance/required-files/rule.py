@@ -15,7 +15,8 @@ def required_files(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Compares the adapter's folder with the list of files in the standard; `process_data.sh` and `train.sh` are required
-    unless `policy.yml` declares `evaluation_only: true`.
+    unless `policy.yml` declares `evaluation_only: true`. An adapter of the ecosystem has no place to declare it, and is
+    not asked for these two.
 
     ## Why it matters
     Launchers call these scripts by name. A missing one ends a benchmark run after the queue time was spent.
@@ -31,7 +32,7 @@ def required_files(source: Source) -> Iterator[Finding]:
     """
     files = spec.data("package")["files"]
     required = list(files["required"])
-    if not source.manifest.get("evaluation_only", False):
+    if not source.is_ecosystem and not source.manifest.get("evaluation_only", False):
         required += files["training"]
     for name in required:
         if not source.has(name):

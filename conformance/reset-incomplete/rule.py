@@ -50,11 +50,11 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     if not left:
         return
     first = next(iter(left.values()))
-    where = source.at(place.file, place.node) if place is not None else source.at(adapter.file, adapter.node)
+    where = source.start(*((place.file, place.node) if place is not None else (adapter.file, adapter.node)))
     yield Finding(
         f"{RESET} leaves {' and '.join(f'self.{name}' for name in left)} as the last episode set it: "
         "the next episode starts with an observation or a plan of the one before",
-        **where | {"end_line": None, "end_column": None},
+        **where,
         expected=f"{RESET} sets it anew",
         got=f"{first.function.name} sets it in line {first.node.lineno}",  # type: ignore[attr-defined]
         evidence={name: f"{write.function.name}:{write.node.lineno}" for name, write in left.items()},  # type: ignore[attr-defined]
@@ -85,11 +85,17 @@ def _left_in(adapter: Adapter, attribute: str, component: Adapter) -> dict[str, 
                     if isinstance(target.value, ast.Name):
                         return {}  # the object itself is made anew
                     forgotten.add(target.attr)
-            if isinstance(node, ast.Call) and self_attribute(node.func) == attribute and isinstance(node.func, ast.Attribute):
+            if (
+                isinstance(node, ast.Call)
+                and self_attribute(node.func) == attribute
+                and isinstance(node.func, ast.Attribute)
+            ):
                 if isinstance(node.func.value, ast.Attribute):
                     forgotten.add(node.func.value.attr)
-                if node.func.attr not in component.methods and isinstance(node.func.value, ast.Attribute) and (
-                    node.func.value.attr == attribute
+                if (
+                    node.func.attr not in component.methods
+                    and isinstance(node.func.value, ast.Attribute)
+                    and (node.func.value.attr == attribute)
                 ):
                     return {}  # an inherited method may reset anything
     return _left(component.reach(*acting), forgotten)
@@ -101,8 +107,10 @@ def _calls_on(functions: list[Function], attribute: str) -> list[str]:
         node.func.attr
         for function in functions
         for node in function.nodes
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
-        and isinstance(node.func.value, ast.Attribute) and node.func.value.attr == attribute
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and isinstance(node.func.value, ast.Attribute)
+        and node.func.value.attr == attribute
         and self_attribute(node.func.value) == attribute
     ]
 
@@ -110,13 +118,22 @@ def _calls_on(functions: list[Function], attribute: str) -> list[str]:
 def _is_temporary(attribute: str, functions: list[Function]) -> bool:
     """Tell whether an attribute is set anew, whatever happens, before anything of the same method reads it."""
     for function in functions:
-        lines = [node.lineno for node in function.nodes
-                 if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and self_attribute(node) == node.attr == attribute]
+        lines = [
+            node.lineno
+            for node in function.nodes
+            if isinstance(node, ast.Attribute)
+            and isinstance(node.ctx, ast.Load)
+            and self_attribute(node) == node.attr == attribute
+        ]
         if not lines:
             continue
-        set_at = [write.node.lineno for write in writes([function])  # type: ignore[attr-defined]
-                  if write.attribute == attribute and write.kind == "assigned"
-                  and not is_conditional(write.node, function.node, function.up)]
+        set_at = [
+            write.node.lineno
+            for write in writes([function])  # type: ignore[attr-defined]
+            if write.attribute == attribute
+            and write.kind == "assigned"
+            and not is_conditional(write.node, function.node, function.up)
+        ]
         if not set_at or min(set_at) >= min(lines):
             return False
     return True

@@ -8,7 +8,9 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import RESET, RESETTING, Function
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import called, dotted, is_broad, last
+from xpl_cli.audit.syntax import called, dotted, enclosing, is_broad, last
+
+_NOTES = frozenset(("print", "log", "debug", "info", "warn", "warning", "error", "exception", "print_exc"))
 
 
 @rule(code="XPL116", slug="reset-swallows", gate="static", requirement="XPL-EPI-4")
@@ -44,20 +46,39 @@ def reset_swallows(source: Source) -> Iterator[Finding]:
 def _finding(source: Source, function: Function, node: ast.AST, got: str) -> Finding:
     return Finding(
         f"{RESET} that fails passes in silence: the next episode goes on with the memory of the one before",
-        **source.at(function.file, node) | {"end_line": None, "end_column": None}, expected="an exception", got=got,
+        **source.start(function.file, node),
+        expected="an exception",
+        got=got,
         fix=Fix("advice", "let the exception pass, or raise one that says what to do"),
     )
 
 
 def _goes_on(function: Function, node: ast.Try, handler: ast.ExceptHandler) -> bool:
-    """Tell whether nothing is raised after the handler either, and the guarded block did something."""
-    if any(isinstance(child, ast.Raise) for child in ast.walk(handler)):
-        return False
-    later = [entry for entry in function.nodes if isinstance(entry, ast.Raise) and entry.lineno > (handler.end_lineno or 0)]
+    """Tell whether a handler does nothing but note the error, and nothing is raised after it either."""
+    if any(isinstance(outer, ast.ExceptHandler) for outer in enclosing(node, function.up)):
+        return False  # tidying up after another error
+    later = [
+        entry for entry in function.nodes if isinstance(entry, ast.Raise) and entry.lineno > (handler.end_lineno or 0)
+    ]
     only_imports = all(isinstance(entry, (ast.Import, ast.ImportFrom, ast.Pass)) for entry in node.body)
-    return not later and not only_imports
+    return all(map(_only_notes, handler.body)) and not later and not only_imports
+
+
+def _only_notes(statement: ast.stmt) -> bool:
+    """Tell whether a statement passes, leaves without a value, prints, logs, or sets a constant."""
+    if isinstance(statement, ast.Expr):
+        return not isinstance(statement.value, ast.Call) or last(called(statement.value)) in _NOTES
+    if isinstance(statement, ast.Assign):
+        return isinstance(statement.value, ast.Constant)
+    if isinstance(statement, ast.Return):
+        return statement.value is None or isinstance(statement.value, ast.Constant)
+    return isinstance(statement, (ast.Pass, ast.Continue, ast.Break))
 
 
 def _suppresses(node: ast.With | ast.AsyncWith) -> bool:
-    return any(last(called(item.context_expr)) == "suppress" and isinstance(item.context_expr, ast.Call) and any(
-        last(dotted(entry)) in {"Exception", "BaseException"} for entry in item.context_expr.args) for item in node.items)
+    return any(
+        last(called(item.context_expr)) == "suppress"
+        and isinstance(item.context_expr, ast.Call)
+        and any(last(dotted(entry)) in {"Exception", "BaseException"} for entry in item.context_expr.args)
+        for item in node.items
+    )

@@ -42,11 +42,13 @@ def shared_rollout(source: Source) -> Iterator[Finding]:
             continue
         shared = _shared(adapter, function, loop)
         if shared:
-            attributes = ", ".join(f"self.{attribute}" for attribute in dict.fromkeys(write.attribute for write in shared))
+            attributes = ", ".join(
+                f"self.{attribute}" for attribute in dict.fromkeys(write.attribute for write in shared)
+            )
             first = shared[0]
             yield Finding(
                 f"the environments of a batch share {attributes}: environment 7 continues where 3 stopped",
-                **source.at(function.file, loop) | {"end_line": None, "end_column": None},
+                **source.start(function.file, loop),
                 expected="state per environment, such as self.history[env]",
                 got=f"{ast.unparse(first.node).splitlines()[0]} in {first.function.name}, line {first.node.lineno}",  # type: ignore[attr-defined]
                 fix=Fix("advice", "keep it in a map by environment index, cleared at reset"),
@@ -59,23 +61,41 @@ def _loop(adapter: Adapter, function: Function) -> ast.AST | None:
     given = parameters(function.node)
     for node in function.nodes:
         if isinstance(node, LOOPS) and not isinstance(node, ast.While):
-            iterated = [node.iter] if isinstance(node, (ast.For, ast.AsyncFor)) else [entry.iter for entry in node.generators]
-            if any(isinstance(child, ast.Name) and child.id in given[:1] for entry in iterated for child in ast.walk(entry)):
-                if any(isinstance(child, ast.Attribute) and getattr(child.value, "id", "") == "self" for child in ast.walk(node)):
+            iterated = (
+                [node.iter] if isinstance(node, (ast.For, ast.AsyncFor)) else [entry.iter for entry in node.generators]
+            )
+            if any(
+                isinstance(child, ast.Name) and child.id in given[:1] for entry in iterated for child in ast.walk(entry)
+            ):
+                if any(
+                    isinstance(child, ast.Attribute) and getattr(child.value, "id", "") == "self"
+                    for child in ast.walk(node)
+                ):
                     return node
     return None
 
 
 def _shared(adapter: Adapter, function: Function, loop: ast.AST) -> list[Write]:
     inside = set(map(id, ast.walk(loop)))
-    called = [adapter.methods[node.attr] for node in ast.walk(loop)
-              if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "self" and node.attr in adapter.methods]
-    reached = [other for other in adapter.reach_from(*called) if other.name not in {function.name, UPDATE_BATCH, ACT_BATCH}]
+    called = [
+        adapter.methods[node.attr]
+        for node in ast.walk(loop)
+        if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "self" and node.attr in adapter.methods
+    ]
+    reached = [
+        other for other in adapter.reach_from(*called) if other.name not in {function.name, UPDATE_BATCH, ACT_BATCH}
+    ]
     everything = [*reached, function]
     used = read(everything)
-    return [write for write in writes(everything)
-            if write.kind == "grown" and write.attribute in used and not is_memo(write)
-            and (write.function is not function or id(write.node) in inside) and not _is_log(write, adapter, function)]
+    return [
+        write
+        for write in writes(everything)
+        if write.kind == "grown"
+        and write.attribute in used
+        and not is_memo(write)
+        and (write.function is not function or id(write.node) in inside)
+        and not _is_log(write, adapter, function)
+    ]
 
 
 def _is_log(write: Write, adapter: Adapter, function: Function) -> bool:

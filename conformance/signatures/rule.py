@@ -42,16 +42,17 @@ def signatures(source: Source) -> Iterator[Finding]:
         if function is None:
             continue
         required, allowed = _accepts(function.node)
-        # The field calls get_action_batch with a list as well as without; requiring it is common and told apart.
-        if required > fewest or allowed < most:
-            calls = " and ".join(dict.fromkeys(_call(name, count) for count in (fewest, most)))
+        failing = [count for count in sorted({fewest, most}) if not required <= count <= allowed]
+        if failing:
+            calls = " and ".join(_call(name, count) for count in failing)
             takes = f"{required} to {allowed}" if allowed != required else str(required)
             yield Finding(
-                f"{name} takes {takes} positional arguments, so that {calls} raises TypeError",
-                **source.at(function.file, function.node) | {"end_line": None, "end_column": None},
-                expected=calls, got=f"def {name}({ast.unparse(function.node.args)})",
+                f"{name} takes {takes} positional arguments, so that {calls} raise{'s' * (len(failing) == 1)} TypeError",
+                **source.start(function.file, function.node),
+                expected=calls,
+                got=f"def {name}({ast.unparse(function.node.args)})",
                 fix=Fix("advice", "give the further parameters defaults, or drop them"),
-            )  # fmt: skip
+            )
 
 
 def _accepts(function: FunctionNode) -> tuple[int, float]:

@@ -36,7 +36,8 @@ def unknown_environment(source: Source) -> Iterator[Finding]:
             yield Finding(
                 f"an environment that was never observed is answered from {ast.unparse(instead)}: "
                 f"{ACT_BATCH}([5]) sends robot 5 a command that was meant for another",
-                **source.at(function.file, node), expected="an error that names the unknown environment",
+                **source.at(function.file, node),
+                expected="an error that names the unknown environment",
                 got=ast.unparse(node).split("\n")[0],
                 fix=Fix("advice", "look the environment up with [...], or raise"),
             )
@@ -60,8 +61,11 @@ def _fallbacks(function: Function) -> Iterator[tuple[ast.AST, ast.expr]]:
 
 
 def _caught(node: ast.Try) -> Iterator[tuple[ast.AST, ast.expr]]:
-    looked_up = any(isinstance(child, ast.Subscript) and self_attribute(child) and constant(child.slice) is ...
-                    for entry in node.body for child in ast.walk(entry))
+    looked_up = any(
+        isinstance(child, ast.Subscript) and self_attribute(child) and constant(child.slice) is ...
+        for entry in node.body
+        for child in ast.walk(entry)
+    )
     for handler in node.handlers if looked_up else []:
         if handler.type is not None and last(dotted(handler.type)) == "KeyError":
             for entry in handler.body:

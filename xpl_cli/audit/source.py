@@ -202,6 +202,10 @@ class Source:
             place |= {"end_line": end, "end_column": self._column(name, end, getattr(node, "end_col_offset", 0))}
         return place
 
+    def start(self, name: str, node: ast.AST) -> dict[str, Any]:
+        """Return where a node begins, for a `Finding` about something larger than a line."""
+        return {key: value for key, value in self.at(name, node).items() if not key.startswith("end")}
+
     def commands(self, name: str) -> list[Command]:
         """Return the commands of a shell script.
 
