@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import socket
 import threading
 import time
@@ -363,11 +364,11 @@ def test_connecting_is_bounded_by_attempts_and_by_time(limits: dict[str, Any]) -
         unused.bind(("127.0.0.1", 0))
         url = f"ws://127.0.0.1:{unused.getsockname()[1]}"
         with pytest.raises(
-            ServerConnectionError, match=r"no policy server at ws://127.* after \d+ attempts.*refused"
+            ServerConnectionError, match=r"no policy server at ws://127.* after \d+ attempts"
         ) as failure:
             Client(url, config={"connect_retry_delay_s": 0.01, **limits})
     if limits["max_connect_attempts"]:
-        assert "after 3 attempts" in str(failure.value)
+        assert re.search("after 3 attempts: .*refused", str(failure.value))
 
 
 def test_a_port_that_says_nothing_does_not_hold_the_client() -> None:
@@ -410,7 +411,7 @@ def test_an_address_that_is_none_is_refused_at_once(url: str) -> None:
 
 def test_a_hello_without_answer_is_tried_again(stand_in: Callable[..., StandIn]) -> None:
     """A server that still loads its model holds hello back."""
-    server = stand_in(lambda frame: modern(frame) if len(server.requests) > 3 else None)
+    server: StandIn = stand_in(lambda frame: modern(frame) if len(server.requests) > 3 else None)
     with Client(server.url, config={**HASTE, "handshake_timeout_s": 0.1, "max_connect_attempts": 5}) as client:
         assert client.server_instance_id == "s1"
     hellos = [frame for frame in server.requests if frame.message_type == "hello"]
@@ -449,7 +450,9 @@ def test_a_refusal_for_good_is_not_tried_again(stand_in: Callable[..., StandIn])
 
 def test_a_server_that_failed_says_why_and_is_not_asked_again(stand_in: Callable[..., StandIn]) -> None:
     """Whatever the limits for connecting are."""
-    server = stand_in(lambda frame: modern(frame, reset=(wire.SERVER_FAILED, "the worker was ended by signal SIGKILL")))
+    server = stand_in(
+        lambda frame: modern(frame, reset=(spec.CLOSE_CODES["server_failed"], "the worker was ended by signal SIGKILL"))
+    )
     client = Client(server.url)
     with pytest.raises(ServerConnectionError, match="policy server ended: the worker was ended by signal SIGKILL"):
         client.reset()

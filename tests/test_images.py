@@ -39,7 +39,8 @@ def legacy(image: np.ndarray) -> bytes:
 
 def is_picture(image: np.ndarray) -> bool:
     """Tell whether an image is ours up to the codec's error, red and blue on their sides."""
-    assert (image.dtype, image.shape) == (np.uint8, (32, 64, 3))
+    assert image.dtype == np.uint8
+    assert image.shape == (32, 64, 3)
     inner = np.abs(image.astype(int) - picture())[:, [*range(24), *range(40, 64)]]
     return bool(inner.max() < 30)
 
@@ -154,8 +155,12 @@ def test_an_observation_is_decoded_under_every_spelling(spelling: str | None, fo
     """Colour only; what was given stays as it was."""
     encoded = form(images.encode_png(picture()))
     depth = np.ones((2, 2), np.float32)
-    camera = encoded if spelling is None else {spelling: encoded, "depth": depth, "own": b"bytes"}
-    obs = {"vision": {"cam_head": camera, "cam_wrist": {"color": picture()}}, "state": {}, "extra": b"kept"}
+    camera: Any = encoded if spelling is None else {spelling: encoded, "depth": depth, "own": b"bytes"}
+    obs: dict[str, Any] = {
+        "vision": {"cam_head": camera, "cam_wrist": {"color": picture()}},
+        "state": {},
+        "extra": b"kept",
+    }
     decoded = images.decode_observation(obs)
     assert np.array_equal(get_image(decoded, "cam_head"), picture())
     assert np.array_equal(get_image(decoded, "cam_wrist"), picture())

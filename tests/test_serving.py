@@ -636,7 +636,7 @@ def test_a_client_that_waits_while_loading_fails_is_told_why(write_adapter: Call
         with pytest.raises(ConnectionClosed) as closed:
             waiting.receive()
         assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == wire.SERVER_FAILED
+        assert closed.value.rcvd.code == spec.CLOSE_CODES["server_failed"]
         assert closed.value.rcvd.reason == "the model could not be loaded: ValueError: no weights"
         assert process.wait(20) == ExitCode.NOT_RUN
         waiting.close()
@@ -732,7 +732,7 @@ def test_no_signal_leaves_a_process_behind(
     assert process.stdout is not None
     try:
         url = json.loads(process.stdout.readline())["url"]
-        assert len(processes(mark)) == 3
+        wait_until(lambda: len(processes(mark)) == 3, "front end, worker and the model's child run")
         peer = Peer(url)
         with contextlib.ExitStack() as stack:
             if thinking:

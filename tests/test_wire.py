@@ -377,7 +377,7 @@ def test_a_small_frame_cannot_ask_for_much_memory(payload: bytes) -> None:
         wire.decode(data)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert peak < 64 * wire.ELEMENTS * 2
+    assert peak < 64 * spec.LIMITS["elements"] * 2
 
 
 @pytest.mark.parametrize(

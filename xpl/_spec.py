@@ -237,7 +237,8 @@ CONTRACT_METHODS: tuple[str, ...] = ('update_obs', 'update_obs_batch', 'get_acti
 HOOKS: tuple[str, ...] = ('prepare_case', 'on_trial_end')
 ARRAY_KEYS: dict[str, bytes] = {'nd': b'nd', 'type': b'type', 'kind': b'kind', 'shape': b'shape', 'data': b'data', 'complex': b'complex'}
 STRUCTURED_KIND: bytes = b'V'
-LIMITS: dict[str, int] = {'frame_bytes': 268435456, 'nesting': 32, 'replay_entries': 256, 'replay_bytes': 67108864}
+LIMITS: dict[str, int] = {'frame_bytes': 268435456, 'nesting': 32, 'elements': 4194304, 'replay_entries': 256, 'replay_bytes': 67108864}
+CLOSE_CODES: dict[str, int] = {'server_failed': 4011}
 EMBODIMENTS: dict[str, dict[str, Any]] = {'aloha_agilex': {'name': 'aloha_agilex',
                   'aliases': [],
                   'description': 'ALOHA-class bimanual platform of AgileX, six joints and a parallel gripper an '

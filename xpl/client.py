@@ -252,7 +252,7 @@ class Client:
             self._drop()
             raise ClientError(f"what the server sent cannot be understood: {error}") from None
         except ConnectionClosed as error:
-            if error.rcvd is not None and error.rcvd.code == wire.SERVER_FAILED:
+            if error.rcvd is not None and error.rcvd.code == spec.CLOSE_CODES["server_failed"]:
                 self._drop()
                 raise ServerConnectionError(f"the policy server ended: {error.rcvd.reason}") from None
             raise ConnectionResetError(str(error)) from None

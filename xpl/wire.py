@@ -22,12 +22,6 @@ from xpl.link import map_key
 _K = spec.ARRAY_KEYS
 _ND, _TYPE, _KIND, _SHAPE, _DATA, _COMPLEX = (_K[name] for name in ("nd", "type", "kind", "shape", "data", "complex"))
 
-SERVER_FAILED = 4011
-"""Close code of a server that cannot go on; the close reason says why, and trying again is in vain."""
-
-ELEMENTS = 1 << 22
-"""Most entries of all lists and maps of one frame: a short frame of empty lists would else fill the memory."""
-
 _NONE = type(None)
 _ENVELOPE: dict[str, tuple[type, ...]] = {
     spec.Frame.MESSAGE_TYPE: (str,),
@@ -122,8 +116,8 @@ def decode(data: bytes) -> Frame:
             ext_hook=_refuse_extension,
             raw=False,
             strict_map_key=False,
-            max_array_len=ELEMENTS,
-            max_map_len=ELEMENTS,
+            max_array_len=spec.LIMITS["elements"],
+            max_map_len=spec.LIMITS["elements"],
         )
     except (WireError, ArrayError) as error:
         raise WireError(str(error), _salvaged(data)) from None
@@ -172,7 +166,9 @@ def _salvaged(data: bytes) -> dict[str, Any]:
     """Return the identifiers of a frame that does not decode, as far as they can be read."""
     fields: dict[str, Any] = {}
     try:
-        unpacker = _msgpack().Unpacker(max_buffer_size=len(data), max_array_len=ELEMENTS, max_map_len=ELEMENTS)
+        unpacker = _msgpack().Unpacker(
+            max_buffer_size=len(data), max_array_len=spec.LIMITS["elements"], max_map_len=spec.LIMITS["elements"]
+        )
         unpacker.feed(data)
         for _ in range(unpacker.read_map_header()):
             name = unpacker.unpack()
@@ -225,7 +221,7 @@ class _Reader:
     """Makes values of the maps and lists of one frame, and counts what they hold."""
 
     def __init__(self) -> None:
-        self._left = ELEMENTS
+        self._left = spec.LIMITS["elements"]
 
     def on_map(self, entries: dict[Any, Any]) -> Any:
         self._count(len(entries))
@@ -243,7 +239,7 @@ class _Reader:
     def _count(self, entries: int) -> None:
         self._left -= entries + 1
         if self._left < 0:
-            raise WireError(f"the frame holds more than {ELEMENTS} list and map entries: send arrays")
+            raise WireError(f"the frame holds more than {spec.LIMITS['elements']} list and map entries: send arrays")
 
 
 def _array(fields: dict[Any, Any]) -> Any:

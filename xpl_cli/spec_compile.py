@@ -85,6 +85,7 @@ def compile_source(version: str = spec.CURRENT) -> str:
         "ARRAY_KEYS": {name: key.encode() for name, key in wire["array"]["keys"].items()},
         "STRUCTURED_KIND": wire["array"]["structured_kind"].encode(),
         "LIMITS": dict(wire["limits"]),
+        "CLOSE_CODES": dict(wire["close_codes"]),
         "EMBODIMENTS": spec.embodiments(version),
     }
     parts = [_HEADER.format(version=version)]

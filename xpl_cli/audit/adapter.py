@@ -192,7 +192,7 @@ class Adapter:
         cls = symbols(self.source, function.file).classes.get(dotted(value.func))
         if cls is not None:
             return Adapter.described(self.source, *cls)
-        maker = self._callee(function, value)
+        maker = self.callee(function, value)
         returned = [node.value for node in maker.nodes if isinstance(node, ast.Return) and node.value] if maker else []
         return self._made(maker, returned[-1], depth - 1) if maker and returned else None
 
@@ -220,7 +220,7 @@ class Adapter:
             return is_config(node.value)
         if not isinstance(node, ast.Call) or not any(is_config(value) for value in _values(node)):
             return False
-        return last(called(node)) not in _HARMLESS and self._callee(function, node) is None
+        return last(called(node)) not in _HARMLESS and self.callee(function, node) is None
 
     @cached_property
     def _configured(self) -> list[tuple[Function, Callable[[ast.AST], bool]]]:
@@ -249,13 +249,14 @@ class Adapter:
                             local.add(target.id)
                         elif (attribute := _plain_attribute(target)) is not None:
                             attributes.add(attribute)
-            elif isinstance(node, ast.Call) and (other := self._callee(function, node)) is not None:
+            elif isinstance(node, ast.Call) and (other := self.callee(function, node)) is not None:
                 given = _bound(parameters(other.node), node)
                 known.setdefault(id(other.node), set()).update(
                     name for name, value in given if is_config(_uncopied(value))
                 )
 
-    def _callee(self, function: Function, call: ast.Call) -> Function | None:
+    def callee(self, function: Function, call: ast.Call) -> Function | None:
+        """Return the function of the boundary that a call means."""
         name = dotted(call.func)
         if name.startswith(("self.", "cls.")):
             return self.methods.get(name.partition(".")[2])

@@ -82,7 +82,9 @@ class FrontEnd:
         if answers and self.ready.is_set():  # otherwise all of them wait for a model that will not come
             await asyncio.wait(answers, timeout=_DRAIN_S)
         short = reason.encode()[:_CLOSE_REASON_BYTES].decode(errors="ignore")
-        await asyncio.gather(*(connection.close(wire.SERVER_FAILED, short) for connection in self._answers))
+        await asyncio.gather(
+            *(connection.close(spec.CLOSE_CODES["server_failed"], short) for connection in self._answers)
+        )
 
     async def _connection(self, connection: ServerConnection) -> None:
         self._notice_dead_peer(connection)
@@ -107,8 +109,7 @@ class FrontEnd:
         except ConnectionClosed:
             pass
         finally:
-            # A hello that still waits for the model must not lease it to a connection that is gone.
-            for task in answers:
+            for task in answers:  # nobody is left to be answered
                 task.cancel()
             del self._answers[connection]
             self._lease.release(connection, clean=connection.close_code in _CLEAN_CODES)
@@ -162,6 +163,8 @@ class FrontEnd:
 
     async def _hello(self, connection: ServerConnection, frame: wire.Frame) -> bytes:
         await self.ready.wait()
+        if connection not in self._answers:
+            return b""  # it left while the model was loading, and would never give the lease back
         try:
             self._take_lease(connection, frame)
             return self._encoded(frame, self._greeting())

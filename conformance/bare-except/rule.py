@@ -1,0 +1,53 @@
+"""XPL131: Errors are not hidden behind a bare except."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit.source import Source
+
+
+@rule(code="XPL131", slug="bare-except", gate="static", requirement="XPL-PKG-6")
+def bare_except(source: Source) -> Iterator[Finding]:
+    """A bare except hides every error, interrupts included.
+
+    ## What it does
+    Looks in the boundary's Python files for `except:` and `except BaseException:` that do not raise again.
+
+    ## Why it matters
+    Around an import it hides what really failed: the library is there, but cannot be loaded, and a second import under
+    another path fails for another reason. Around a step it also swallows Ctrl-C.
+
+    ## Example
+    `try: from detr.main import build` with `except: from .main import build`.
+
+    ## Use instead
+    `except ImportError:`, or the exception that is meant.
+
+    ## Fix safety
+    `except Exception:` only lets interrupts through; naming the exception may let errors through that were hidden.
+    """
+    for name in source.python_files:
+        try:
+            tree = source.tree(name)
+        except NotRun:
+            continue
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Try):
+                for handler in node.handlers:
+                    if _is_bare(handler) and not any(isinstance(child, ast.Raise) for child in ast.walk(handler)):
+                        imports = any(isinstance(entry, (ast.Import, ast.ImportFrom)) for entry in node.body)
+                        what = "why an import fails is hidden" if imports else "every error is hidden, Ctrl-C included"
+                        yield Finding(
+                            f"{what}: what comes next fails for another reason",
+                            **source.start(name, handler),
+                            expected="the exception that is meant" + (", ImportError" if imports else ""),
+                            got="except:" if handler.type is None else "except BaseException:",
+                            fix=Fix("unsafe_edit", "except ImportError:" if imports else "except Exception:"),
+                        )
+
+
+def _is_bare(handler: ast.ExceptHandler) -> bool:
+    return handler.type is None or (isinstance(handler.type, ast.Name) and handler.type.id == "BaseException")

@@ -1,0 +1,86 @@
+"""XPL128: Weights are loaded completely."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.adapter import Function
+from xpl_cli.audit.source import Source
+from xpl_cli.audit.syntax import called, constant, last, names, targets
+
+_LOADS = frozenset(("load_state_dict", "load_model", "load_weights", "load_checkpoint"))
+
+
+@rule(code="XPL128", slug="partial-weights", gate="static", requirement="XPL-CKP-4")
+def partial_weights(source: Source) -> Iterator[Finding]:
+    """Weights that are missing or left over are accepted.
+
+    ## What it does
+    Looks for `strict=False` where weights are loaded, without an error for what the call reports as missing or unexpected.
+
+    ## Why it matters
+    A layer whose weights were not found keeps random ones. The policy runs, moves, and scores like a policy that was
+    hardly trained.
+
+    ## Example
+    `missing, unexpected = model.load_state_dict(weights, strict=False)`, both printed.
+
+    ## Use instead
+    `strict=True`. Where keys are left out on purpose, name them and raise for all others.
+
+    ## Fix safety
+    No automatic fix: a checkpoint that only loads in part then raises, as it should.
+    """
+    for name in source.reached(sdk.File.MODEL_PY):
+        tree = source.tree(name)
+        for node in ast.walk(tree):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                function = Function(name, node)
+                for call in _lenient(function):
+                    if not _is_checked(function, call):
+                        yield Finding(
+                            "weights that the checkpoint lacks stay random, and nobody is told",
+                            **source.at(name, call),
+                            expected="strict=True, or an error for missing and unexpected keys",
+                            got=ast.unparse(call),
+                            fix=Fix(
+                                "advice", "load with strict=True, or raise for every key that is not expected to miss"
+                            ),
+                        )
+
+
+def _lenient(function: Function) -> Iterator[ast.Call]:
+    for node in function.nodes:
+        if isinstance(node, ast.Call) and last(called(node)) in _LOADS:
+            if any(entry.arg == "strict" and constant(entry.value) is False for entry in node.keywords):
+                yield node
+
+
+def _is_checked(function: Function, call: ast.Call) -> bool:
+    """Tell whether what the call reports leads to an error, or is handed on to somebody who may look."""
+    parent = function.up.get(call)
+    if isinstance(parent, ast.Return):
+        return True
+    if not isinstance(parent, ast.Assign):
+        return False
+    results = {name for target in targets(parent) for name in names(target)} - {"_"}
+    for node in function.nodes:
+        if isinstance(node, ast.If) and names(node.test) & results:
+            if any(isinstance(child, ast.Raise) for entry in node.body for child in ast.walk(entry)):
+                return True
+        elif isinstance(node, ast.Assert) and names(node.test) & results:
+            return True
+        elif isinstance(node, ast.Call) and last(called(node)) not in {
+            "print",
+            "len",
+            "info",
+            "warning",
+            "sorted",
+            "list",
+        }:
+            if any(isinstance(value, ast.Name) and value.id in results for value in node.args):
+                return True
+    return False
