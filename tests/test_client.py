@@ -16,6 +16,7 @@ import websockets.sync.server
 
 from tests.peer import Peer, wait_until
 from xpl import Client, wire
+from xpl import _spec as spec
 from xpl.client import (
     ClientError,
     PolicyServerError,
@@ -508,8 +509,6 @@ def test_a_wrong_answer_is_a_clear_error(
 
 def test_a_frame_over_the_limit_is_not_sent(shared: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server would close the connection over it."""
-    from xpl import _spec as spec
-
     with Client(shared.url) as client:
         monkeypatch.setitem(spec.LIMITS, "frame_bytes", 100_000)
         with pytest.raises(WireError, match="over the limit"):

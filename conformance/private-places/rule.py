@@ -16,7 +16,8 @@ _HOME = re.compile(r"(?<![\w.$}])/(?:home|Users)/([\w.-]+)")
 _PROXY = re.compile(r"\b(?:https?|all|ftp)_proxy\b\s*[=:]\s*[\"']?(\w+://[^\s\"'$]+|[\d.]+:\d+)", re.IGNORECASE)
 _LINK = re.compile(r"https?://[^\s\"'<>)}\]`]+")
 _SECRET = re.compile(
-    r"(?i)\b[\w.]*(?:api_?key|access_?key|secret|token|passw(?:or)?d)\w*[\"']?\]?\s*[=:]\s*[\"']?([\w+/=.-]{16,})[\"']?"
+    r"(?:api_?key|access_?key|secret(?:_?key)?|token|passw(?:or)?d)[\"']?\]?\s*[=:]\s*[\"']?([\w+=-]{16,})",
+    re.IGNORECASE,
 )
 _ISSUED = re.compile(r"\b(?:hf_[A-Za-z0-9]{30,}|sk-[A-Za-z0-9-]{20,}|gh[pousr]_[A-Za-z0-9]{30,}|AKIA[A-Z0-9]{16})\b")
 _ANYBODY = frozenset(

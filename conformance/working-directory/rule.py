@@ -40,8 +40,10 @@ def working_directory(source: Source) -> Iterator[Finding]:
     adapter = source.adapter
     given = _given(adapter)
     for function in adapter.reach(*LOADING):
-        for node, path in _resolved(function, given.get(id(function.node), set()), adapter):
-            yield _finding(source, function, node, f"{path} of the configuration")
+        resolved = list(_resolved(function, given.get(id(function.node), set()), adapter))
+        if resolved:
+            paths = " and ".join(dict.fromkeys(path for _, path in resolved))
+            yield _finding(source, function, resolved[0][0], f"{paths} of the configuration")
         for node, path in _opened(function):
             yield _finding(source, function, node, repr(path))
     for script in (sdk.File.PROCESS_DATA_SH, sdk.File.TRAIN_SH, sdk.File.EVAL_SH, sdk.File.SETUP_EVAL_POLICY_SERVER_SH):
@@ -51,7 +53,7 @@ def working_directory(source: Source) -> Iterator[Finding]:
 
 def _finding(source: Source, function: Function, node: ast.AST, path: str) -> Finding:
     return Finding(
-        f"{path} is looked for in the folder where the server was started: elsewhere it is not found, or another is",
+        f"{path} depends on the folder where the server was started: elsewhere it is not found, or another is",
         **source.at(function.file, node),
         expected="a path that starts at the adapter's folder",
         got=ast.unparse(node),

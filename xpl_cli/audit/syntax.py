@@ -152,6 +152,11 @@ def leaves(body: list[ast.stmt]) -> bool:
     return bool(body) and isinstance(body[-1], (ast.Return, ast.Raise, ast.Break, ast.Continue))
 
 
+def may_skip(statement: ast.stmt) -> bool:
+    """Tell whether what follows a statement is skipped at times, and not by an error."""
+    return isinstance(statement, ast.If) and leaves(statement.body) and not isinstance(statement.body[-1], ast.Raise)
+
+
 def is_broad(handler: ast.ExceptHandler) -> bool:
     """Tell whether a handler catches everything: bare, Exception or BaseException."""
     if handler.type is None:
@@ -170,7 +175,7 @@ def is_conditional(node: ast.AST, function: ast.AST, up: dict[ast.AST, ast.AST])
             statements = getattr(ancestor, block, None)
             if isinstance(statements, list) and inner in statements:
                 before = statements[: statements.index(inner)]
-                if any(isinstance(entry, ast.If) and leaves(entry.body) for entry in before):
+                if any(map(may_skip, before)):
                     return True
         if ancestor is function:
             return False

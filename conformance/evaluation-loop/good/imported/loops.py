@@ -1,0 +1,6 @@
+def eval_one_episode(TASK_ENV, model_client, verbose=False):
+    model_client.call(func_name="reset")
+
+
+def eval_batch(TASK_ENV, model_client):
+    model_client.call(func_name="reset")
