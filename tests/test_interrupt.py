@@ -81,9 +81,9 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # What a command prints when it is in the middle of its work, with a server that is in use.
 COMMANDS = {
     "serve": (["policy/Foo"], b'"ready"'),
-    "audit": (["policy/Foo"], b"mujoco gate"),
+    "audit": (["policy/Foo", "--gate", "mujoco"], b"mujoco gate"),
     "eval": (["policy/Foo", "--env", "mujoco", "--episodes", "500"], b"episode 2 of"),
-    "demo": ([], b"mujoco gate"),
+    "demo": ([], b"offline gate"),
 }
 
 

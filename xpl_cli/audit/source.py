@@ -140,19 +140,20 @@ class Source:
     @cached_property
     def deploy(self) -> dict[str, Any]:
         """The map in deploy.yml; empty if it is missing or no map, which other rules report."""
-        return self._map(sdk.File.DEPLOY_YML)
+        return self.manifest_of(sdk.File.DEPLOY_YML)
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
         """The map in policy.yml; empty for an adapter of the ecosystem, which has none."""
-        return self._map(sdk.File.POLICY_YML)
+        return self.manifest_of(sdk.File.POLICY_YML)
 
     @property
     def is_ecosystem(self) -> bool:
         """Whether the adapter follows the field's layout, without a manifest of ours."""
         return not self.has(sdk.File.POLICY_YML)
 
-    def _map(self, name: str) -> dict[str, Any]:
+    def manifest_of(self, name: str) -> dict[str, Any]:
+        """Return the map in a YAML file; empty if it is missing, does not parse, or holds something else."""
         try:
             value = self.yaml(name)
         except NotRun:
