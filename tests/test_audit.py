@@ -226,4 +226,4 @@ def test_facts_are_cleaned_up_in_reverse_order() -> None:
 def test_selecting_nothing_is_an_error() -> None:
     """A misspelt rule must not turn an audit into one that checks nothing."""
     with pytest.raises(UserError, match="there is no rule"):
-        registry.select(("XPL9",))
+        registry.select(("XPL9",), (), tuple(Gate))

@@ -98,7 +98,6 @@ _scopes: ContextVar[_Scopes] = ContextVar("_scopes")
 
 @cache
 def _validator_class() -> Callable[..., Validator]:
-    import numpy as np
     from jsonschema import Draft202012Validator
     from jsonschema.exceptions import ValidationError
     from jsonschema.validators import extend
@@ -129,7 +128,7 @@ def _validator_class() -> Callable[..., Validator]:
         original = keywords[keyword]
 
         def check(validator: Any, wanted: Any, instance: Any, schema: Any) -> Iterator[ValidationError]:
-            comparable = instance.tolist() if isinstance(instance, np.ndarray) else instance
+            comparable = instance.tolist() if hasattr(instance, "tolist") else instance
             yield from original(validator, wanted, comparable, schema) or ()
 
         return check
@@ -137,10 +136,12 @@ def _validator_class() -> Callable[..., Validator]:
     checker = Draft202012Validator.TYPE_CHECKER.redefine_many(
         {
             "array": lambda _, value: isinstance(value, (list, tuple)),
-            "boolean": lambda _, value: isinstance(value, (bool, np.bool_)),
-            "integer": lambda _, value: isinstance(value, (int, np.integer)) and not isinstance(value, bool),
+            "boolean": lambda _, value: isinstance(value, bool) or _scalar_kind(value) == "b",
+            "integer": lambda _, value: (
+                (type(value) is not bool and isinstance(value, int)) or _scalar_kind(value) in "iu"
+            ),
             "number": lambda _, value: (
-                isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+                (type(value) is not bool and isinstance(value, (int, float))) or _scalar_kind(value) in "iuf"
             ),
             "object": lambda _, value: isinstance(value, Mapping),
         }
@@ -152,6 +153,11 @@ def _validator_class() -> Callable[..., Validator]:
         "const": words_only("const"),
     }
     return cast("Callable[..., Validator]", extend(Draft202012Validator, own, type_checker=checker))  # type: ignore[no-untyped-call]
+
+
+def _scalar_kind(value: Any) -> str:
+    """Return the dtype kind of a numpy scalar, "-" for anything else; most documents are read without numpy."""
+    return str(value.dtype.kind) if getattr(value, "shape", None) == () and hasattr(value, "dtype") else "-"
 
 
 def _array_message(wanted: Mapping[str, Any], instance: Any) -> str | None:

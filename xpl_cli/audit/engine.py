@@ -51,7 +51,7 @@ def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) 
         shown: how reports name the folder; the path itself by default.
     """
     report = TargetReport(path=shown or str(path), name=path.name, kind=kind)
-    chosen = [item for item in select(options.names, options.ignore) if item.target == kind]
+    chosen = [item for item in select(options.names, options.ignore, options.gates) if item.target == kind]
     for gate in options.gates:
         selected = [item for item in chosen if item.gate == gate]
         if not selected:

@@ -70,11 +70,40 @@ def rule(*, code: str, slug: str, gate: str, requirement: str, target: str = "po
     return declare
 
 
+# The hundred of a code names its gate, so that the rules of gates that do not run need not be imported.
+_GATES = {"1": (Gate.STATIC,), "2": (Gate.OFFLINE,), "3": (Gate.MUJOCO,), "4": tuple(Gate)}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is known of a rule without importing it: its folder is its slug, its file begins with its code."""
+
+    code: str
+    slug: str
+    path: Path
+
+    @property
+    def gates(self) -> tuple[Gate, ...]:
+        """The gates that a rule of this code may run in."""
+        return _GATES[self.code.removeprefix("XPL")[0]]
+
+    def load(self) -> Rule:
+        """Import the rule."""
+        return _declared(self.path)
+
+
 @cache
+def entries() -> tuple[Entry, ...]:
+    """Return every rule of the conformance room, not imported, in order of code."""
+    paths = content.room("conformance").glob("*/rule.py")
+    return tuple(
+        sorted((Entry(_first_word(path), path.parent.name, path) for path in paths), key=lambda item: item.code)
+    )
+
+
 def rules() -> tuple[Rule, ...]:
     """Return every rule of the conformance room, in order of code."""
-    found = [_declared(path) for path in sorted(content.room("conformance").glob("*/rule.py"))]
-    return tuple(sorted(found, key=lambda item: item.code))
+    return tuple(entry.load() for entry in entries())
 
 
 def find(name: str) -> Rule:
@@ -85,30 +114,47 @@ def find(name: str) -> Rule:
     """
     import difflib
 
-    names: dict[str, Rule] = {key: item for item in rules() for key in (item.code, item.slug)}
+    names = {key: entry for entry in entries() for key in (entry.code, entry.slug)}
     wanted = name.upper() if name.upper() in names else name.lower()
     if wanted in names:
-        return names[wanted]
+        return names[wanted].load()
     near = difflib.get_close_matches(wanted, names, n=3, cutoff=0.5)
     hint = f"did you mean {' or '.join(near)}?" if near else "`xpl rules` lists them"
     raise UserError(f"there is no rule {name!r}", hint=hint)
 
 
-def select(names: tuple[str, ...], ignore: tuple[str, ...] = ()) -> tuple[Rule, ...]:
-    """Return the rules that a selection of codes, code prefixes and slugs leaves; an empty one selects all.
+def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, ...]) -> tuple[Rule, ...]:
+    """Return the rules of some gates that a selection leaves.
+
+    Args:
+        names: codes, code prefixes and slugs to run; empty for all.
+        ignore: codes, code prefixes and slugs to leave out.
+        gates: the gates.
 
     Raises:
-        UserError: if a name selects nothing.
+        UserError: if a name stands for no rule.
     """
-    chosen = [item for item in rules() if not names or any(_matches(item, name) for name in names)]
     for name in (*names, *ignore):
-        if not any(_matches(item, name) for item in rules()):
+        if not any(_matches(entry, name) for entry in entries()):
             find(name)
-    return tuple(item for item in chosen if not any(_matches(item, name) for name in ignore))
+    chosen = [
+        entry.load()
+        for entry in entries()
+        if set(entry.gates) & set(gates)
+        and (not names or any(_matches(entry, name) for name in names))
+        and not any(_matches(entry, name) for name in ignore)
+    ]
+    return tuple(rule for rule in chosen if rule.gate in gates)
 
 
-def _matches(item: Rule, name: str) -> bool:
-    return item.slug == name or (name.upper().startswith("XPL") and item.code.startswith(name.upper()))
+def _matches(entry: Entry, name: str) -> bool:
+    return entry.slug == name or (name.upper().startswith("XPL") and entry.code.startswith(name.upper()))
+
+
+def _first_word(path: Path) -> str:
+    """Return the code with which the docstring of a rule's file begins."""
+    with path.open(encoding="utf-8") as stream:
+        return stream.readline().removeprefix('"""').partition(":")[0]
 
 
 def _declared(path: Path) -> Rule:

@@ -1,0 +1,34 @@
+class Table:
+    def __init__(self, config):
+        self.config = config
+
+    def reset(self, seed=None, options=None):
+        self.steps = 0
+
+    def get_obs(self):
+        return {}
+
+    def get_obs_batch(self, env_idx_list=None, last_frame=False):
+        return [{}]
+
+    def step(self, action):
+        self.steps += 1
+
+    def take_action_batch(self, actions, env_idx_list):
+        self.steps += 1
+
+    def is_episode_end(self):
+        return self.steps > 9
+
+    def running(self):
+        return [0]
+
+    def results(self):
+        return []
+
+    def close(self):
+        pass
+
+
+def make(config):
+    return Table(config)
