@@ -39,7 +39,7 @@ def blank_camera(source: Source) -> Iterator[Finding]:
         raise NotApplicable("the manifest declares an optional camera, for which a stand-in may be meant")
     for function in source.adapter.reach(*OBSERVING, *ACTING):
         for blank in blanks(function):
-            if blank.is_image:
+            if blank.is_image and not blank.is_masked:
                 yield Finding(
                     f"a camera that is missing becomes a black image: the policy is blind where {blank.missing} is not found",
                     **source.at(function.file, blank.node),

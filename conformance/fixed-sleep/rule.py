@@ -37,10 +37,13 @@ def fixed_sleep(source: Source) -> Iterator[Finding]:
     """
     for name in source.text_files:
         if name.endswith(".sh") and "/" not in name:
-            for command in source.commands(name):
+            commands = source.commands(name)
+            for place, command in enumerate(commands):
+                if any(before.name in {"kill", "pkill", "killall"} for before in commands[max(place - 2, 0) : place]):
+                    continue  # time for a process to end
                 if command.name == "sleep" and not command.loops and len(command.arguments) > 1:
                     duration = command.arguments[1]
-                    if not re.fullmatch(r"0?\.\d+s?|0", duration.text):
+                    if not re.fullmatch(r"0?\.\d+s?|0|inf(?:inity)?", duration.text):
                         yield Finding(
                             "a fixed time is waited: on a slower machine the server is not ready yet",
                             path=name,

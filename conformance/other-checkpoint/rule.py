@@ -12,6 +12,7 @@ from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import called, key_read, last, leaves, names, parameters, targets
 
 _LISTS = frozenset(("listdir", "iterdir", "glob", "rglob", "iglob", "scandir"))
+_NAMED = re.compile(r"ckpt|checkpoint|name|run|step|num", re.IGNORECASE)
 _STEP = re.compile(r"step|num|iter|epoch", re.IGNORECASE)
 
 
@@ -69,7 +70,9 @@ def _prefixes(function: Function, listed: list[ast.AST]) -> Iterator[tuple[ast.A
         if isinstance(node, ast.Call) and last(called(node)) == "startswith" and len(node.args) == 1:
             prefix = node.args[0]
             value = made.get(prefix.id, prefix) if isinstance(prefix, ast.Name) else prefix
-            is_given = isinstance(value, ast.Name) and value.id in parameters(function.node)
+            is_given = (
+                isinstance(value, ast.Name) and value.id in parameters(function.node) and bool(_NAMED.search(value.id))
+            )
             if is_given or (isinstance(value, ast.JoinedStr) and isinstance(value.values[0], ast.FormattedValue)):
                 yield node, ast.unparse(_first_value(value)) if isinstance(value, ast.JoinedStr) else ast.unparse(value)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.adapter import Function
+from xpl_cli.audit.adapter import LOADING, Function
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import called, constant, last, names, targets
 
@@ -34,10 +34,12 @@ def partial_weights(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: a checkpoint that only loads in part then raises, as it should.
     """
+    reached = {id(function.node) for function in source.adapter.reach(*LOADING)}
     for name in source.reached(sdk.File.MODEL_PY):
         tree = source.tree(name)
         for node in ast.walk(tree):
-            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            is_ours = "/" not in name or id(node) in reached  # a library's own loaders are not the adapter's
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and is_ours:
                 function = Function(name, node)
                 for call in _lenient(function):
                     if not _is_checked(function, call):

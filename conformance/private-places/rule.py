@@ -12,6 +12,7 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.source import Source
 
 _ADDRESS = re.compile(r"(?<![\w.])(?:\d{1,3}\.){3}\d{1,3}(?![\w.])")
+_VERSION = re.compile(r"(?:[=<>~!]=|[-_v@]|version\S*\s*)$", re.IGNORECASE)
 _HOME = re.compile(r"(?<![\w.$}])/(?:home|Users)/([\w.-]+)")
 _PROXY = re.compile(r"\b(?:https?|all|ftp)_proxy\b\s*[=:]\s*[\"']?(\w+://[^\s\"'$]+|[\d.]+:\d+)", re.IGNORECASE)
 _LINK = re.compile(r"https?://[^\s\"'<>)}\]`]+")
@@ -68,7 +69,7 @@ def _suspects(line: str) -> Iterator[tuple[str, int, str, str]]:
     if proxy is not None:
         yield "every download goes through a proxy that users do not have", proxy.start(), "a proxy", "delete it"
     for found in _ADDRESS.finditer(line) if proxy is None else ():
-        if _is_private(found.group()):
+        if _is_private(found.group()) and not _VERSION.search(line[: found.start()]):
             message = "a host of a private network is named: it is not reachable, or another machine, elsewhere"
             yield message, found.start(), found.group(), "delete it, or take it from the configuration"
     for found in _HOME.finditer(line):
@@ -76,7 +77,7 @@ def _suspects(line: str) -> Iterator[tuple[str, int, str, str]]:
             message = f"a path in the home folder of {found.group(1)} exists on one machine only"
             yield message, found.start(), found.group(), "take the path from the configuration or the environment"
     for found in _LINK.finditer(line):
-        if _is_mirror(found.group()):
+        if _is_mirror(found.group()) and not line.lstrip().startswith("#"):
             host = urlsplit(found.group()).hostname
             message = f"packages and weights are taken from the mirror {host}, whether or not users trust and reach it"
             yield message, found.start(), str(host), "delete it: users set a mirror in their own configuration"
@@ -102,7 +103,9 @@ def _is_mirror(link: str) -> bool:
     except ValueError:
         return False
     words = {word for label in labels[:-1] for word in label.split("-")}
-    return bool(words & {"mirror", "mirrors"}) or ("pypi" in words and len(labels) > 2)
+    return bool(words & {"mirror", "mirrors"}) or (
+        "pypi" in words and len(labels) > 2 and link.rstrip("/").endswith("simple")
+    )
 
 
 def _is_random(text: str) -> bool:

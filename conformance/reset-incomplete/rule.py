@@ -70,7 +70,22 @@ def _left(acting: list[Function], forgotten: set[str]) -> dict[str, Write]:
     for write in writes([function for function in acting if function.name not in loading]):
         if write.attribute in used and write.attribute not in forgotten and not is_memo(write):
             found.setdefault(write.attribute, write)
-    return {name: write for name, write in found.items() if not _is_temporary(name, acting)}
+    return {
+        name: write
+        for name, write in found.items()
+        if not _is_temporary(name, acting) and not _is_guarded(write, used & forgotten)
+    }
+
+
+def _is_guarded(write: Write, cleared: set[str]) -> bool:
+    """Tell whether an attribute cannot be used before it is set anew.
+
+    That is so if it is always set together with another one which reset does clear and which actions need too.
+    """
+    function = write.function
+    together = {other.attribute for other in writes([function]) if other.kind != "grown"}
+    always = write.kind == "assigned" and not is_conditional(write.node, function.node, function.up)
+    return always and bool(together & cleared)
 
 
 def _left_in(adapter: Adapter, attribute: str, component: Adapter) -> dict[str, Write]:

@@ -10,6 +10,8 @@ from xpl_cli.audit.adapter import RESET, RESETTING, Function
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import called, dotted, enclosing, is_broad, last
 
+_TIDIES = frozenset(("empty_cache", "collect", "synchronize", "close", "is_available"))
+"""Calls whose failure leaves no memory of an episode behind."""
 _NOTES = frozenset(("print", "log", "debug", "info", "warn", "warning", "error", "exception", "print_exc"))
 
 
@@ -61,7 +63,9 @@ def _goes_on(function: Function, node: ast.Try, handler: ast.ExceptHandler) -> b
         entry for entry in function.nodes if isinstance(entry, ast.Raise) and entry.lineno > (handler.end_lineno or 0)
     ]
     only_imports = all(isinstance(entry, (ast.Import, ast.ImportFrom, ast.Pass)) for entry in node.body)
-    return all(map(_only_notes, handler.body)) and not later and not only_imports
+    called_names = {last(called(child)) for entry in node.body for child in ast.walk(entry)} - {""}
+    only_tidies = bool(called_names) and called_names <= _TIDIES
+    return all(map(_only_notes, handler.body)) and not later and not only_imports and not only_tidies
 
 
 def _only_notes(statement: ast.stmt) -> bool:

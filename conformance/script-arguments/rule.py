@@ -48,6 +48,8 @@ def script_arguments(source: Source) -> Iterator[Finding]:
 
 def _taken(script: str, order: list[str], command: Command) -> Iterator[Finding]:
     """Yield variables that take another argument than the one they are named after."""
+    if command.functions:
+        return  # a function's own arguments
     for variable, word in command.assignments:
         position = word.position
         name = variable.lower()

@@ -8,8 +8,12 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli import spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.adapter import Adapter
+from xpl_cli.audit.episode import is_reported
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import texts
+from xpl_cli.audit.syntax import called, targets, texts
+
+_CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "tuple"))
 
 
 @rule(code="XPL120", slug="unread-settings", gate="static", requirement="XPL-CFG-4")
@@ -17,8 +21,9 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     """deploy.yml sets keys that nobody reads.
 
     ## What it does
-    Takes the adapter's own keys of `deploy.yml` and looks for each in the adapter's code and scripts. Where the whole
-    configuration is handed on to another package, that package may read any key, and nothing is reported.
+    Takes the adapter's own keys of `deploy.yml` and looks for each in the adapter's code and scripts; a value that is
+    only stored in an attribute, or printed, is not read either. Where the whole configuration is handed on to another
+    package, that package may read any key, and nothing is reported.
 
     ## Why it matters
     Whoever changes such a key sees no effect, and believes that there is none. Often it is a misspelt name of one that
@@ -37,9 +42,10 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     if adapter.config_escapes:
         raise NotApplicable("the whole configuration is handed on to another package, which may read any key")
     standard = set(spec.schema("deploy")["properties"])
-    read = {text for name in source.python_files for text in _texts(source, name)}
+    read = {text for name in source.python_files if source.parses(name) for text in _texts(source, name)}
     scripts = "\n".join(source.text(name) for name in source.text_files if name.endswith(".sh"))
     unread = [key for key in source.deploy if key not in standard and key not in read and str(key) not in scripts]
+    yield from _stored(source, adapter)
     if not unread:
         return
     lines = source.text(sdk.File.DEPLOY_YML).split("\n")
@@ -60,3 +66,39 @@ def _texts(source: Source, name: str) -> set[str]:
     tree = source.tree(name)
     reached = (node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load))
     return texts(tree) | {node.attr for node in reached if getattr(node.value, "id", "") != "self"}
+
+
+def _stored(source: Source, adapter: Adapter) -> Iterator[Finding]:
+    """Yield values of deploy.yml that end in an attribute which nothing uses but messages."""
+    trees = [source.tree(name) for name in source.python_files if source.parses(name)]
+    mentions: dict[str, int] = {}
+    for tree in trees:
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+                mentions[node.attr] = mentions.get(node.attr, 0) + 1
+    for setting in adapter.settings:
+        statement: ast.AST = setting.read.node
+        while isinstance(parent := setting.function.up.get(statement), ast.Call) and called(parent) in _CONVERSIONS:
+            statement = parent
+        if not isinstance(parent, (ast.Assign, ast.AnnAssign)) or setting.read.key not in source.deploy:
+            continue
+        for target in targets(parent):
+            name = target.attr if isinstance(target, ast.Attribute) else ""
+            if name and mentions.get(name, 0) == _reported(adapter, name) and not adapter.has(name):
+                yield Finding(
+                    f"{setting.read.key} is stored and never used: changing it has no effect",
+                    **source.at(setting.function.file, parent),
+                    expected=f"self.{name} decides something",
+                    got=ast.unparse(parent),
+                    fix=Fix("advice", "use the value, or delete the key"),
+                )
+
+
+def _reported(adapter: Adapter, name: str) -> int:
+    """Return how often an attribute is mentioned only to be printed or logged."""
+    return sum(
+        is_reported(node, function)
+        for function in adapter.reach(*adapter.methods)
+        for node in function.nodes
+        if isinstance(node, ast.Attribute) and node.attr == name and isinstance(node.ctx, ast.Load)
+    )

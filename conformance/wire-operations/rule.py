@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import RESET
-from xpl_cli.audit.loop import asked, loops
+from xpl_cli.audit.loop import asked, hands_on, loops
 from xpl_cli.audit.source import Source
 
 _CLIENT = frozenset((sdk.Message.CLOSE, "connect"))
@@ -50,7 +50,7 @@ def wire_operations(source: Source) -> Iterator[Finding]:
                 )
             if first is None and is_call:
                 first = node
-                if name is not None and name != RESET:
+                if name is not None and name != RESET and not hands_on(function.node, function, source, 1):
                     yield Finding(
                         f"{function.name} does not reset first: the episode starts with what the one before left",
                         **source.at(function.file, node),

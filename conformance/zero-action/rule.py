@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
+from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import ACTING, OBSERVING
 from xpl_cli.audit.blanks import blanks
@@ -37,7 +38,7 @@ def zero_action(source: Source) -> Iterator[Finding]:
         if id(function.node) in observing:
             continue
         for blank in blanks(function):
-            if not blank.is_image:
+            if not blank.is_image and not blank.is_masked and _is_output(blank.read):
                 yield Finding(
                     f"where the model's output lacks {blank.missing}, the robot is sent to zero",
                     **source.at(function.file, blank.node),
@@ -45,3 +46,10 @@ def zero_action(source: Source) -> Iterator[Finding]:
                     got=ast.unparse(blank.node),
                     fix=Fix("advice", "read the key with [...], or raise"),
                 )
+
+
+def _is_output(name: str) -> bool:
+    """Tell whether a map can be what a model answered: no observation, nothing that the adapter stored."""
+    words = name.lower().split("_")
+    seen = {sdk.Obs.STATE, "obs", "observation", "self", "cfg", "config"}
+    return bool(name) and not name.endswith("()") and not name.startswith("self.") and not seen & set(words)

@@ -218,6 +218,10 @@ class Adapter:
     def _hands_on(self, function: Function, node: ast.AST, is_config: Callable[[ast.AST], bool]) -> bool:
         if isinstance(node, ast.keyword) and node.arg is None:
             return is_config(node.value)
+        if isinstance(node, (ast.For, ast.comprehension)):
+            return is_config(node.iter)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and is_config(node.func.value):
+            return node.func.attr in {"items", "keys", "values"}
         if not isinstance(node, ast.Call) or not any(is_config(value) for value in _values(node)):
             return False
         return last(called(node)) not in _HARMLESS and self.callee(function, node) is None

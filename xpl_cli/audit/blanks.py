@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from xpl_cli.audit.adapter import Function
-from xpl_cli.audit.syntax import always_raises, called, constant, dotted, last, names
+from xpl_cli.audit.syntax import always_raises, called, constant, dotted, last, names, texts
 
 _MAKERS: Final = frozenset(("zeros", "zeros_like", "full", "ones", "new"))
 
@@ -20,8 +20,9 @@ class Blank:
     Attributes:
         node: the expression that makes them.
         missing: what is missing, as it is written.
-        read: name of the map that it was read from, "" where that is not known.
+        read: name of the map that it was read from, with () where a function read it, "" where that is not known.
         is_image: whether they have the shape or the type of an image.
+        is_masked: whether the same branch tells a mask that the value is missing.
     """
 
     function: Function
@@ -29,6 +30,7 @@ class Blank:
     missing: str
     read: str
     is_image: bool
+    is_masked: bool = False
 
 
 def blanks(function: Function) -> Iterator[Blank]:
@@ -56,8 +58,15 @@ def _branches(
 ) -> Iterator[Blank]:
     """Yield zeros in the branch of a test that is taken where something is missing."""
     for what, read, is_missing in _asked(test, looked_up):
-        for made in _put(body if is_missing else orelse):
-            yield Blank(function, made, what, read, _is_image(made))
+        branch = body if is_missing else orelse
+        is_masked = any("mask" in word or "pad" in word for entry in branch for word in _words(entry))
+        for made in _put(branch):
+            yield Blank(function, made, what, read, _is_image(made), is_masked)
+
+
+def _words(node: ast.AST) -> set[str]:
+    attributes = {child.attr for child in ast.walk(node) if isinstance(child, ast.Attribute)}
+    return {word.lower() for word in names(node) | texts(node) | attributes}
 
 
 def _asked(test: ast.expr, looked_up: dict[str, str]) -> Iterator[tuple[str, str, bool]]:
@@ -92,7 +101,7 @@ def _map_of(value: ast.expr) -> str:
     if isinstance(value, ast.Call) and isinstance(value.func, ast.Attribute) and value.func.attr in {"get", "pop"}:
         return dotted(value.func.value)
     if isinstance(value, ast.Call):  # extract(observation, key): a function that may find nothing
-        return next((dotted(argument) for argument in value.args if isinstance(argument, ast.Name)), "")
+        return next((f"{argument.id}()" for argument in value.args if isinstance(argument, ast.Name)), "")
     if isinstance(value, ast.IfExp):
         return _map_of(value.body) or _map_of(value.orelse)
     return ""

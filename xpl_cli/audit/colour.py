@@ -37,6 +37,8 @@ def swaps(function: Function) -> Iterator[Swap]:
     Left out: what goes straight to a writer that wants BGR, what was read from a file or video by OpenCV, and what
     happens only under a condition about "bgr", which is then somebody's setting.
     """
+    if any(last(called(node)) == "imencode" for node in function.nodes):
+        return  # encoded and decoded again, to compress
     sources = _sources(function)
     for node in function.nodes:
         image, claims_bgr = _swapped(node)
@@ -54,8 +56,8 @@ def _swapped(node: ast.AST) -> tuple[ast.expr | None, bool]:
     """Return the image whose channels a node exchanges, and whether the code calls it BGR."""
     if isinstance(node, ast.Call) and last(called(node)) == "cvtColor" and len(node.args) > 1:
         code = last(ast.unparse(node.args[1]))
-        if code in {"COLOR_BGR2RGB", "COLOR_RGB2BGR"}:
-            return node.args[0], code == "COLOR_BGR2RGB"
+        if code == "COLOR_BGR2RGB":  # the opposite is asked for by something that wants BGR
+            return node.args[0], True
     if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Tuple) and isinstance(node.ctx, ast.Load):
         channels = node.slice.elts[-1]
         backwards = isinstance(channels, ast.Slice) and channels.lower is channels.upper is None

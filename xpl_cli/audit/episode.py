@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -14,6 +15,11 @@ _GROWING: Final = frozenset(
     ("append", "appendleft", "extend", "extendleft", "insert", "add", "update", "put", "push", "setdefault")
 )
 _SHRINKING: Final = frozenset(("clear", "pop", "popleft", "popitem", "remove", "discard"))
+
+_BOOKKEEPING: Final = re.compile(
+    r"latenc|timing|elapsed|profil|debug|_log|metric|n(?:um)?_calls|call_count|request|warn", re.I
+)
+_REPORTS: Final = frozenset(("print", "log", "info", "debug", "warning"))
 
 Kind = Literal["assigned", "keyed", "grown"]
 
@@ -68,12 +74,14 @@ def mentioned(functions: list[Function]) -> set[str]:
 
 
 def read(functions: list[Function]) -> set[str]:
-    """Return every attribute of `self` whose value these functions use, other than to print it or to change it."""
+    """Return every attribute of `self` whose value these functions use, other than to report it or to change it."""
     found: set[str] = set()
     for function in functions:
         for node in function.nodes:
             if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and self_attribute(node) == node.attr:
-                if not _is_only_changed(node, function) and not _is_printed(node, function):
+                if not (
+                    _BOOKKEEPING.search(node.attr) or _is_only_changed(node, function) or is_reported(node, function)
+                ):
                     found.add(node.attr)
     return found
 
@@ -125,12 +133,15 @@ def _is_only_changed(node: ast.Attribute, function: Function) -> bool:
     return isinstance(target, ast.Subscript) and isinstance(target.ctx, (ast.Store, ast.Del))
 
 
-def _is_printed(node: ast.AST, function: Function) -> bool:
+def is_reported(node: ast.AST, function: Function) -> bool:
+    """Tell whether a mention only decides what is printed or logged."""
+    inner = node
     for ancestor in enclosing(node, function.up):
-        if isinstance(ancestor, ast.Call) and last(called(ancestor)) in {"print", "info", "debug", "warning"}:
+        if isinstance(ancestor, ast.JoinedStr) or last(called(ancestor)) in _REPORTS:
             return True
-        if isinstance(ancestor, ast.JoinedStr):
-            return True
+        if isinstance(ancestor, ast.If) and inner is ancestor.test:
+            return all(isinstance(entry, ast.Expr) and last(called(entry.value)) in _REPORTS for entry in ancestor.body)
         if isinstance(ancestor, ast.stmt):
             return False
+        inner = ancestor
     return False

@@ -44,10 +44,11 @@ class Word:
 
 @dataclass(frozen=True)
 class Command:
-    """One simple command: its assignments, its words, and how deep in loops it stands."""
+    """One simple command: its assignments, its words, and how deep in loops and functions it stands."""
 
     words: tuple[Word, ...]
     loops: int
+    functions: int = 0
 
     @property
     def assignments(self) -> list[tuple[str, Word]]:
@@ -91,6 +92,8 @@ class _Parser:
         self._found: list[Command] = []
         self._words: list[Word] = []
         self._loops = 0
+        self._blocks: list[bool] = []  # for each open brace, whether it is a function's
+        self._is_function = False
         self._heredocs: list[str] = []
 
     def commands(self) -> list[Command]:
@@ -115,6 +118,10 @@ class _Parser:
                 if self._words and self._words[-1].raw.isdigit() and script[self._at - 1].isdigit():
                     self._words.pop()  # the `2` of `2>&1`
                 self._at = found.end()
+            elif script.startswith("()", self._at) and len(self._words) == 1:
+                self._words = []
+                self._is_function = True
+                self._at += 2
             elif character in ";&|()":
                 self._end()
                 self._at += 1
@@ -128,8 +135,16 @@ class _Parser:
         while words and words[0].raw in _KEYWORDS | _OPENERS:
             keyword = words.pop(0).raw
             self._loops += (keyword in _OPENERS) - (keyword == "done")
-        if words:
-            self._found.append(Command(tuple(words), max(self._loops, 0)))
+            if keyword == "{":
+                self._blocks.append(self._is_function)
+                self._is_function = False
+            elif keyword == "}" and self._blocks:
+                self._blocks.pop()
+        if words and words[0].raw == "function":
+            self._is_function = True
+            self._blocks += [True] * (words[-1].raw == "{")
+        elif words:
+            self._found.append(Command(tuple(words), max(self._loops, 0), sum(self._blocks)))
         self._words = []
 
     def _word(self) -> None:

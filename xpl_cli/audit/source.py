@@ -160,6 +160,14 @@ class Source:
             return {}
         return value if isinstance(value, dict) else {}
 
+    def parses(self, name: str) -> bool:
+        """Tell whether a Python file parses."""
+        try:
+            self.tree(name)
+        except NotRun:
+            return False
+        return True
+
     def reached(self, name: str) -> list[str]:
         """Return a Python file and the adapter's own files that it imports, those in subfolders only one step deep."""
         found = [name] if self.has(name) else []

@@ -7,3 +7,6 @@ done
 for try in 1 2 3; do bash ./setup_eval_env_client.sh "$@" && break || sleep "$((try * 10))"; done
 echo "do not sleep 60"
 sleep 0.2
+kill "$server"
+sleep 3
+kill -9 "$server"

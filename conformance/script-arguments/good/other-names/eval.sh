@@ -12,3 +12,8 @@ gpu=$7
 policy_env=${9:-${CONDA_DEFAULT_ENV:-}}
 local_seed=$((seed + 5))
 bash ./setup_eval_policy_server.sh "$bench_name" "$task_name" "$ckpt_name" "$env_cfg_type" "$action_type" "$seed" "$gpu"
+report() {
+  local seed=$1
+  action_type=$2
+  echo "$seed $action_type"
+}

@@ -24,8 +24,9 @@ class Model:
         return [self.next_chunk(env) for env in self.order]
 
     def next_chunk(self, env):
-        self.requests += 1
-        print(f"request {self.requests}")
+        self.calls += 1
+        if self.calls % 100 == 0:
+            print(f"call {self.calls}")
         prompt = self.by_env[env]["instruction"]
         if prompt not in self.embeddings:
             self.embeddings.update({prompt: self.embed(prompt)})
