@@ -137,7 +137,7 @@ def is_reported(node: ast.AST, function: Function) -> bool:
     """Tell whether a mention only decides what is printed or logged."""
     inner = node
     for ancestor in enclosing(node, function.up):
-        if isinstance(ancestor, ast.JoinedStr) or last(called(ancestor)) in _REPORTS:
+        if last(called(ancestor)) in _REPORTS or isinstance(ancestor, ast.Raise):
             return True
         if isinstance(ancestor, ast.If) and inner is ancestor.test:
             return all(isinstance(entry, ast.Expr) and last(called(entry.value)) in _REPORTS for entry in ancestor.body)
