@@ -12,6 +12,7 @@ import pytest
 
 from xpl_cli.audit import engine, registry
 from xpl_cli.audit.model import Gate, GateReport, NotRun, Outcome, Result, TargetReport, exit_code
+from xpl_cli.audit.options import Options
 from xpl_cli.errors import ExitCode, UserError
 
 if TYPE_CHECKING:
@@ -180,7 +181,7 @@ def test_a_crashing_rule_is_an_error_and_hides_no_other(workspace: Path, monkeyp
     sound = registry.find("XPL101")
     broken = registry.Rule("XPL100", "crash", Gate.STATIC, "XPL-PKG-1", "policy", crash, sound.folder)
     monkeypatch.setattr(engine, "select", lambda *_: (broken, sound))
-    report = engine.audit(workspace / "policy/Foo", "policy", engine.Options(gates=(Gate.STATIC,)))
+    report = engine.audit(workspace / "policy/Foo", "policy", Options(gates=(Gate.STATIC,)))
     first, second = report.gates[0].results
     assert (first.outcome, second.outcome) == (Outcome.ERROR, Outcome.PASS)
     assert "on purpose" in str(first.reason)

@@ -11,6 +11,7 @@ import pytest
 from xpl_cli import spec
 from xpl_cli.audit import engine, registry
 from xpl_cli.audit.model import Gate, Outcome
+from xpl_cli.audit.options import Options
 from xpl_cli.audit.subjects import Subject, build, subjects
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def test_a_rule_has_a_bad_and_a_good_subject(rule: Rule) -> None:
 
 def _audit(subject: Subject, rule: Rule, folder: Path) -> engine.TargetReport:
     target = build(subject, folder / "Subject")
-    return engine.audit(target, rule.target, engine.Options(names=(rule.slug,)))
+    return engine.audit(target, rule.target, Options(names=(rule.slug,)))
 
 
 @pytest.mark.parametrize(
@@ -104,6 +105,6 @@ def test_a_plain_scaffold_has_no_static_finding_but_its_placeholders(
     nothing = tmp_path / "nothing"
     nothing.mkdir()
     target = build(Subject(folder=nothing, good=True, scaffold=options), tmp_path / "Subject")
-    report = engine.audit(target, "policy", engine.Options(gates=(Gate.STATIC,)))
+    report = engine.audit(target, "policy", Options(gates=(Gate.STATIC,)))
     assert {result.slug for result in report.results if result.findings} == {"placeholders"}
     assert not any(result.outcome in {Outcome.ERROR, Outcome.NOT_RUN} for result in report.results)

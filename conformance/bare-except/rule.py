@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.source import Source
 
 
@@ -30,11 +30,7 @@ def bare_except(source: Source) -> Iterator[Finding]:
     `except Exception:` only lets interrupts through; naming the exception may let errors through that were hidden.
     """
     for name in source.python_files:
-        try:
-            tree = source.tree(name)
-        except NotRun:
-            continue
-        for node in ast.walk(tree):
+        for node in source.nodes(name) if source.parses(name) else ():
             if isinstance(node, ast.Try):
                 for handler in node.handlers:
                     if _is_bare(handler) and not any(isinstance(child, ast.Raise) for child in ast.walk(handler)):

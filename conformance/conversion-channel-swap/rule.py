@@ -35,8 +35,7 @@ def conversion_channel_swap(source: Source) -> Iterator[Finding]:
     if not source.conversion_files:
         raise NotApplicable("the adapter converts no data")
     for name in source.conversion_files:
-        tree = source.tree(name)
-        for node in ast.walk(tree):
+        for node in source.nodes(name):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 found = [swap for swap in swaps(Function(name, node)) if swap.claims_bgr or swap.decoded]
                 if found:

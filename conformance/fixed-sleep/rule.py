@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 
 from xpl import _spec as sdk
-from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import called, constant, enclosing, parents
 
@@ -58,13 +58,12 @@ def fixed_sleep(source: Source) -> Iterator[Finding]:
 
 def _in_loop(source: Source) -> Iterator[Finding]:
     name = sdk.File.DEPLOY_PY
-    try:
-        tree = source.tree(name)
-    except NotRun:
-        return
-    up = parents(tree)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and called(node) in {"time.sleep", "sleep"} and node.args:
+    sleeps = (
+        [node for node in source.nodes(name) if called(node) in {"time.sleep", "sleep"}] if source.parses(name) else []
+    )
+    up = parents(source.tree(name)) if sleeps else {}
+    for node in sleeps:
+        if isinstance(node, ast.Call) and node.args:
             seconds = constant(node.args[0])
             is_poll = any(isinstance(entry, (ast.While, ast.For)) for entry in enclosing(node, up))
             if isinstance(seconds, (int, float)) and seconds >= 1 and not is_poll:

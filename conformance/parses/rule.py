@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ast
 import re
-import warnings
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotRun, rule
@@ -71,15 +69,11 @@ def _conflicts(source: Source, name: str) -> Iterator[Finding]:
 
 def _python(source: Source, name: str) -> Iterator[Finding]:
     try:
-        text = source.text(name)
+        error = source.syntax_error(name)
     except NotRun as reason:
         yield Finding(f"{name} cannot be checked: {reason}", path=name, expected="source text", got=str(reason))
         return
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            ast.parse(text, filename=name)
-    except SyntaxError as error:
+    if isinstance(error, SyntaxError):
         yield Finding(
             f"{name} does not parse: importing it fails",
             path=name,
@@ -89,5 +83,5 @@ def _python(source: Source, name: str) -> Iterator[Finding]:
             got=error.msg,
             fix=Fix("advice", "mend the syntax at this place"),
         )
-    except (ValueError, RecursionError, MemoryError) as error:
+    elif error is not None:
         yield Finding(f"{name} does not parse: {error}", path=name, expected="Python", got=str(error))

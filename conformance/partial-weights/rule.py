@@ -36,8 +36,7 @@ def partial_weights(source: Source) -> Iterator[Finding]:
     """
     reached = {id(function.node) for function in source.adapter.reach(*LOADING)}
     for name in source.reached(sdk.File.MODEL_PY):
-        tree = source.tree(name)
-        for node in ast.walk(tree):
+        for node in source.nodes(name):
             is_ours = "/" not in name or id(node) in reached  # a library's own loaders are not the adapter's
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and is_ours:
                 function = Function(name, node)

@@ -130,7 +130,7 @@ def _unseeded(source: Source, adapter: Adapter) -> Iterator[Finding]:
 def _mentions_seed(source: Source, file: str) -> bool:
     return any(
         _SEED in part.lower()
-        for node in ast.walk(source.tree(file))
+        for node in source.nodes(file)
         for part in (dotted(node), getattr(node, "arg", None) or "")
         if isinstance(part, str)
     )

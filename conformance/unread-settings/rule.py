@@ -63,17 +63,17 @@ def unread_settings(source: Source) -> Iterator[Finding]:
 
 def _texts(source: Source, name: str) -> set[str]:
     """Return the texts of a Python file, and the names it reaches by attribute, as in `config.horizon`."""
-    tree = source.tree(name)
-    reached = (node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load))
-    return texts(tree) | {node.attr for node in reached if getattr(node.value, "id", "") != "self"}
+    reached = (
+        node for node in source.nodes(name) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+    )
+    return texts(source.tree(name)) | {node.attr for node in reached if getattr(node.value, "id", "") != "self"}
 
 
 def _stored(source: Source, adapter: Adapter) -> Iterator[Finding]:
     """Yield values of deploy.yml that end in an attribute which nothing uses but messages."""
-    trees = [source.tree(name) for name in source.python_files if source.parses(name)]
     mentions: dict[str, int] = {}
-    for tree in trees:
-        for node in ast.walk(tree):
+    for file in source.python_files:
+        for node in source.nodes(file) if source.parses(file) else ():
             if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
                 mentions[node.attr] = mentions.get(node.attr, 0) + 1
     for setting in adapter.settings:

@@ -99,9 +99,9 @@ class Adapter:
             NotApplicable: if model.py takes it from a package that is not part of the adapter.
         """
         wanted = sdk.MODEL_CLASS
-        tree = source.tree(sdk.File.MODEL_PY)
+        source.tree(sdk.File.MODEL_PY)
         found = symbols(source, sdk.File.MODEL_PY).classes.get(wanted)
-        if found is None and _origin(tree, wanted):
+        if found is None and _origin(source, sdk.File.MODEL_PY, wanted):
             raise NotApplicable(f"model.py takes {wanted} from a package that is not part of the adapter")
         if found is None:
             raise NotRun(f"model.py defines no class {wanted}")
@@ -126,7 +126,7 @@ class Adapter:
             local = None if name in seen else symbols(self.source, file).classes.get(name)
             if local is not None:
                 self._inherit(*local, seen | {name})
-            elif last(name) == _SDK_CLASS and _origin(self.source.tree(file), name).startswith("xpl"):
+            elif last(name) == _SDK_CLASS and _origin(self.source, file, name).startswith("xpl"):
                 self.is_sdk = True
                 self.inherited.update(("__init__", *sdk.CONTRACT_METHODS))
             elif last(name) == _TEMPLATE:
@@ -315,10 +315,10 @@ def _top_level(body: list[ast.stmt]) -> Iterator[ast.stmt]:
             yield from _top_level(handler.body)
 
 
-def _origin(tree: ast.Module, name: str) -> str:
+def _origin(source: Source, file: str, name: str) -> str:
     """Return the module that a name was imported from."""
     top = name.partition(".")[0]
-    for node in ast.walk(tree):
+    for node in source.nodes(file):
         if isinstance(node, ast.ImportFrom) and not node.level:
             if any((alias.asname or alias.name) == top for alias in node.names):
                 return node.module or ""

@@ -37,12 +37,13 @@ def swaps(function: Function) -> Iterator[Swap]:
     Left out: what goes straight to a writer that wants BGR, what was read from a file or video by OpenCV, and what
     happens only under a condition about "bgr", which is then somebody's setting.
     """
-    if any(last(called(node)) == "imencode" for node in function.nodes):
-        return  # encoded and decoded again, to compress
+    found = [(node, *_swapped(node)) for node in function.nodes if isinstance(node, (ast.Call, ast.Subscript))]
+    found = [entry for entry in found if entry[1] is not None]
+    if not found or any(last(called(node)) == "imencode" for node in function.nodes):
+        return  # nothing, or encoded and decoded again, to compress
     sources = _sources(function)
-    for node in function.nodes:
-        image, claims_bgr = _swapped(node)
-        if image is None or not isinstance(node, ast.expr):
+    for node, image, claims_bgr in found:
+        if image is None:
             continue
         origin = {called(call).rpartition(".")[2] for call in ast.walk(image) if isinstance(call, ast.Call)}
         for name in names(image):

@@ -4,41 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.audit import providers
 from xpl_cli.audit.facts import Facts
 from xpl_cli.audit.finish import fingerprint
 from xpl_cli.audit.model import Gate, GateReport, NotApplicable, NotRun, Outcome, Result, TargetReport
 from xpl_cli.audit.registry import Rule, select
-from xpl_cli.progress import Progress
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-
-@dataclass(frozen=True)
-class Options:
-    """What an audit is asked to do.
-
-    Attributes:
-        gates: gates to run, in order.
-        names, ignore: codes, code prefixes and slugs of rules to run and to leave out.
-        keep_going: run a gate although an earlier one failed.
-        overrides: keys of deploy.yml for the gates that serve the adapter.
-        python, env: interpreter of the adapter, as for `xpl serve`.
-        progress: told what is being done, for a person who waits.
-    """
-
-    gates: tuple[Gate, ...] = tuple(Gate)
-    names: tuple[str, ...] = ()
-    ignore: tuple[str, ...] = ()
-    keep_going: bool = False
-    overrides: dict[str, Any] = field(default_factory=dict)
-    python: str | None = None
-    env: str | None = None
-    progress: Progress = field(default_factory=Progress)
+    from xpl_cli.audit.options import Options
 
 
 def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) -> TargetReport:

@@ -17,7 +17,7 @@ _GROWING: Final = frozenset(
 _SHRINKING: Final = frozenset(("clear", "pop", "popleft", "popitem", "remove", "discard"))
 
 _BOOKKEEPING: Final = re.compile(
-    r"latenc|timing|elapsed|profil|debug|_log|metric|n(?:um)?_calls|call_count|request|warn", re.I
+    r"latenc|timing|elapsed|profil|debug|_log|metric|n(?:um)?_calls|call_count|request|warn", re.IGNORECASE
 )
 _REPORTS: Final = frozenset(("print", "log", "info", "debug", "warning"))
 

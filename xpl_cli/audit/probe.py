@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from xpl_cli.audit.engine import Options
+    from xpl_cli.audit.options import Options
 
 
 class Session:

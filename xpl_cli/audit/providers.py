@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from xpl_cli.audit.engine import Options
+    from xpl_cli.audit.options import Options
     from xpl_cli.audit.probe import Probe
     from xpl_cli.audit.simulation import Simulation
 

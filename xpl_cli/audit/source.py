@@ -40,6 +40,8 @@ class Source:
     path: Path
     _texts: dict[str, str] = field(default_factory=dict)
     _trees: dict[str, ast.Module] = field(default_factory=dict)
+    _errors: dict[str, Exception] = field(default_factory=dict)
+    _nodes: dict[str, tuple[ast.AST, ...]] = field(default_factory=dict)
     _lines: dict[str, list[str]] = field(default_factory=dict)
     _commands: dict[str, list[Command]] = field(default_factory=dict)
     _imports: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -94,14 +96,36 @@ class Source:
         Raises:
             NotRun: if there is no such file, or it does not parse; the rule `parses` reports where.
         """
-        if name not in self._trees:
+        error = self.syntax_error(name)
+        if error is not None:
+            raise NotRun(f"{name} does not parse: {error}")
+        return self._trees[name]
+
+    def syntax_error(self, name: str) -> Exception | None:
+        """Return why a Python file does not parse, or None if it does.
+
+        Raises:
+            NotRun: if there is no such file, or it is too large.
+        """
+        if name not in self._trees and name not in self._errors:
+            text = self.text(name)
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # an invalid escape is not ours to print
-                    self._trees[name] = ast.parse(self.text(name), filename=name)
+                    self._trees[name] = ast.parse(text, filename=name)
             except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-                raise NotRun(f"{name} does not parse: {error}") from None
-        return self._trees[name]
+                self._errors[name] = error
+        return self._errors.get(name)
+
+    def nodes(self, name: str) -> tuple[ast.AST, ...]:
+        """Return everything in a Python file.
+
+        Raises:
+            NotRun: if there is no such file, or it does not parse.
+        """
+        if name not in self._nodes:
+            self._nodes[name] = tuple(ast.walk(self.tree(name)))
+        return self._nodes[name]
 
     def record(self) -> str:
         """Return a hash of the boundary's files, for the gate's digest."""
@@ -185,11 +209,11 @@ class Source:
     def _read_imports(self, name: str) -> dict[str, str]:
         found: dict[str, str] = {}
         try:
-            tree = self.tree(name)
+            nodes = self.nodes(name)
         except NotRun:
             return found
         here = name.rpartition("/")[0]
-        for node in ast.walk(tree):
+        for node in nodes:
             wanted: list[tuple[str, int]] = []
             if isinstance(node, ast.Import):
                 wanted = [(alias.name, 0) for alias in node.names]

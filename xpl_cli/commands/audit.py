@@ -27,9 +27,9 @@ def audit(
     130 interrupted.
     """
     from xpl_cli import console, package
-    from xpl_cli.audit.engine import Options
     from xpl_cli.audit.engine import audit as run
     from xpl_cli.audit.model import Gate, exit_code
+    from xpl_cli.audit.options import Options
     from xpl_cli.audit.report import as_json as to_json
     from xpl_cli.audit.report import as_text
     from xpl_cli.audit.targets import find_target
