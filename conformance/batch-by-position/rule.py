@@ -81,7 +81,7 @@ def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
             f"{ACT_BATCH}([9]) answers for the environment that was observed first, say 3: the list is only counted, "
             f"robots receive each other's commands"
         ), counted
-    if any(isinstance(node, ast.Name) and node.id == parameter for node in reads):
+    if any(node.id == parameter for node in reads):
         return None  # looked at in some other way
     return (
         f"{ACT_BATCH}([9]) answers every environment that was observed, and so 3 when asked for 9: "
@@ -119,46 +119,38 @@ def _use(read: ast.Name, up: dict[ast.AST, ast.AST], aliases: set[str]) -> str:
         if isinstance(parent, ast.IfExp) and node is parent.test:
             return "nothing"
         node, parent = parent, up.get(parent)
-    if isinstance(parent, (ast.Assign, ast.AnnAssign)):
+    is_test = isinstance(parent, (ast.If, ast.While)) and node is parent.test
+    if is_test or isinstance(parent, (ast.Assign, ast.AnnAssign, ast.UnaryOp)) or _copies(parent, up, aliases):
         return "nothing"
-    if isinstance(parent, (ast.Compare, ast.UnaryOp)) or (
-        isinstance(parent, (ast.If, ast.While)) and node is parent.test
-    ):
-        return "nothing" if not _asks_for_member(parent) else "content"
-    if (
-        isinstance(parent, ast.comprehension)
-        and isinstance(up.get(parent), ast.ListComp)
-        and _is_list_comp(parent, up, aliases)
-    ):
-        return "nothing"
-    if isinstance(parent, ast.Call):
-        name = called(parent)
-        if name == "len":
-            return "count"
-        if name == "enumerate":
-            return "content" if _entry_is_used(parent, up) else "count"
-        if name in {"isinstance", "print", "type"}:
-            return "nothing"
-    if isinstance(parent, (ast.For, ast.comprehension)) and isinstance(parent.target, ast.Name):
-        scope = parent if isinstance(parent, ast.For) else up[parent]
-        return "content" if _is_read(parent.target, scope) else "count"
-    return "content"
+    if isinstance(parent, ast.Compare):
+        return "content" if any(isinstance(entry, (ast.In, ast.NotIn)) for entry in parent.ops) else "nothing"
+    return _use_in(parent, up)
 
 
-def _is_list_comp(parent: ast.comprehension, up: dict[ast.AST, ast.AST], aliases: set[str]) -> bool:
-    whole = up[parent]
+def _use_in(parent: ast.AST | None, up: dict[ast.AST, ast.AST]) -> str:
+    """Say how a call or a loop uses the list that it gets."""
+    name = called(parent) if parent is not None else ""
+    if name in {"isinstance", "print", "type"}:
+        return "nothing"
+    counts = name == "len"
+    if isinstance(parent, ast.Call) and name == "enumerate":
+        counts = not _entry_is_used(parent, up)
+    elif isinstance(parent, (ast.For, ast.comprehension)) and isinstance(parent.target, ast.Name):
+        counts = not _is_read(parent.target, parent if isinstance(parent, ast.For) else up[parent])
+    return "count" if counts else "content"
+
+
+def _copies(parent: ast.AST | None, up: dict[ast.AST, ast.AST], aliases: set[str]) -> bool:
+    """Tell whether a comprehension only copies the list, into a name that is then followed."""
+    whole = up.get(parent) if isinstance(parent, ast.comprehension) else None
     return isinstance(whole, ast.ListComp) and _is_list(whole, aliases) and isinstance(up.get(whole), ast.Assign)
-
-
-def _asks_for_member(node: ast.AST) -> bool:
-    return isinstance(node, ast.Compare) and any(isinstance(entry, (ast.In, ast.NotIn)) for entry in node.ops)
 
 
 def _entry_is_used(call: ast.Call, up: dict[ast.AST, ast.AST]) -> bool:
     parent = up.get(call)
     if not isinstance(parent, (ast.For, ast.comprehension)) or not isinstance(parent.target, ast.Tuple):
         return True
-    entry = parent.target.elts[-1]
+    entry = next(reversed(parent.target.elts), None)
     scope = parent if isinstance(parent, ast.For) else up[parent]
     return not isinstance(entry, ast.Name) or _is_read(entry, scope)
 

@@ -17,8 +17,8 @@ def blank_camera(source: Source) -> Iterator[Finding]:
     """A camera that is missing becomes a black image.
 
     ## What it does
-    Looks in what the observing and acting methods reach for images of zeros that stand in where a look-up found nothing.
-    Where policy.yml declares a camera optional, a stand-in may be meant, and nothing is reported.
+    Looks in what the observing and acting methods reach for images of zeros that stand in where a look-up found
+    nothing. Where policy.yml declares a camera optional, a stand-in may be meant, and nothing is reported.
 
     ## Why it matters
     A misspelt camera name, or an environment without that camera, gives a policy that is blind on one eye. It still
@@ -35,13 +35,13 @@ def blank_camera(source: Source) -> Iterator[Finding]:
     """
     declared = source.manifest.get("inputs")
     optional = declared.get("optional") if isinstance(declared, dict) else None
-    if any(str(entry).startswith(f"{sdk.Obs.VISION}.") for entry in optional or ()):
+    if isinstance(optional, list) and any(str(entry).startswith(f"{sdk.Obs.VISION}.") for entry in optional):
         raise NotApplicable("the manifest declares an optional camera, for which a stand-in may be meant")
     for function in source.adapter.reach(*OBSERVING, *ACTING):
         for blank in blanks(function):
             if blank.is_image and not blank.is_masked:
                 yield Finding(
-                    f"a camera that is missing becomes a black image: the policy is blind where {blank.missing} is not found",
+                    f"a missing camera becomes a black image: the policy is blind where {blank.missing} is not found",
                     **source.at(function.file, blank.node),
                     expected="an error that names the cameras that are there",
                     got=ast.unparse(blank.node),

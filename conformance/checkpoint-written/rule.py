@@ -36,8 +36,8 @@ def checkpoint_written(source: Source) -> Iterator[Finding]:
     """Loading changes files of the checkpoint.
 
     ## What it does
-    Follows what loading reaches, and looks for files that are written, copied over or deleted at a path which is made of
-    the checkpoint's.
+    Follows what loading reaches, and looks for files that are written, copied over or deleted at a path which is made
+    of the checkpoint's.
 
     ## Why it matters
     The checkpoint is no longer the one that was published: its hash differs, and who loads it next gets other numbers.
@@ -57,7 +57,7 @@ def checkpoint_written(source: Source) -> Iterator[Finding]:
             root = _root(function, path)
             if root is not None:
                 yield Finding(
-                    f"loading changes the checkpoint (at {root}): whoever loads it next gets another one, two servers race",
+                    f"loading changes the checkpoint (at {root}): who loads it next gets another one, two servers race",
                     **source.at(function.file, node),
                     expected="checkpoint files as they were published",
                     got=ast.unparse(node),
@@ -82,7 +82,7 @@ def _written(function: Function) -> Iterator[tuple[ast.Call, ast.expr]]:
                 (entry.value for entry in node.keywords if entry.arg == "mode"), arguments[0] if arguments else None
             )
             if re.search(r"[wax+]", str(constant(mode)) if isinstance(constant(mode), str) else ""):
-                path = owner if is_method else node.args[0]
+                path = owner if is_method else next(iter(node.args), None)
                 if path is not None:
                     yield node, path
         elif last(name) in _WRITES and owner is not None:

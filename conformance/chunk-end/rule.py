@@ -21,8 +21,8 @@ def chunk_end(source: Source) -> Iterator[Finding]:
     in its own condition, or in a branch with `break` or `return`.
 
     ## Why it matters
-    After success the arm keeps moving and may undo it; an environment that has ended may raise, or count the steps to the
-    next episode.
+    After success the arm keeps moving and may undo it; an environment that has ended may raise, or count the steps to
+    the next episode.
 
     ## Example
     `for action in chunk: TASK_ENV.take_action(action)`, with the check only around the whole chunk.

@@ -18,8 +18,8 @@ def env_manifest(source: Source) -> Iterator[Finding]:
     Validates `env.yml` against the environment schema and compares its name with the folder's.
 
     ## Why it matters
-    Evaluation and audit read tasks, embodiments and step limits from it. An environment is found by its folder; a result
-    that bears another name is not found again.
+    Evaluation and audit read tasks, embodiments and step limits from it. An environment is found by its folder; a
+    result that bears another name is not found again.
 
     ## Example
     A task without `max_steps`: its episodes have no end.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
+from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.adapter import RESET, Adapter, Function, symbols
 from xpl_cli.audit.source import Source
@@ -21,7 +22,7 @@ _SURFACE = {
     "is_episode_end": 0,
     "get_running_env_idx_list": 0,
     "results": 0,
-    "close": 0,
+    sdk.Message.CLOSE: 0,
 }
 
 
@@ -30,8 +31,9 @@ def env_surface(source: Source) -> Iterator[Finding]:
     """The client has no make(config), or what it makes lacks an operation that evaluation loops call.
 
     ## What it does
-    Looks in the client file for `make`, finds the class of what it returns, and compares that class's methods, inherited
-    ones included, with the operations of a task environment. Where the class cannot be told, nothing is reported.
+    Looks in the client file for `make`, finds the class of what it returns, and compares that class's methods,
+    inherited ones included, with the operations of a task environment. Where the class cannot be told, nothing is
+    reported.
 
     ## Why it matters
     An evaluation loop calls these by name. What is missing shows up at the first episode, or, as with

@@ -21,8 +21,8 @@ def first_instruction(source: Source) -> Iterator[Finding]:
     """One environment's instruction is used for the whole batch.
 
     ## What it does
-    Looks in the batch operations and in `predict` for instructions that are taken from entry 0 of the batch, or stored in
-    one attribute by a loop over the batch, so that the last one wins.
+    Looks in the batch operations and in `predict` for instructions that are taken from entry 0 of the batch, or
+    stored in one attribute by a loop over the batch, so that the last one wins.
 
     ## Why it matters
     Environments of a batch may play different tasks, and the same task has many wordings. All but one of them then act

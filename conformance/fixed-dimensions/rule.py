@@ -34,13 +34,13 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     """The adapter cuts vectors by the dimensions of one robot.
 
     ## What it does
-    Looks for joint and gripper values that are cut at constants, for packed vectors that are taken apart by three or more
-    constant slices which are the layout of a robot, for constant masks as long as a robot's action, and for constant
-    tables of arm dimensions.
+    Looks for joint and gripper values that are cut at constants, for packed vectors that are taken apart by three or
+    more constant slices which are the layout of a robot, for constant masks as long as a robot's action, and for
+    constant tables of arm dimensions.
 
     ## Why it matters
-    On a robot with seven joints the seventh is dropped, or taken for the gripper. Shapes still fit, so that the arm moves
-    to a wrong pose without an error.
+    On a robot with seven joints the seventh is dropped, or taken for the gripper. Shapes still fit, so that the arm
+    moves to a wrong pose without an error.
 
     ## Example
     `state["left_arm_joint_state"][:6]`.
@@ -77,7 +77,7 @@ def _finding(source: Source, file: str, node: ast.AST, message: str) -> Finding:
 def _bounds(node: ast.AST) -> tuple[int, int | None] | None:
     """Return the constant bounds of a slice of the last axis."""
     inner = node.slice if isinstance(node, ast.Subscript) else None
-    if isinstance(inner, ast.Tuple):
+    if isinstance(inner, ast.Tuple) and inner.elts:
         inner = inner.elts[-1]
     if not isinstance(inner, ast.Slice) or inner.step is not None:
         return None
@@ -141,9 +141,10 @@ def _masks(nodes: list[ast.AST]) -> Iterator[tuple[ast.AST, str]]:
     """Yield constant lists of flags that are as long as an action of a robot."""
     lengths = {length: name for name, _, length in reversed(_layouts())}
     for node in nodes:
-        if isinstance(node, (ast.List, ast.Tuple)) and len(node.elts) in lengths:
-            if all(isinstance(constant(entry), bool) for entry in node.elts):
-                yield node, f"the mask is that of {lengths[len(node.elts)]}: on another robot it covers other values"
+        if not isinstance(node, (ast.List, ast.Tuple)) or len(node.elts) not in lengths:
+            continue
+        if all(isinstance(constant(entry), bool) for entry in node.elts):
+            yield node, f"the mask is that of {lengths[len(node.elts)]}: on another robot it covers other values"
 
 
 def _tables(nodes: tuple[ast.AST, ...]) -> Iterator[tuple[ast.AST, str]]:
@@ -152,11 +153,14 @@ def _tables(nodes: tuple[ast.AST, ...]) -> Iterator[tuple[ast.AST, str]]:
     for node in nodes:
         if isinstance(node, ast.Dict) and len(node.keys) > 1:
             names = {constant(key) for key in node.keys if key is not None}
-            if names and all(isinstance(name, str) and name.endswith("_dim") for name in names):
-                if all(
+            if (
+                names
+                and all(isinstance(name, str) and name.endswith("_dim") for name in names)
+                and all(
                     isinstance(value, (ast.List, ast.Tuple))
                     and value.elts
                     and all(isinstance(constant(entry), int) for entry in value.elts)
                     for value in node.values
-                ):
-                    yield node, "arm dimensions are assumed: on another robot vectors are cut at the wrong places"
+                )
+            ):
+                yield node, "arm dimensions are assumed: on another robot vectors are cut at the wrong places"

@@ -19,8 +19,8 @@ def fixed_sleep(source: Source) -> Iterator[Finding]:
     """A script waits a fixed time for something to be ready.
 
     ## What it does
-    Looks for `sleep` in the scripts, and `time.sleep` in deploy.py, outside of loops. Inside a loop it is the pause of a
-    poll. Pauses of less than a second do not count.
+    Looks for `sleep` in the scripts, and `time.sleep` in deploy.py, outside of loops. Inside a loop it is the pause
+    of a poll. Pauses of less than a second do not count.
 
     ## Why it matters
     On a slower disk the model loads longer than the author's did, and the client meets a closed port. On a faster one

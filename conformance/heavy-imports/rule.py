@@ -22,8 +22,8 @@ def heavy_imports(source: Source) -> Iterator[Finding]:
     adapter. Imports inside functions and under `if TYPE_CHECKING:` do not count.
 
     ## Why it matters
-    Tools read an adapter without its environment: the audit in shadow mode, documentation, comparisons. With the imports
-    inside `load`, they can; and the server can report progress and errors while a large library loads.
+    Tools read an adapter without its environment: the audit in shadow mode, documentation, comparisons. With the
+    imports inside `load`, they can; and the server can report progress and errors while a large library loads.
 
     ## Example
     `import torch` in the first lines of model.py.

@@ -20,8 +20,8 @@ def init_imports_model(source: Source) -> Iterator[Finding]:
     the adapter. Imports inside functions are fine, they run when they are needed.
 
     ## Why it matters
-    A simulator imports the package to get `deploy.py`. It then loads the policy's libraries into its own Python: another
-    torch, another numpy, GPU memory. Inside `try: ... except ImportError: pass` it hides the errors of both.
+    A simulator imports the package to get `deploy.py`. It then loads the policy's libraries into its own Python:
+    another torch, another numpy, GPU memory. Inside `try: ... except ImportError: pass` it hides the errors of both.
 
     ## Example
     `from .model import Model` in `__init__.py`, for the convenience of a `get_model` function.

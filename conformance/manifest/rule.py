@@ -18,8 +18,8 @@ def manifest(source: Source) -> Iterator[Finding]:
     embodiment is one that the standard knows.
 
     ## Why it matters
-    The audit, the server and comparisons between policies read it: inputs that must be there, embodiments, chunk length,
-    interpreter. What is misspelt there is not checked and not served.
+    The audit, the server and comparisons between policies read it: inputs that must be there, embodiments, chunk
+    length, interpreter. What is misspelt there is not checked and not served.
 
     ## Example
     `temporal: {kind: chunked}`; the kinds are single_step, chunk, history and memory.

@@ -41,16 +41,17 @@ def null_defeats_default(source: Source) -> Iterator[Finding]:
     nulls = {key for key, value in source.deploy.items() if value is None} - given
     for setting in source.adapter.settings:
         read = setting.read
-        if read.key in nulls and read.default is not None and constant(read.default) is not None:
-            if not _handles_none(setting):
-                default = ast.unparse(read.default)
-                yield Finding(
-                    f"{read.key} is null in {sdk.File.DEPLOY_YML}, so that the policy gets None here and not {default}",
-                    **source.at(setting.function.file, read.node),
-                    expected=default,
-                    got="None",
-                    fix=Fix("advice", f"self.setting({read.key!r}, {default}), or delete `{read.key}: null`"),
-                )
+        if read.key not in nulls or read.default is None or constant(read.default) is None:
+            continue
+        if not _handles_none(setting):
+            default = ast.unparse(read.default)
+            yield Finding(
+                f"{read.key} is null in {sdk.File.DEPLOY_YML}, so that the policy gets None here and not {default}",
+                **source.at(setting.function.file, read.node),
+                expected=default,
+                got="None",
+                fix=Fix("advice", f"self.setting({read.key!r}, {default}), or delete `{read.key}: null`"),
+            )
 
 
 def _handles_none(setting: Setting) -> bool:

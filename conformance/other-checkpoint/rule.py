@@ -21,8 +21,9 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
     """A checkpoint that was asked for and does not exist is replaced by another one.
 
     ## What it does
-    Looks, in what loading reaches, for directory listings that are searched by the beginning of a name (`run-1` also finds
-    `run-1-other` and `run-10`), and for a step that is tried and, where it is missing, followed by a search for any other.
+    Looks, in what loading reaches, for directory listings that are searched by the beginning of a name (`run-1` also
+    finds `run-1-other` and `run-10`), and for a step that is tried and, where it is missing, followed by a search for
+    any other.
 
     ## Why it matters
     The results of an evaluation are then those of other weights than its label says. It happens when a training run was
@@ -73,7 +74,9 @@ def _prefixes(function: Function, listed: list[ast.AST]) -> Iterator[tuple[ast.A
             is_given = (
                 isinstance(value, ast.Name) and value.id in parameters(function.node) and bool(_NAMED.search(value.id))
             )
-            if is_given or (isinstance(value, ast.JoinedStr) and isinstance(value.values[0], ast.FormattedValue)):
+            if is_given or (
+                isinstance(value, ast.JoinedStr) and isinstance(next(iter(value.values), None), ast.FormattedValue)
+            ):
                 yield node, ast.unparse(_first_value(value)) if isinstance(value, ast.JoinedStr) else ast.unparse(value)
 
 

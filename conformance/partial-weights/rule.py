@@ -11,6 +11,7 @@ from xpl_cli.audit.adapter import LOADING, Function
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import called, constant, last, names, targets
 
+_REPORTS = frozenset(("print", "len", "info", "warning", "debug", "sorted", "list", "str"))
 _LOADS = frozenset(("load_state_dict", "load_model", "load_weights", "load_checkpoint"))
 
 
@@ -19,7 +20,8 @@ def partial_weights(source: Source) -> Iterator[Finding]:
     """Weights that are missing or left over are accepted.
 
     ## What it does
-    Looks for `strict=False` where weights are loaded, without an error for what the call reports as missing or unexpected.
+    Looks for `strict=False` where weights are loaded, without an error for what the call reports as missing or
+    unexpected.
 
     ## Why it matters
     A layer whose weights were not found keeps random ones. The policy runs, moves, and scores like a policy that was
@@ -36,7 +38,7 @@ def partial_weights(source: Source) -> Iterator[Finding]:
     """
     reached = {id(function.node) for function in source.adapter.reach(*LOADING)}
     for name in source.reached(sdk.File.MODEL_PY):
-        for node in source.nodes(name):
+        for node in source.nodes(name) if any(word in source.text(name) for word in _LOADS) else ():
             is_ours = "/" not in name or id(node) in reached  # a library's own loaders are not the adapter's
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and is_ours:
                 function = Function(name, node)
@@ -56,32 +58,27 @@ def partial_weights(source: Source) -> Iterator[Finding]:
 def _lenient(function: Function) -> Iterator[ast.Call]:
     for node in function.nodes:
         if isinstance(node, ast.Call) and last(called(node)) in _LOADS:
-            if any(entry.arg == "strict" and constant(entry.value) is False for entry in node.keywords):
+            strict = next((entry.value for entry in node.keywords if entry.arg == "strict"), None)
+            if constant(strict) is False:
                 yield node
 
 
 def _is_checked(function: Function, call: ast.Call) -> bool:
     """Tell whether what the call reports leads to an error, or is handed on to somebody who may look."""
     parent = function.up.get(call)
-    if isinstance(parent, ast.Return):
-        return True
     if not isinstance(parent, ast.Assign):
-        return False
+        return isinstance(parent, ast.Return)
     results = {name for target in targets(parent) for name in names(target)} - {"_"}
-    for node in function.nodes:
-        if isinstance(node, ast.If) and names(node.test) & results:
-            if any(isinstance(child, ast.Raise) for entry in node.body for child in ast.walk(entry)):
-                return True
-        elif isinstance(node, ast.Assert) and names(node.test) & results:
-            return True
-        elif isinstance(node, ast.Call) and last(called(node)) not in {
-            "print",
-            "len",
-            "info",
-            "warning",
-            "sorted",
-            "list",
-        }:
-            if any(isinstance(value, ast.Name) and value.id in results for value in node.args):
-                return True
+    return any(_checks(node, results) for node in function.nodes)
+
+
+def _checks(node: ast.AST, results: set[str]) -> bool:
+    if isinstance(node, ast.If):
+        return bool(names(node.test) & results) and any(
+            isinstance(child, ast.Raise) for entry in node.body for child in ast.walk(entry)
+        )
+    if isinstance(node, ast.Assert):
+        return bool(names(node.test) & results)
+    if isinstance(node, ast.Call) and last(called(node)) not in _REPORTS:
+        return any(isinstance(value, ast.Name) and value.id in results for value in node.args)
     return False

@@ -20,8 +20,8 @@ def print_per_inference(source: Source) -> Iterator[Finding]:
     condition, and functions that are called under one, do not count.
 
     ## Why it matters
-    At 25 Hz and ten environments these are 250 lines a second. They bury the message that matters, and formatting arrays
-    and flushing costs a part of the control period.
+    At 25 Hz and ten environments these are 250 lines a second. They bury the message that matters, and formatting
+    arrays and flushing costs a part of the control period.
 
     ## Example
     `print("request", self.count, action[:6], flush=True)` in `get_action`.

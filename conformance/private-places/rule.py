@@ -97,7 +97,7 @@ def _is_private(text: str) -> bool:
 
 
 def _is_mirror(link: str) -> bool:
-    """Tell whether a link leads to a mirror of an index or a hub: by its host's labels, so that no host is listed here."""
+    """Tell by its host's labels whether a link leads to a mirror of an index or a hub; no host is listed here."""
     try:
         labels = (urlsplit(link).hostname or "").split(".")
     except ValueError:

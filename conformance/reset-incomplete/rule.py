@@ -56,8 +56,8 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
         "the next episode starts with an observation or a plan of the one before",
         **where,
         expected=f"{RESET} sets it anew",
-        got=f"{first.function.name} sets it in line {first.node.lineno}",  # type: ignore[attr-defined]
-        evidence={name: f"{write.function.name}:{write.node.lineno}" for name, write in left.items()},  # type: ignore[attr-defined]
+        got=f"{first.function.name} sets it in line {first.line}",
+        evidence={name: f"{write.function.name}:{write.line}" for name, write in left.items()},
         fix=_FIX,
     )
 
@@ -143,8 +143,8 @@ def _is_temporary(attribute: str, functions: list[Function]) -> bool:
         if not lines:
             continue
         set_at = [
-            write.node.lineno
-            for write in writes([function])  # type: ignore[attr-defined]
+            write.line
+            for write in writes([function])
             if write.attribute == attribute
             and write.kind == "assigned"
             and not is_conditional(write.node, function.node, function.up)

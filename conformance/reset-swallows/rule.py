@@ -5,12 +5,13 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
+from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import RESET, RESETTING, Function
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import called, dotted, enclosing, is_broad, last
 
-_TIDIES = frozenset(("empty_cache", "collect", "synchronize", "close", "is_available"))
+_TIDIES = frozenset(("empty_cache", "collect", "synchronize", "is_available", sdk.Message.CLOSE))
 """Calls whose failure leaves no memory of an episode behind."""
 _NOTES = frozenset(("print", "log", "debug", "info", "warn", "warning", "error", "exception", "print_exc"))
 
@@ -23,8 +24,8 @@ def reset_swallows(source: Source) -> Iterator[Finding]:
     Looks in `reset`, and in what it calls, for handlers that catch every exception and do not raise.
 
     ## Why it matters
-    The episode goes on with the memory of the one before. Nobody looks at a warning in the middle of a hundred episodes;
-    an error ends the run and can be repeated.
+    The episode goes on with the memory of the one before. Nobody looks at a warning in the middle of a hundred
+    episodes; an error ends the run and can be repeated.
 
     ## Example
     `try: self.server.reset_memory()` with `except Exception: logging.warning(...)`.

@@ -15,8 +15,8 @@ def script_arguments(source: Source) -> Iterator[Finding]:
     """A script takes its positional arguments in another order than launchers give them.
 
     ## What it does
-    Parses the scripts and looks at `name=$N`: a variable that bears the name of an argument of the standard takes it from
-    that argument's place. Calls of the adapter's own scripts are checked the same way.
+    Parses the scripts and looks at `name=$N`: a variable that bears the name of an argument of the standard takes it
+    from that argument's place. Calls of the adapter's own scripts are checked the same way.
 
     ## Why it matters
     Launchers give arguments by position. A script that expects the seed where the action type comes evaluates the wrong

@@ -9,7 +9,7 @@ from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import ACTING, OBSERVING, Adapter, Setting
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import constant, dotted, called, last, targets
+from xpl_cli.audit.syntax import called, constant, dotted, last, targets
 
 _SEED = sdk.Deploy.SEED
 _GLOBAL = ("np.random.", "numpy.random.", "random.")
@@ -35,7 +35,8 @@ def seed_ignored(source: Source) -> Iterator[Finding]:
     `self.seed = int(config.get("seed") or 6198)`.
 
     ## Use instead
-    `self.seed` and `self.rng(env)` of `xpl.Policy`; otherwise `0 if seed is None else seed`, and a generator of one's own.
+    `self.seed` and `self.rng(env)` of `xpl.Policy`; otherwise `0 if seed is None else seed`, and a generator of one's
+    own.
 
     ## Fix safety
     No automatic fix.
@@ -59,7 +60,7 @@ def _replaced(source: Source, setting: Setting) -> Iterator[Finding]:
         node, parent = parent, function.up.get(parent)
     stored = {ast.unparse(target) for target in targets(parent)} if isinstance(parent, ast.Assign) else set()
     for test in function.nodes:
-        replaced = None
+        replaced: ast.expr | None = None
         if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.Or):
             before = test.values[:-1]
             instead = constant(test.values[-1])

@@ -50,7 +50,7 @@ def shared_rollout(source: Source) -> Iterator[Finding]:
                 f"the environments of a batch share {attributes}: environment 7 continues where 3 stopped",
                 **source.start(function.file, loop),
                 expected="state per environment, such as self.history[env]",
-                got=f"{ast.unparse(first.node).splitlines()[0]} in {first.function.name}, line {first.node.lineno}",  # type: ignore[attr-defined]
+                got=f"{ast.unparse(first.node).splitlines()[0]} in {first.function.name}, line {first.line}",
                 fix=Fix("advice", "keep it in a map by environment index, cleared at reset"),
             )
             return
@@ -66,12 +66,11 @@ def _loop(adapter: Adapter, function: Function) -> ast.AST | None:
             )
             if any(
                 isinstance(child, ast.Name) and child.id in given[:1] for entry in iterated for child in ast.walk(entry)
+            ) and any(
+                isinstance(child, ast.Attribute) and getattr(child.value, "id", "") == "self"
+                for child in ast.walk(node)
             ):
-                if any(
-                    isinstance(child, ast.Attribute) and getattr(child.value, "id", "") == "self"
-                    for child in ast.walk(node)
-                ):
-                    return node
+                return node
     return None
 
 

@@ -46,8 +46,9 @@ def signatures(source: Source) -> Iterator[Finding]:
         if failing:
             calls = " and ".join(_call(name, count) for count in failing)
             takes = f"{required} to {allowed}" if allowed != required else str(required)
+            ends = "" if len(failing) > 1 else "s"
             yield Finding(
-                f"{name} takes {takes} positional arguments, so that {calls} raise{'s' * (len(failing) == 1)} TypeError",
+                f"{name} takes {takes} positional arguments, so that {calls} raise{ends} TypeError",
                 **source.start(function.file, function.node),
                 expected=calls,
                 got=f"def {name}({ast.unparse(function.node.args)})",

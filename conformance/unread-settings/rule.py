@@ -11,7 +11,7 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.adapter import Adapter
 from xpl_cli.audit.episode import is_reported
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import called, targets, texts
+from xpl_cli.audit.syntax import called, targets
 
 _CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "tuple"))
 
@@ -50,8 +50,9 @@ def unread_settings(source: Source) -> Iterator[Finding]:
         return
     lines = source.text(sdk.File.DEPLOY_YML).split("\n")
     line = next((number for number, text in enumerate(lines, start=1) if text.startswith(f"{unread[0]}:")), 1)
+    what = "it" if len(unread) == 1 else "one of them"
     yield Finding(
-        f"nobody reads {', '.join(map(str, unread))}: changing {'it' if len(unread) == 1 else 'one of them'} has no effect",
+        f"nobody reads {', '.join(map(str, unread))}: changing {what} has no effect",
         path=sdk.File.DEPLOY_YML,
         line=line,
         column=1,
@@ -63,10 +64,17 @@ def unread_settings(source: Source) -> Iterator[Finding]:
 
 def _texts(source: Source, name: str) -> set[str]:
     """Return the texts of a Python file, and the names it reaches by attribute, as in `config.horizon`."""
-    reached = (
-        node for node in source.nodes(name) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
-    )
-    return texts(source.tree(name)) | {node.attr for node in reached if getattr(node.value, "id", "") != "self"}
+    found = set()
+    for node in source.nodes(name):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.add(node.value)
+        elif (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.ctx, ast.Load)
+            and getattr(node.value, "id", "") != "self"
+        ):
+            found.add(node.attr)
+    return found
 
 
 def _stored(source: Source, adapter: Adapter) -> Iterator[Finding]:

@@ -35,7 +35,8 @@ def wire_operations(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    known = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *(source.manifest.get("methods") or ())}
+    declared = source.manifest.get("methods")
+    known = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *(map(str, declared) if isinstance(declared, list) else ())}
     for function in loops(source):
         first: ast.Call | None = None
         for node, name in sorted(asked(function), key=lambda entry: (entry[0].lineno, entry[0].col_offset)):

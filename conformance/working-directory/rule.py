@@ -20,9 +20,9 @@ def working_directory(source: Source) -> Iterator[Finding]:
     """A path depends on the folder from which the server or the script was started.
 
     ## What it does
-    Looks for relative paths of the configuration that are made absolute by the working directory, for constant relative
-    paths that are opened, and for scripts that call a file of the adapter by a relative path without going to its folder
-    first.
+    Looks for relative paths of the configuration that are made absolute by the working directory, for constant
+    relative paths that are opened, and for scripts that call a file of the adapter by a relative path without going
+    to its folder first.
 
     ## Why it matters
     The server is started by launchers, from their folder. The same deploy.yml then finds the weights on one machine and
@@ -111,9 +111,10 @@ def _opened(function: Function) -> Iterator[tuple[ast.AST, str]]:
     for node in function.nodes:
         if isinstance(node, ast.Call) and node.args and dotted(node.func) in {"open", "torch.load", "np.load", "Path"}:
             path = constant(node.args[0])
-            if isinstance(path, str) and re.match(r"\.{0,2}/?[\w-]+[/.]", path) and not path.startswith("/"):
-                if dotted(node.func) != "Path" or path.startswith("./"):
-                    yield node, path
+            relative = isinstance(path, str) and re.match(r"(?!/)\.{0,2}/?[\w-]+[/.]", path)
+            # A Path may still be joined to something; one that says "here" is not.
+            if relative and isinstance(path, str) and (dotted(node.func) != "Path" or path.startswith("./")):
+                yield node, path
 
 
 def _called_by(source: Source, script: str) -> Iterator[Finding]:

@@ -18,7 +18,6 @@ from xpl_cli.audit.syntax import (
     key_read,
     last,
     parameters,
-    parents,
     self_attribute,
     targets,
 )
@@ -53,13 +52,13 @@ class Function:
 
     @cached_property
     def nodes(self) -> tuple[ast.AST, ...]:
-        """Everything in it, in source order."""
+        """Everything in it, the outermost first."""
         return tuple(ast.walk(self.node))
 
     @cached_property
     def up(self) -> dict[ast.AST, ast.AST]:
         """The parent of each of its nodes."""
-        return parents(self.node)
+        return {child: parent for parent in self.nodes for child in ast.iter_child_nodes(parent)}
 
 
 @dataclass(frozen=True)
@@ -89,6 +88,7 @@ class Adapter:
     inherited: set[str] = field(default_factory=set)
     is_sdk: bool = False
     is_closed: bool = True
+    _mentions: dict[int, list[Function]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, source: Source) -> Adapter:
@@ -153,7 +153,10 @@ class Adapter:
     def _walk(self, found: list[Function]) -> list[Function]:
         seen = {id(function.node) for function in found}
         for function in found:
-            for other in self._mentioned(function):
+            key = id(function.node)
+            if key not in self._mentions:
+                self._mentions[key] = list(self._mentioned(function))
+            for other in self._mentions[key]:
                 if id(other.node) not in seen:
                     seen.add(id(other.node))
                     found.append(other)
@@ -363,8 +366,3 @@ def _bound(names: list[str], call: ast.Call) -> list[tuple[str, ast.expr]]:
     """Return the parameters that a call gives, with what they get."""
     given = list(zip(names, call.args, strict=False))
     return given + [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg in names]
-
-
-def reads_of(settings: list[Setting], key: str) -> list[Setting]:
-    """Return the settings that read one key."""
-    return [setting for setting in settings if setting.read.key == key]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from xpl_cli.audit.adapter import Function
 from xpl_cli.audit.syntax import always_raises, called, constant, dotted, last, names, texts
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.adapter import Function
 
 _MAKERS: Final = frozenset(("zeros", "zeros_like", "full", "ones", "new"))
 
@@ -54,7 +56,7 @@ def blanks(function: Function) -> Iterator[Blank]:
 
 
 def _branches(
-    function: Function, test: ast.expr, body: list[ast.AST], orelse: list[ast.AST], looked_up: dict[str, str]
+    function: Function, test: ast.expr, body: Sequence[ast.AST], orelse: Sequence[ast.AST], looked_up: dict[str, str]
 ) -> Iterator[Blank]:
     """Yield zeros in the branch of a test that is taken where something is missing."""
     for what, read, is_missing in _asked(test, looked_up):
@@ -107,7 +109,7 @@ def _map_of(value: ast.expr) -> str:
     return ""
 
 
-def _put(body: list[ast.AST]) -> Iterator[ast.Call]:
+def _put(body: Sequence[ast.AST]) -> Iterator[ast.Call]:
     """Yield the zeros that a branch returns or assigns."""
     if any(isinstance(entry, ast.stmt) for entry in body) and always_raises(
         [e for e in body if isinstance(e, ast.stmt)]
@@ -127,7 +129,7 @@ def _made(value: ast.expr) -> ast.Call | None:
         name = called(value)
         if last(name) in _MAKERS and name.partition(".")[0] in {"np", "numpy", "torch", "jnp", "Image"}:
             is_zero = last(name) in {"zeros", "zeros_like", "new"} or (
-                last(name) == "full" and constant(value.args[-1]) == 0
+                last(name) == "full" and bool(value.args) and constant(value.args[-1]) == 0
             )
             return value if is_zero else None
         if isinstance(value.func, ast.Attribute) and isinstance(value.func.value, ast.Call):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from xpl_cli.audit.adapter import Function
 from xpl_cli.audit.syntax import called, constant, enclosing, last, names, targets, texts
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.adapter import Function
 
 _READS_BGR: Final = frozenset(("imread", "read", "retrieve", "VideoCapture"))
 """Functions of OpenCV that read standard files and videos, and give BGR."""
@@ -59,7 +61,9 @@ def _swapped(node: ast.AST) -> tuple[ast.expr | None, bool]:
         code = last(ast.unparse(node.args[1]))
         if code == "COLOR_BGR2RGB":  # the opposite is asked for by something that wants BGR
             return node.args[0], True
-    if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Tuple) and isinstance(node.ctx, ast.Load):
+    if not isinstance(node, ast.Subscript) or not isinstance(node.ctx, ast.Load):
+        return None, False
+    if isinstance(node.slice, ast.Tuple) and node.slice.elts:
         channels = node.slice.elts[-1]
         backwards = isinstance(channels, ast.Slice) and channels.lower is channels.upper is None
         if backwards and constant(getattr(channels, "step", None)) == -1:

@@ -6,10 +6,12 @@ import ast
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
-from xpl_cli.audit.adapter import Function
 from xpl_cli.audit.syntax import called, dotted, enclosing, last, self_attribute, targets, texts
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.adapter import Function
 
 _GROWING: Final = frozenset(
     ("append", "appendleft", "extend", "extendleft", "insert", "add", "update", "put", "push", "setdefault")
@@ -35,19 +37,25 @@ class Write:
     attribute: str
     kind: Kind
     function: Function
-    node: ast.AST
+    node: ast.stmt | ast.expr
+
+    @property
+    def line(self) -> int:
+        """Where it stands in its file."""
+        return self.node.lineno
 
 
 def writes(functions: list[Function]) -> Iterator[Write]:
     """Yield every change of an attribute of `self` in these functions."""
     for function in functions:
         for node in function.nodes:
-            for target in targets(node) if not isinstance(node, (ast.For, ast.AsyncFor)) else []:
-                attribute = self_attribute(target)
-                if attribute is not None:
-                    plain: Kind = "grown" if isinstance(node, ast.AugAssign) else "assigned"
-                    yield Write(attribute, "keyed" if _has_key(target) else plain, function, node)
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and last(called(node)) in _GROWING:
+            if isinstance(node, (ast.Assign, ast.AnnAssign, ast.AugAssign, ast.NamedExpr)):
+                plain: Kind = "grown" if isinstance(node, ast.AugAssign) else "assigned"
+                for target in targets(node):
+                    attribute = self_attribute(target)
+                    if attribute is not None:
+                        yield Write(attribute, "keyed" if _has_key(target) else plain, function, node)
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _GROWING:
                 attribute = self_attribute(node.func.value)
                 if attribute is not None:
                     keyed = _has_key(node.func.value) or node.func.attr == "setdefault"
@@ -75,15 +83,17 @@ def mentioned(functions: list[Function]) -> set[str]:
 
 def read(functions: list[Function]) -> set[str]:
     """Return every attribute of `self` whose value these functions use, other than to report it or to change it."""
-    found: set[str] = set()
-    for function in functions:
-        for node in function.nodes:
-            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and self_attribute(node) == node.attr:
-                if not (
-                    _BOOKKEEPING.search(node.attr) or _is_only_changed(node, function) or is_reported(node, function)
-                ):
-                    found.add(node.attr)
-    return found
+    return {
+        node.attr
+        for function in functions
+        for node in function.nodes
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.ctx, ast.Load)
+        and self_attribute(node) == node.attr
+        and not _BOOKKEEPING.search(node.attr)
+        and not _is_only_changed(node, function)
+        and not is_reported(node, function)
+    }
 
 
 def is_memo(write: Write) -> bool:
@@ -124,7 +134,7 @@ def _asked_whether_missing(test: ast.expr, kind: Kind) -> set[str]:
 
 
 def _is_only_changed(node: ast.Attribute, function: Function) -> bool:
-    """Tell whether a mention is the object of a call that only changes it, as in `self.a.append(x)` for its own sake."""
+    """Tell whether a mention is the object of a call that only changes it, as in `self.a.append(x)`."""
     method = function.up.get(node)
     call = function.up.get(method) if isinstance(method, ast.Attribute) else None
     if isinstance(call, ast.Call) and call.func is method and isinstance(method, ast.Attribute):

@@ -38,7 +38,7 @@ def loops(source: Source) -> list[Function]:
 
 
 def asked(function: Function) -> Iterator[tuple[ast.Call, str | None]]:
-    """Yield what a function asks of the policy: `model_client.call(func_name="reset")`; None for a name made at run time."""
+    """Yield what a function asks of the policy, `call(func_name="reset")`; None for a name made at run time."""
     client = _client(function)
     for node in function.nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and _is(node.func.value, client):
@@ -54,9 +54,10 @@ def does(node: ast.AST, function: Function, names: tuple[str, ...]) -> Iterator[
     """Yield calls of these methods of the environment below a node."""
     environment = _environment(function)
     for child in ast.walk(node):
-        if isinstance(child, ast.Call) and isinstance(child.func, ast.Attribute):
-            if child.func.attr in names and _is(child.func.value, environment):
-                yield child
+        if not isinstance(child, ast.Call) or not isinstance(child.func, ast.Attribute):
+            continue
+        if child.func.attr in names and _is(child.func.value, environment):
+            yield child
 
 
 def updates(node: ast.AST, function: Function) -> bool:

@@ -97,38 +97,49 @@ class _Parser:
         self._heredocs: list[str] = []
 
     def commands(self) -> list[Command]:
-        script = self._script
-        while self._at < len(script):
-            character = script[self._at]
-            if character == "\n":
-                self._end()
-                self._at += 1
-                self._skip_heredocs()
-            elif character in " \t":
-                self._at += 1
-            elif script.startswith("\\\n", self._at):
-                self._at += 2
-            elif character == "#":
-                end = script.find("\n", self._at)
-                self._at = len(script) if end < 0 else end
-            elif not script.startswith("<<<", self._at) and (found := _HEREDOC.match(script, self._at)):
-                self._heredocs.append(found.group(2))
-                self._at = found.end()
-            elif found := _REDIRECTION.match(script, self._at):
-                if self._words and self._words[-1].raw.isdigit() and script[self._at - 1].isdigit():
-                    self._words.pop()  # the `2` of `2>&1`
-                self._at = found.end()
-            elif script.startswith("()", self._at) and len(self._words) == 1:
-                self._words = []
-                self._is_function = True
-                self._at += 2
-            elif character in ";&|()":
-                self._end()
-                self._at += 1
-            else:
-                self._word()
+        while self._at < len(self._script):
+            if not self._skipped():
+                self._next()
         self._end()
         return self._found
+
+    def _skipped(self) -> bool:
+        """Move past what separates words: blanks, continued lines, comments."""
+        script, character = self._script, self._script[self._at]
+        if character in " \t":
+            self._at += 1
+        elif script.startswith("\\\n", self._at):
+            self._at += 2
+        elif character == "#":
+            end = script.find("\n", self._at)
+            self._at = len(script) if end < 0 else end
+        else:
+            return False
+        return True
+
+    def _next(self) -> None:
+        """Move past the end of a command, a redirection, or a word."""
+        script, character = self._script, self._script[self._at]
+        if character == "\n":
+            self._end()
+            self._at += 1
+            self._skip_heredocs()
+        elif not script.startswith("<<<", self._at) and (found := _HEREDOC.match(script, self._at)):
+            self._heredocs.append(found.group(2))
+            self._at = found.end()
+        elif found := _REDIRECTION.match(script, self._at):
+            if self._words and self._words[-1].raw.isdigit() and script[self._at - 1].isdigit():
+                self._words.pop()  # the `2` of `2>&1`
+            self._at = found.end()
+        elif script.startswith("()", self._at) and len(self._words) == 1:
+            self._words = []
+            self._is_function = True
+            self._at += 2
+        elif character in ";&|()":
+            self._end()
+            self._at += 1
+        else:
+            self._word()
 
     def _end(self) -> None:
         words = self._words

@@ -45,13 +45,6 @@ def last(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def calls(node: ast.AST, *names: str) -> Iterator[ast.Call]:
-    """Yield every call below `node` whose last name is one of `names`."""
-    for child in ast.walk(node):
-        if isinstance(child, ast.Call) and last(called(child)) in names:
-            yield child
-
-
 def own(node: ast.AST) -> Iterator[ast.AST]:
     """Yield everything below `node` in source order, without entering nested functions and classes."""
     for child in ast.iter_child_nodes(node):
@@ -102,14 +95,6 @@ def key_read(node: ast.AST) -> KeyRead | None:
         if isinstance(key, str):
             return KeyRead(node, node.func.value, key, node.args[1] if len(node.args) > 1 else None, required=False)
     return None
-
-
-def key_reads(node: ast.AST) -> Iterator[KeyRead]:
-    """Yield everything below `node` that reads a map under a constant key."""
-    for child in ast.walk(node):
-        found = key_read(child)
-        if found is not None:
-            yield found
 
 
 def self_attribute(node: ast.AST) -> str | None:
