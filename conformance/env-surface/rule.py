@@ -5,25 +5,15 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
-from xpl import _spec as sdk
+from xpl_cli import spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.adapter import RESET, Adapter, Function, symbols
+from xpl_cli.audit.adapter import Adapter, Function, symbols
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import dotted, parameters
 
-_MAKE = "make"
-# Operations that evaluation loops and the audit call, with the most positional arguments they give.
-_SURFACE = {
-    RESET: 2,
-    "get_obs": 0,
-    "get_obs_batch": 1,
-    "take_action": 1,
-    "take_action_batch": 2,
-    "is_episode_end": 0,
-    "get_running_env_idx_list": 0,
-    "results": 0,
-    sdk.Message.CLOSE: 0,
-}
+_TASK_ENV = spec.data("package")["task_env"]
+_MAKE: str = _TASK_ENV["maker"]
+_SURFACE: dict[str, int] = _TASK_ENV["operations"]
 
 
 @rule(code="XPL402", slug="env-surface", gate="static", requirement="XPL-ENV-2", target="env")

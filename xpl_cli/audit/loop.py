@@ -15,8 +15,9 @@ from xpl_cli.audit.syntax import constant, parameters
 if TYPE_CHECKING:
     from xpl_cli.audit.source import Source
 
-EXECUTES: Final = ("take_action", "take_action_batch")
-ENDS: Final = ("is_episode_end", "get_running_env_idx_list")
+_TASK_ENV: Final = spec.data("package")["task_env"]
+EXECUTES: Final = tuple(_TASK_ENV["executes"])
+ENDS: Final = tuple(_TASK_ENV["ends"])
 UPDATES: Final = (UPDATE, UPDATE_BATCH)
 
 
