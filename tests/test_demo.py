@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import pty
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -19,3 +22,22 @@ def test_the_demo_shows_a_green_scaffold_and_a_caught_copy(tmp_path: Path) -> No
     assert done.returncode == 0, done.stderr
     assert [step["exit_code"] for step in json.loads(done.stdout)["steps"]] == [0, 0, 0, 1]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_on_a_terminal_the_demo_asks_nothing_and_ends_with_the_next_commands(tmp_path: Path) -> None:
+    """A newcomer types one command; what it prints comes in the order in which it happens."""
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "xpl_cli", "demo"], cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs
+    )
+    os.close(theirs)
+    shown = b""
+    with contextlib.suppress(OSError):  # Linux reports the end of a terminal as an error
+        while chunk := os.read(ours, 65536):
+            shown += chunk
+    os.close(ours)
+    assert process.wait() == 0, shown.decode()
+    landmarks = [b"new-policy", b"answered", b"GREEN", b"batch-by-position", b"RED", b"xpl new-policy Foo"]
+    places = [shown.find(landmark) for landmark in landmarks]
+    assert -1 not in places
+    assert places == sorted(places)

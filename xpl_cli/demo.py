@@ -70,7 +70,11 @@ class Demo:
         started = time.perf_counter()
         output = subprocess.DEVNULL if self.quiet else None
         done = subprocess.run(
-            [sys.executable, "-m", "xpl_cli", *step.command], cwd=self.folder, check=False, stdout=output
+            [sys.executable, "-m", "xpl_cli", *step.command],
+            cwd=self.folder,
+            check=False,
+            stdin=subprocess.DEVNULL,  # a demo asks nothing, on a terminal neither
+            stdout=output,
         )
         step.code, step.seconds = done.returncode, round(time.perf_counter() - started, 2)
         self.steps.append(step)
