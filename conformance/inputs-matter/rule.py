@@ -34,7 +34,7 @@ def inputs_matter(probe: Probe) -> Iterator[Finding]:
     probe.ready()
     obs = probe.observation()
     before = probe.answer(obs)
-    for name in probe.required:
+    for name in probe.named_inputs():
         if same(before, probe.answer(varied(obs, name))):
             yield Finding(
                 message=f"{name} is declared as required, but changing it changes nothing: the policy does not see it",

@@ -33,7 +33,7 @@ def missing_input(probe: Probe) -> Iterator[Finding]:
     probe.ready()
     obs = probe.observation()
     with probe.session() as policy:
-        for name in probe.required:
+        for name in probe.named_inputs():
             answer = policy.act(without(obs, name))
             if error_code(answer) is None:
                 yield blame(

@@ -173,6 +173,16 @@ class Probe:
         """Inputs that the manifest requires, as dotted names; empty for an adapter without a manifest."""
         return tuple((self.package.manifest.get("inputs") or {}).get("required") or ())
 
+    def named_inputs(self) -> tuple[str, ...]:
+        """Return the inputs that the manifest requires, for rules that try them one by one.
+
+        Raises:
+            NotApplicable: if none is declared, so that there is nothing to try.
+        """
+        if not self.required:
+            raise NotApplicable(f"no {sdk.File.POLICY_YML} declares a required input")
+        return self.required
+
     def observation(self, env: int = 0, step: int = 0, embodiment: Embodiment | None = None) -> dict[str, Any]:
         """Return the scripted observation of one environment at one step, with every input the manifest requires."""
         if sdk.Obs.PRIVILEGED in self.required:
