@@ -29,13 +29,7 @@ OPEN = {"placeholders"}
 """Rules that a fresh scaffold does not satisfy, on purpose: its author has not filled it in yet."""
 
 
-def _cases() -> list[object]:
-    found = []
-    for rule in RULES:
-        for subject in subjects(rule):
-            marks = [pytest.mark.slow] if rule.gate is Gate.MUJOCO else []
-            found.append(pytest.param(rule, subject, id=f"{rule.slug}-{subject.name}", marks=marks))
-    return found
+CASES = [pytest.param(rule, subject, id=f"{rule.slug}-{subject.name}") for rule in RULES for subject in subjects(rule)]
 
 
 def _audit(rule: Rule, path: Path) -> Result:
@@ -77,7 +71,7 @@ def test_a_rule_has_subjects_of_both_kinds(rule: Rule) -> None:
     assert all(subject.message for subject in found if not subject.good)
 
 
-@pytest.mark.parametrize(("rule", "subject"), _cases())
+@pytest.mark.parametrize(("rule", "subject"), CASES)
 def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Subject, tmp_path: Path) -> None:
     """It catches a bad subject, and says what the subject's overlay asks for; it leaves a good one alone."""
     result = _audit(rule, build(subject, tmp_path / NAME))
