@@ -96,3 +96,11 @@ def test_a_fresh_scaffold_has_no_static_finding(robot: str, action_type: str, tm
     found = {result.slug: result.findings for result in report.gates[0].results if result.findings}
     assert set(found) == OPEN, found
     assert report.gates[0].outcome is Outcome.PASS
+
+
+@pytest.mark.parametrize("entry", registry.entries(), ids=lambda entry: entry.slug)
+def test_a_rule_is_what_its_folder_and_first_line_say(entry: registry.Entry) -> None:
+    """The code that begins the file decides whether the rule is imported for a gate, so it has to be the rule's own."""
+    rule = entry.load()
+    assert (entry.code, entry.slug) == (rule.code, rule.slug)
+    assert rule.gate in entry.gates
