@@ -1,9 +1,11 @@
-"""A plain client of the wire, and ways to wait for what processes do."""
+"""A plain client of the wire, the command line, and ways to wait for what processes do."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
+import subprocess
+import sys
 import time
 import uuid
 from collections.abc import Callable, Mapping
@@ -36,6 +38,12 @@ def processes(mark: str) -> dict[int, str]:
             if wanted in (entry / "environ").read_bytes().split(b"\0"):
                 found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
     return found
+
+
+def xpl(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run the command line."""
+    command = [sys.executable, "-m", "xpl_cli", *args]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
 
 
 class Peer:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.peer import xpl
 from xpl_cli.audit import engine, registry
 from xpl_cli.audit.model import Gate, GateReport, NotRun, Outcome, Result, TargetReport, exit_code
 from xpl_cli.audit.options import Options
@@ -18,12 +17,6 @@ from xpl_cli.errors import ExitCode, UserError
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-
-def xpl(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run the command line."""
-    command = [sys.executable, "-m", "xpl_cli", *args]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
 
 
 @pytest.fixture(scope="module")

@@ -10,16 +10,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.peer import xpl
 from xpl_cli.errors import ExitCode
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def xpl(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run the command line."""
-    command = [sys.executable, "-m", "xpl_cli", *args]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
 
 
 @pytest.mark.parametrize("task", ["lift_cube", "handover_block"])

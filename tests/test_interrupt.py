@@ -7,41 +7,21 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.peer import MARK, processes, wait_until
 from xpl_cli.errors import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
-MARK = "XPL_TEST_RUN"
 DEADLINE_S = 60.0
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes through /proc")
-
-
-def marked(value: str) -> dict[int, str]:
-    """Return the processes that inherited our mark, with their command lines."""
-    wanted = f"{MARK}={value}".encode()
-    found = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            if wanted in (entry / "environ").read_bytes().split(b"\0"):
-                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-    return found
-
-
-def wait_until(condition: Callable[[], object], what: str) -> None:
-    """Wait for a condition, with a deadline."""
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
-        time.sleep(0.02)
 
 
 @contextlib.contextmanager
@@ -56,7 +36,7 @@ def started(args: list[str], cwd: Path) -> Iterator[tuple[subprocess.Popen[bytes
     try:
         yield process, mark
     finally:
-        for pid in marked(mark):
+        for pid in processes(mark):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         process.communicate()
@@ -64,7 +44,7 @@ def started(args: list[str], cwd: Path) -> Iterator[tuple[subprocess.Popen[bytes
 
 def worker_runs(mark: str) -> bool:
     """Tell whether the adapter's own process is up."""
-    return any("from xpl.worker import main" in command for command in marked(mark).values())
+    return any("from xpl.worker import main" in command for command in processes(mark).values())
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +93,7 @@ def test_a_signal_ends_a_command_and_everything_it_started(
         expected = ExitCode.CLEAN if command == "serve" else ExitCode.INTERRUPTED
         assert process.returncode == expected, rest.decode()
         assert b"Traceback" not in rest
-        wait_until(lambda: not marked(mark), "the end of every process")
+        wait_until(lambda: not processes(mark), "the end of every process")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -124,7 +104,7 @@ def test_even_a_killed_command_leaves_no_process(workspace: Path, command: str) 
         in_the_middle(process, mark, said)
         process.kill()
         process.wait(DEADLINE_S)
-        wait_until(lambda: not marked(mark), "the end of every process")
+        wait_until(lambda: not processes(mark), "the end of every process")
 
 
 def test_an_interrupted_scaffold_leaves_nothing(tmp_path: Path) -> None:

@@ -162,9 +162,14 @@ def _connected(request: Request, config: Mapping[str, Any]) -> Iterator[Client]:
         yield stack.enter_context(client)
 
 
-def _line(episodes: list[dict[str, Any]], total: int) -> str:
+def _tally(episodes: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], int]:
+    """Return the episodes that have a success to speak of, and how many of them succeeded."""
     judged = [episode for episode in episodes if episode.get("success") is not None]
-    won = sum(bool(episode["success"]) for episode in judged)
+    return judged, sum(bool(episode["success"]) for episode in judged)
+
+
+def _line(episodes: list[dict[str, Any]], total: int) -> str:
+    judged, won = _tally(episodes)
     said = f", {won} of {len(judged)} succeeded" if judged else ""
     return f"episode {min(len(episodes), total)} of {total}{said}"
 
@@ -172,8 +177,7 @@ def _line(episodes: list[dict[str, Any]], total: int) -> str:
 def _report(
     request: Request, settings: Mapping[str, Any], episodes: list[dict[str, Any]], seconds: float
 ) -> dict[str, Any]:
-    judged = [episode for episode in episodes if episode.get("success") is not None]
-    won = sum(bool(episode["success"]) for episode in judged)
+    judged, won = _tally(episodes)
     return {
         "schema": "xpl.eval/1",
         "policy": request.package.name,

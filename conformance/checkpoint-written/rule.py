@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import LOADING, Function
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import called, constant, last, names, targets
+from xpl_cli.audit.syntax import assigned, called, constant, last, names
 
 _CHECKPOINT = re.compile(r"ckpt|checkpoint|run_dir|model_dir|model_path|pretrained|weights", re.IGNORECASE)
 _WRITES = {
@@ -95,13 +95,7 @@ def _written(function: Function) -> Iterator[tuple[ast.Call, ast.expr]]:
 
 def _root(function: Function, path: ast.expr) -> str | None:
     """Return the name of a checkpoint that a path is made of, through the names of the function."""
-    made = {
-        target.id: node.value
-        for node in function.nodes
-        if isinstance(node, ast.Assign)
-        for target in targets(node)
-        if isinstance(target, ast.Name)
-    }
+    made = assigned(function.nodes)
     waiting, seen = [path], set()
     while waiting:
         value = waiting.pop()

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.manifests import key_line, schema_findings
 from xpl_cli.audit.source import Source
 
 
@@ -29,35 +30,15 @@ def deploy_config(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    from xpl_cli.problems import path_text
-    from xpl_cli.validate import validate_yaml_file
-
     name = sdk.File.DEPLOY_YML
     values = source.yaml(name)
-    for problem in validate_yaml_file(source.path / name, "deploy"):
-        yield Finding(
-            f"launchers cannot rely on {path_text(problem.path) or name}: {problem.message}",
-            path=name,
-            line=problem.line,
-            column=problem.column,
-            expected=problem.expected,
-            got=problem.got,
-            fix=Fix("command", "xpl spec show deploy"),
-        )
+    yield from schema_findings(source, name, "deploy", "launchers cannot rely on {}")
     given = values.get(sdk.Deploy.POLICY_NAME) if isinstance(values, dict) else None
     if isinstance(given, str) and given != source.path.name:
-        line = next(
-            (
-                number
-                for number, text in enumerate(source.text(name).split("\n"), start=1)
-                if text.startswith(sdk.Deploy.POLICY_NAME)
-            ),
-            1,
-        )
         yield Finding(
             f"launchers look for the policy {given}, but this is {source.path.name}",
             path=name,
-            line=line,
+            line=key_line(source, name, sdk.Deploy.POLICY_NAME),
             column=1,
             expected=source.path.name,
             got=given,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.manifests import key_line, schema_findings
 from xpl_cli.audit.source import Source
 
 _NAME = "env.yml"
@@ -30,27 +31,14 @@ def env_manifest(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    from xpl_cli.problems import path_text
-    from xpl_cli.validate import validate_yaml_file
-
     values = source.yaml(_NAME)
-    for problem in validate_yaml_file(source.path / _NAME, "env"):
-        yield Finding(
-            f"{path_text(problem.path) or _NAME} is not understood: {problem.message}",
-            path=_NAME,
-            line=problem.line,
-            column=problem.column,
-            expected=problem.expected,
-            got=problem.got,
-            fix=Fix("command", "xpl spec show env"),
-        )
+    yield from schema_findings(source, _NAME, "env", "{} is not understood")
     given = values.get("name") if isinstance(values, dict) else None
     if isinstance(given, str) and given != source.path.name:
-        lines = source.text(_NAME).split("\n")
         yield Finding(
             f"results of {source.path.name} are filed under {given}",
             path=_NAME,
-            line=next((number for number, text in enumerate(lines, start=1) if text.startswith("name:")), 1),
+            line=key_line(source, _NAME, "name"),
             column=1,
             expected=source.path.name,
             got=given,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from collections.abc import Set as AbstractSet
 from difflib import get_close_matches
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.manifests import robots
 from xpl_cli.audit.source import Source
 
 _NAME = "env.yml"
@@ -34,10 +36,9 @@ def env_names(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     values = source.manifest_of(_NAME)
-    robots = {name for key, entry in sdk.EMBODIMENTS.items() for name in (key, *entry.get("aliases", ()))}
     cameras = {*sdk.OPTIONAL_CAMERAS, *(name for names in sdk.CAMERAS.values() for name in names)}
     for key, known, what in (
-        ("embodiments", robots, "robot"),
+        ("embodiments", robots(), "robot"),
         ("cameras", cameras, "camera"),
         ("action_types", set(sdk.ACTION_TYPES), "kind of action"),
     ):
@@ -58,7 +59,7 @@ def env_names(source: Source) -> Iterator[Finding]:
             )
 
 
-def _unknown(source: Source, key: str, given: object, known: set[str], what: str) -> Iterator[Finding]:
+def _unknown(source: Source, key: str, given: object, known: AbstractSet[str], what: str) -> Iterator[Finding]:
     entries: Iterable[object] = given if isinstance(given, (list, dict)) else ()
     for entry in entries:
         if isinstance(entry, str) and entry not in known:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.adapter import LOADING, Function
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import called, key_read, last, leaves, names, parameters, targets
+from xpl_cli.audit.syntax import assigned, called, key_read, last, leaves, names, parameters, targets
 
 _LISTS = frozenset(("listdir", "iterdir", "glob", "rglob", "iglob", "scandir"))
 _NAMED = re.compile(r"ckpt|checkpoint|name|run|step|num", re.IGNORECASE)
@@ -60,13 +60,7 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
 
 def _prefixes(function: Function, listed: list[ast.AST]) -> Iterator[tuple[ast.AST, str]]:
     """Yield `entry.startswith(prefix)` over a listing, where the prefix is made of a value and not constant."""
-    made = {
-        target.id: node.value
-        for node in function.nodes
-        if isinstance(node, ast.Assign)
-        for target in targets(node)
-        if isinstance(target, ast.Name)
-    }
+    made = assigned(function.nodes)
     for node in function.nodes if listed else ():
         if isinstance(node, ast.Call) and last(called(node)) == "startswith" and len(node.args) == 1:
             prefix = node.args[0]

@@ -81,11 +81,6 @@ class Simulation:
         loops = sorted(self._rollouts.items(), key=repr)
         return repr([(key, result["digest"]) for key, played in loops for result in played.results])
 
-    @property
-    def frequency(self) -> float:
-        """Control frequency of the environment, Hz."""
-        return float(self._manifest["control_frequency"])
-
     def tasks(self) -> list[str]:
         """Return the tasks that the adapter's embodiment can be driven in.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 FunctionNode = ast.FunctionDef | ast.AsyncFunctionDef
@@ -166,3 +166,14 @@ def is_conditional(node: ast.AST, function: ast.AST, up: dict[ast.AST, ast.AST])
             return False
         inner = ancestor
     return False
+
+
+def assigned(nodes: Iterable[ast.AST]) -> dict[str, ast.expr]:
+    """Return the expression that each local name is assigned, the last one where there are several."""
+    return {
+        target.id: node.value
+        for node in nodes
+        if isinstance(node, ast.Assign)
+        for target in targets(node)
+        if isinstance(target, ast.Name)
+    }
