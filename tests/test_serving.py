@@ -170,6 +170,7 @@ def test_every_request_is_answered_by_its_type_and_with_its_identifiers(
 ) -> None:
     """What clients send besides is accepted."""
     fields = {"action_case_id": "c", "trial_id": "t", "repeat_index": 4, "step": 9}
+    peer.ask("reset")
     request = peer.send(request_type, payload, **fields)
     answer = peer.receive()
     assert answer.message_type == spec.ANSWERS[request_type]

@@ -26,14 +26,15 @@ ROOT = Path(__file__).parent.parent
 # standard names is reached through `xpl._spec` or read from the spec.
 ORDINARY = {
     "action": "what an error calls an action step, and a heading of conventions.yml",
-    "call": "kind of a message inside the server, between front end and worker",
     "code": "code of an audit rule",
     "error": "outcome of an audit rule",
-    "infer": "kind of a message inside the server, between front end and worker",
+    "environment": "table of a manifest, side of a comparison, report of an evaluation",
     "message": "text of a finding",
     "observation": "name of a schema",
     "ok": "mark of a check that passed",
+    "policy": "room, schema, side of a comparison, report of an evaluation",
     "port": "announcement of a server that is ready",
+    "ready": "stage of a task, mark of an episode",
     "shape": "keyword of x-array, field of a header",
     "state": "what happened to a file: written, unchanged, replaced",
     "step": "record of an action step",

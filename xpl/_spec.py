@@ -131,6 +131,7 @@ class Payload:
     CAPABILITIES = "capabilities"
     CODE = "code"
     DETAILS = "details"
+    ENVIRONMENT = "environment"
     EVALUATION_PLAN = "evaluation_plan"
     FUNC_NAME = "func_name"
     LATENCY_MS = "latency_ms"
@@ -138,9 +139,14 @@ class Payload:
     OBS = "obs"
     OBSERVATION = "observation"
     OK = "ok"
+    PACKED = "packed"
+    POLICY = "policy"
+    PROGRESS = "progress"
     RESULT = "result"
+    SEQUENCE = "sequence"
     SERVER = "server"
     SERVER_INSTANCE_ID = "server_instance_id"
+    STATE = "state"
     TRIAL_ID = "trial_id"
 
 
@@ -161,9 +167,33 @@ class ErrorReason:
 
     BUSY = "busy"
     LOADING = "loading"
+    SHUTTING_DOWN = "shutting_down"
     WORKER_DIED = "worker_died"
+    MISMATCH = "mismatch"
     DUPLICATE_ID = "duplicate_id"
-    TOO_LARGE = "too_large"
+    NO_EPISODE = "no_episode"
+    OUT_OF_ORDER = "out_of_order"
+
+
+class Capability:
+    """Names of the standard."""
+
+    WIRE_VERSION = "wire_version"
+    JPEG_MARKER = "jpeg_marker"
+    LOADING = "loading"
+    PACKED = "packed"
+    PIPELINING = "pipelining"
+    SHARED_MEMORY = "shared_memory"
+    SESSION = "session"
+    JPEG = "jpeg"
+
+
+class ServerState:
+    """Names of the standard."""
+
+    LOADING = "loading"
+    READY = "ready"
+    DRAINING = "draining"
 
 
 class Method:
@@ -177,6 +207,7 @@ class Method:
     PREPARE_CASE = "prepare_case"
     ON_TRIAL_END = "on_trial_end"
     INFER = "infer"
+    RESET_ENVS = "reset_envs"
 
 
 SPEC_VERSION: str = 'v1'
@@ -237,8 +268,21 @@ CONTRACT_METHODS: tuple[str, ...] = ('update_obs', 'update_obs_batch', 'get_acti
 HOOKS: tuple[str, ...] = ('prepare_case', 'on_trial_end')
 ARRAY_KEYS: dict[str, bytes] = {'nd': b'nd', 'type': b'type', 'kind': b'kind', 'shape': b'shape', 'data': b'data', 'complex': b'complex'}
 STRUCTURED_KIND: bytes = b'V'
-LIMITS: dict[str, int] = {'frame_bytes': 268435456, 'nesting': 32, 'elements': 4194304, 'replay_entries': 256, 'replay_bytes': 67108864}
-CLOSE_CODES: dict[str, int] = {'server_failed': 4011}
+LIMITS: dict[str, int] = {'frame_bytes': 268435456,
+ 'nesting': 32,
+ 'elements': 4194304,
+ 'packed_header': 1048576,
+ 'replay_entries': 256,
+ 'replay_bytes': 67108864,
+ 'connections': 256,
+ 'pending': 64,
+ 'pipelined': 8,
+ 'shared_array': 16384,
+ 'shared_bytes': 1073741824,
+ 'clients': 64,
+ 'client_envs': 4096}
+SHARED_MEMORY: dict[str, int] = {'token_bytes': 16, 'states_at': 64, 'blocks': 1024, 'data_at': 4096, 'free': 0, 'sent': 1, 'taken': 2}
+CLOSE_CODES: dict[str, int] = {'server_failed': 4011, 'replaced': 4009, 'no_hello': 4008}
 EMBODIMENTS: dict[str, dict[str, Any]] = {'aloha_agilex': {'name': 'aloha_agilex',
                   'aliases': [],
                   'description': 'ALOHA-class bimanual platform of AgileX, six joints and a parallel gripper an '

@@ -7,6 +7,7 @@ both ways, also inside structures: nothing is ever unpickled.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from typing import Any, Union
@@ -40,7 +41,7 @@ def as_array(value: Any) -> np.ndarray:
         tensor = detach().cpu()
         value = (tensor.float() if "bfloat16" in str(tensor.dtype) else tensor).numpy()
     array = np.asarray(value)
-    _check(array.dtype)
+    check_dtype(array.dtype)
     if array.dtype.names is not None:
         array = array.astype(parse_dtype(describe_dtype(array.dtype)), copy=False)
     # ascontiguousarray would turn a 0-d array into a 1-d one.
@@ -65,8 +66,8 @@ def from_data(data: Data, dtype: np.dtype[Any], shape: Any) -> np.ndarray:
     if wanted != len(data):
         raise ArrayError(f"an array {list(shape)!s:.80} of {dtype!s:.80} takes {wanted} bytes, got {len(data)}")
     try:
-        array = np.frombuffer(data, dtype=dtype).reshape(shape) if data else np.empty(shape, dtype=dtype)
-    except (ValueError, OverflowError) as error:  # more dimensions than numpy has, for example
+        array = np.ndarray(shape, dtype, data if wanted else None)
+    except (ValueError, OverflowError, TypeError) as error:  # more dimensions than numpy has, for example
         raise ArrayError(f"no array has shape {list(shape)!s:.80}: {error}") from None
     array.flags.writeable = False
     return array
@@ -86,16 +87,23 @@ def parse_dtype(description: Any) -> np.dtype[Any]:
         ArrayError: if it stands for none, or for one that may not travel.
     """
     if isinstance(description, list):
-        known: Any = [_parse_field(entry) for entry in description]
-    else:
-        known = _text(description)
-        if not _NAME.fullmatch(known):
-            raise ArrayError(f"unknown array type {known!r:.80}")
+        return _dtype([_parse_field(entry) for entry in description], description)
+    return _named_dtype(_text(description))
+
+
+@functools.lru_cache(maxsize=512)
+def _named_dtype(name: str) -> np.dtype[Any]:
+    if not _NAME.fullmatch(name):
+        raise ArrayError(f"unknown array type {name!r:.80}")
+    return _dtype(name, name)
+
+
+def _dtype(known: Any, description: Any) -> np.dtype[Any]:
     try:
         dtype: np.dtype[Any] = np.dtype(known)
     except (TypeError, ValueError, OverflowError) as error:
         raise ArrayError(f"unknown array type {description!r:.80}: {error}") from None
-    _check(dtype)
+    check_dtype(dtype)
     return dtype
 
 
@@ -123,7 +131,13 @@ def _text(value: Any) -> str:
     return value
 
 
-def _check(dtype: np.dtype[Any]) -> None:
+@functools.lru_cache(maxsize=512)
+def check_dtype(dtype: np.dtype[Any]) -> None:
+    """Check that arrays of a type may travel.
+
+    Raises:
+        ArrayError: for objects and dates, also inside structures, and for elements without a size.
+    """
     parts = [dtype]
     while parts:
         part = parts.pop().base

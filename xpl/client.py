@@ -6,181 +6,167 @@
         chunk = policy.get_action()
 
 `call(func_name=..., obs=...)` is the same in the style that benchmarks use. Against a server of the first generation,
-which knows no `call`, observations are held back and sent with `infer`, and a batch is one infer per environment.
+which knows no `call`, observations are held back and sent with `infer`, and a batch is one infer per environment. The
+connection is served by a thread of its own, so that a simulator that blocks misses no ping. See `xpl.aio` for asyncio.
 """
 
 from __future__ import annotations
 
 import contextlib
 import inspect
-import itertools
-import math
+import ssl
+import threading
 import time
-import uuid
-from collections.abc import Mapping, Sequence
-from typing import Any, Callable
+from collections.abc import Coroutine, Mapping, Sequence
+from typing import Any, Callable, TypeVar
 
 from xpl import _spec as spec
-from xpl import wire
-from xpl.observation import env_indices
+from xpl.conversation import (
+    ClientError,
+    Conversation,
+    EnvironmentMismatchError,
+    PolicyServerError,
+    RequestTimeoutError,
+    ServerConnectionError,
+    ServerFailedError,
+    ServerRestartedError,
+    Wishes,
+)
 
-_CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
+__all__ = [
+    "Client",
+    "ClientError",
+    "EnvironmentMismatchError",
+    "PolicyServerError",
+    "RequestTimeoutError",
+    "ServerConnectionError",
+    "ServerFailedError",
+    "ServerRestartedError",
+]
 
-
-class ClientError(RuntimeError):
-    """Base class of what can go wrong between an environment and a policy server."""
-
-
-class PolicyServerError(ClientError):
-    """The server answered with an error; the policy raised, or refused the request.
-
-    Attributes:
-        code: one of the wire's error codes.
-        details: map with, for example, a finer `reason`.
-    """
-
-    def __init__(self, code: str, message: str, details: Mapping[str, Any] | None = None) -> None:
-        super().__init__(f"{code}: {message}")
-        self.code = code
-        self.details = dict(details or {})
-
-
-class ServerConnectionError(ClientError):
-    """The server cannot be reached, or a connection was lost and the trial cannot go on."""
-
-
-class ServerRestartedError(ServerConnectionError):
-    """Another server instance answers now: the episode's state is gone, the trial must be aborted."""
-
-
-class RequestTimeoutError(ClientError):
-    """A request was not answered in time; the trial must be aborted."""
+_Value = TypeVar("_Value")
 
 
 class Client:
-    """A connection to a policy server.
+    """A connection to a policy server. Its methods may be called from several threads; they take turns.
 
     Args:
-        url: `ws://host:port`.
+        url: `ws://host:port`, or `wss://`.
         evaluation_id: name of the evaluation; made up if not given.
         trial_id: name of the trial, where the benchmark has one.
         config: the timing keys of deploy.yml; the spec's defaults otherwise. null in a limit means none, and 0 means
             no cap on attempts and on the time to connect.
+        token: bearer token, where the server asks for one.
+        ssl_context: for `wss://`, where the system's certificates are not enough.
+        environment: what the environment offers: `embodiment`, `action_type`, `control_frequency` (Hz), `inputs`. A
+            policy that does not fit is refused before the first step.
+        jpeg: cameras whose colour is sent as JPEG, with the quality (1..100); all are lossless by default.
+        pipelined: send updates without waiting for their answers; their errors are raised by the next operation.
+        shared_memory: exchange arrays through memory with a server on this host.
+        packed: send payloads in the packed form where the server takes it.
+        on_loading: called with `seconds`, `memory_bytes` and `message` while the model loads.
 
     Raises:
         ServerConnectionError: if no connection came about within the limits, or the server said that it failed.
+        EnvironmentMismatchError: if policy and environment do not fit.
         PolicyServerError: if the server refused the hello for good.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - keywords only
         self,
         url: str,
         *,
         evaluation_id: str | None = None,
         trial_id: str | None = None,
         config: Mapping[str, Any] | None = None,
+        token: str | None = None,
+        ssl_context: ssl.SSLContext | None = None,
+        environment: Mapping[str, Any] | None = None,
+        jpeg: Mapping[str, int] | None = None,
+        pipelined: bool = False,
+        shared_memory: bool = True,
+        packed: bool = True,
+        on_loading: Callable[[Mapping[str, Any]], None] | None = None,
     ) -> None:
-        self._url = url
-        self._config = {**spec.DEPLOY_DEFAULTS, **(config or {})}
-        self._evaluation_id = evaluation_id or uuid.uuid4().hex
-        self._trial_id = trial_id
-        self._step = 0
-        self._socket: Any = None
-        self._open = contextlib.ExitStack()
-        self._held: list[Mapping[str, Any]] = []
-        self.server_instance_id: str | None = None
-        self._connect()
+        wishes = Wishes(
+            packed=packed,
+            shared_memory=shared_memory,
+            pipelined=pipelined,
+            jpeg=jpeg or {},
+            environment=environment,
+            on_loading=on_loading,
+        )
+        transport = _Blocking(url, {**spec.DEPLOY_DEFAULTS, **(config or {})}, token, ssl_context)
+        self._talk = Conversation(transport, url, config, wishes, evaluation_id, trial_id)
+        self._turn = threading.Lock()
+        self._run(self._talk.connect())
 
-    # -- the operations of the contract --------------------------------------------------------------------------------
+    @property
+    def server_instance_id(self) -> str | None:
+        """What the server calls itself; None for one of the first generation."""
+        return self._talk.server_instance_id
+
+    @property
+    def capabilities(self) -> Mapping[str, Any]:
+        """What the server announced that it can do."""
+        return self._talk.capabilities
+
+    @property
+    def policy(self) -> Mapping[str, Any]:
+        """What the policy needs, where the server said so."""
+        return self._talk.policy
 
     def reset(self) -> None:
         """Start a new episode."""
-        self._step = 0
-        self._held = []
-        self._request(spec.Message.RESET, {spec.Payload.TRIAL_ID: self._trial_id})
+        self._run(self._talk.reset())
 
     def update_obs(self, obs: Mapping[str, Any]) -> None:
         """Show the policy the newest observation of one environment."""
-        self._held = [obs]
-        if not self._first_generation:
-            self._call(spec.Method.UPDATE_OBS, obs)
+        self._run(self._talk.update_obs(obs))
 
     def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
         """Show the policy the newest observation of several environments."""
-        self._held = list(obs_list)
-        if not self._first_generation:
-            self._call(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
+        self._run(self._talk.update_obs_batch(obs_list))
 
     def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
         """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
-        if obs is not None:
-            return self.infer(obs)
-        if self._first_generation:
-            if len(self._held) != 1:
-                raise ClientError("get_action needs exactly one observation since the last reset")
-            return self.infer(self._held[0])
-        return self._call(spec.Method.GET_ACTION)
+        return self._run(self._talk.get_action(obs))
 
     def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
         """Return one action chunk per environment of the list; None means the last batch."""
-        if not self._first_generation:
-            return self._call(spec.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
-        held = dict(zip(env_indices(self._held), self._held))
-        wanted = list(held) if env_idx_list is None else list(env_idx_list)
-        missing = [index for index in wanted if index not in held]
-        if missing or len(set(wanted)) != len(wanted):
-            raise ClientError(f"expected environments out of {list(held)}, each once; got {wanted}")
-        # Each infer stands alone there, so an index that followed from the position in the batch has to be written.
-        return [self.infer({**held[index], spec.Obs.ENV_IDX: index}) for index in wanted]
-
-    # -- the other requests --------------------------------------------------------------------------------------------
+        return self._run(self._talk.get_action_batch(env_idx_list))
 
     def infer(self, obs: Mapping[str, Any]) -> Any:
         """Return the action chunk for one observation: update_obs and get_action as one unit."""
-        answer = self._request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
-        if spec.Payload.ACTIONS not in answer:
-            raise ClientError(
-                f"the server's answer to infer has no {spec.Payload.ACTIONS!r}; it has {', '.join(answer)}"
-            )
-        self._step += 1
-        return answer[spec.Payload.ACTIONS]
+        return self._run(self._talk.infer(obs))
 
     def prepare_case(self, action_case_id: str, **meta: Any) -> Any:
         """Announce a case to the adapter's hook."""
-        payload = {spec.Payload.ACTION_CASE_ID: action_case_id, **meta}
-        return self._request(spec.Message.PREPARE_CASE, payload).get(spec.Payload.RESULT)
+        return self._run(self._talk.prepare_case(action_case_id, meta))
 
     def trial_end(self, result: Mapping[str, Any] | None = None) -> Any:
         """Tell the adapter's hook how the trial ended."""
-        payload = {spec.Payload.TRIAL_ID: self._trial_id, **(result or {})}
-        return self._request(spec.Message.TRIAL_END, payload).get(spec.Payload.RESULT)
+        return self._run(self._talk.trial_end(result))
 
     def heartbeat(self) -> None:
         """Ask for a sign of life; answered while the model thinks, too."""
-        self._request(spec.Message.HEARTBEAT, {})
+        self._run(self._talk.health())
+
+    def health(self) -> dict[str, Any]:
+        """Return the server's state: `state` is loading, ready or draining."""
+        return self._run(self._talk.health())
 
     def call(self, func_name: str, obs: Any = None) -> Any:
         """Call an operation by name, as benchmarks do; further names are methods the adapter declares."""
-        operations: dict[str, Callable[[], Any]] = {
-            spec.Method.RESET: self.reset,
-            spec.Method.UPDATE_OBS: lambda: self.update_obs(obs),
-            spec.Method.UPDATE_OBS_BATCH: lambda: self.update_obs_batch(obs),
-            spec.Method.GET_ACTION: lambda: self.get_action(obs),
-            spec.Method.GET_ACTION_BATCH: lambda: self.get_action_batch(obs),
-        }
-        if func_name in operations:
-            return operations[func_name]()
-        if self._first_generation:
-            raise ClientError(f"this server offers no {func_name!r}: it is of the first generation, without `call`")
-        return self._call(func_name, obs)
+        return self._run(self._talk.call(func_name, obs))
+
+    def settle(self) -> None:
+        """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
+        self._run(self._talk.settle())
 
     def close(self) -> None:
         """Say goodbye and close the connection; closing twice is fine."""
-        if self._socket is None:
-            return
-        with contextlib.suppress(Exception):  # the connection may be gone already, which is what was wanted
-            self._socket.send(wire.encode(self._frame(spec.Message.CLOSE, {})))
-        self._drop()
+        self._run(self._talk.close())
 
     def __enter__(self) -> Client:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
         return self
@@ -188,152 +174,132 @@ class Client:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # -- inside --------------------------------------------------------------------------------------------------------
-
-    @property
-    def _first_generation(self) -> bool:
-        return self.server_instance_id is None
-
-    def _call(self, name: str, obs: Any = None) -> Any:
-        payload = {spec.Payload.FUNC_NAME: name}
-        if obs is not None:
-            payload[spec.Payload.OBS] = obs
-        return self._request(spec.Message.CALL, payload).get(spec.Payload.RESULT)
-
-    def _frame(self, message_type: str, payload: dict[str, Any]) -> wire.Frame:
-        return wire.Frame(message_type, self._evaluation_id, payload, trial_id=self._trial_id, step=self._step)
-
-    def _request(self, message_type: str, payload: dict[str, Any]) -> dict[str, Any]:
-        """Return the payload of the answer; reconnects once after a cut, all within the request's timeout."""
-        if self._socket is None:
-            raise ServerConnectionError("the client is closed")
-        frame = self._frame(message_type, payload)
-        data = wire.encode(frame)
-        timeout = self._config[spec.Deploy.REQUEST_TIMEOUT_S]
-        deadline = _deadline(timeout)
-        try:
-            return self._exchange(frame, data, deadline)
-        except OSError as error:
-            self._drop()
-            if self._first_generation:
-                raise ServerConnectionError(
-                    f"the connection was cut ({error}), and a server of the first generation must not be asked twice"
-                ) from None
-        instance = self.server_instance_id
-        self._connect(deadline)
-        if self.server_instance_id != instance:
-            raise ServerRestartedError("the policy server was restarted: the episode's state is gone") from None
-        try:
-            # The same id: the server answers from its memory if the model ran already.
-            return self._exchange(frame, data, deadline)
-        except OSError as error:
-            self._drop()
-            raise ServerConnectionError(f"the connection was cut twice during one request: {error}") from None
-
-    def _exchange(self, frame: wire.Frame, data: bytes, deadline: float) -> dict[str, Any]:
-        """Send a request and return the payload of its answer; a lost connection is an OSError."""
-        from websockets.exceptions import ConnectionClosed
-
-        started = time.monotonic()
-        try:
-            self._socket.send(data)
-            while True:
-                message = self._socket.recv(timeout=_left(deadline))
-                if isinstance(message, str):
-                    continue  # the wire is binary only
-                answer = wire.decode(message)
-                if answer.message_id == frame.message_id:
-                    return _payload(answer, frame)
-        except TimeoutError:
-            self.close()
-            waited = time.monotonic() - started
-            raise RequestTimeoutError(f"{frame.message_type} was not answered within {waited:.1f} s") from None
-        except wire.WireError as error:
-            self._drop()
-            raise ClientError(f"what the server sent cannot be understood: {error}") from None
-        except ConnectionClosed as error:
-            if error.rcvd is not None and error.rcvd.code == spec.CLOSE_CODES["server_failed"]:
-                self._drop()
-                raise ServerConnectionError(f"the policy server ended: {error.rcvd.reason}") from None
-            raise ConnectionResetError(str(error)) from None
-
-    def _connect(self, deadline: float = math.inf) -> None:
-        """Connect and exchange hellos, trying again while nobody listens, the model loads or the server is busy."""
-        config = self._config
-        deadline = min(deadline, _deadline(config[spec.Deploy.MAX_CONNECT_SECONDS] or None))
-        most = config[spec.Deploy.MAX_CONNECT_ATTEMPTS] or math.inf
-        delay = config[spec.Deploy.CONNECT_RETRY_DELAY_S] or 0.0
-        for attempt in itertools.count(1):
+    def _run(self, talk: Coroutine[Any, Any, _Value]) -> _Value:
+        """Run a conversation to its end: with a transport that blocks it is never suspended."""
+        with self._turn:
             try:
-                self._connect_once(deadline)
-            except (OSError, RequestTimeoutError) as error:
-                problem: Exception = error
-            except PolicyServerError as error:
-                if error.details.get("reason") != spec.ErrorReason.BUSY:
-                    raise
-                problem = error
-            else:
-                return
-            if attempt >= most or time.monotonic() + delay > deadline:
-                raise ServerConnectionError(f"no policy server at {self._url} after {attempt} attempts: {problem}")
-            time.sleep(delay)
+                talk.send(None)
+            except StopIteration as done:
+                value: _Value = done.value
+                return value
+            raise AssertionError("a blocking transport was suspended")
 
-    def _connect_once(self, deadline: float) -> None:
-        from websockets.exceptions import InvalidURI, WebSocketException
+
+class _Blocking:
+    """A WebSocket connection whose methods block."""
+
+    def __init__(
+        self, url: str, config: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+    ) -> None:
+        self._url = url
+        self._config = config
+        self._token = token
+        self._ssl = ssl_context
+        self._socket: Any = None
+        self._open = contextlib.ExitStack()
+
+    async def open(self, timeout: float | None) -> None:
         from websockets.sync.client import connect
 
-        config = self._config
-        options = {
-            "compression": None,
-            "max_size": spec.LIMITS["frame_bytes"],
-            "open_timeout": _left(min(deadline, _deadline(config[spec.Deploy.CONNECT_TIMEOUT_S]))),
-            "close_timeout": config[spec.Deploy.CLOSE_TIMEOUT_S],
-        }
-        # What later versions of websockets added. Straight to the server, whatever proxy the environment names; and a
-        # simulator that keeps the interpreter busy must not be taken for a lost connection.
-        later = {"proxy": None, "ping_interval": config[spec.Deploy.WS_PING_INTERVAL_S], "ping_timeout": None}
-        known = inspect.signature(connect).parameters
-        options.update({name: value for name, value in later.items() if name in known})
-        try:
-            # As a context, which is the one form that all versions of websockets take.
-            self._socket = self._open.enter_context(connect(self._url, **options))
-        except InvalidURI as error:
-            raise ServerConnectionError(
-                f"a policy server's address is ws://host:port, got {self._url!r}: {error}"
-            ) from None
-        except WebSocketException as error:  # something answers there, but no policy server
-            raise ConnectionError(str(error)) from None
-        hello = self._frame(spec.Message.HELLO, {spec.Payload.CAPABILITIES: {"wire_version": spec.WIRE_VERSION}})
-        limit = min(deadline, _deadline(config[spec.Deploy.HANDSHAKE_TIMEOUT_S]))
-        try:
-            greeting = self._exchange(hello, wire.encode(hello), limit)
-        except BaseException:
-            self.close()
-            raise
-        self.server_instance_id = greeting.get(spec.Payload.SERVER_INSTANCE_ID)
+        options = connect_options(connect, self._config, timeout, self._token, self._ssl)
+        # In a thread that does not keep the interpreter alive: the connection's own threads are of its kind, and
+        # websockets 12 would have a script that forgets to close wait for ever.
+        outcome: list[Any] = []
 
-    def _drop(self) -> None:
-        """Close the connection, if there is one, without a goodbye."""
+        def enter() -> None:
+            try:
+                # As a context, which is the one form that all versions of websockets take.
+                outcome.append(self._open.enter_context(connect(self._url, **options)))
+            except BaseException as error:  # noqa: BLE001 - raised in the thread that asked
+                outcome.append(error)
+
+        thread = threading.Thread(target=enter, daemon=True)
+        thread.start()
+        thread.join()
+        if isinstance(outcome[0], BaseException):
+            raise connection_problem(outcome[0], self._url) from None
+        self._socket = outcome[0]
+
+    async def send(self, data: bytes) -> None:
+        try:
+            self._socket.send(data)
+        except Exception as error:  # noqa: BLE001 - mapped
+            raise lost_connection(error) from None
+
+    async def receive(self, timeout: float | None) -> bytes:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            try:
+                message = self._socket.recv(timeout=deadline and max(0.0, deadline - time.monotonic()))
+            except TimeoutError:
+                raise
+            except Exception as error:  # noqa: BLE001 - mapped
+                raise lost_connection(error) from None
+            if isinstance(message, bytes):  # the wire is binary only
+                return message
+
+    async def close(self) -> None:
         self._socket = None
         with contextlib.suppress(Exception):
             self._open.close()
 
-
-def _deadline(seconds: float | None) -> float:
-    return math.inf if seconds is None else time.monotonic() + seconds
-
-
-def _left(deadline: float) -> float | None:
-    return None if deadline == math.inf else max(0.0, deadline - time.monotonic())
+    async def pause(self, seconds: float) -> None:
+        time.sleep(seconds)  # noqa: ASYNC251 - this transport is the one that blocks
 
 
-def _payload(answer: wire.Frame, request: wire.Frame) -> dict[str, Any]:
-    payload = answer.payload
-    if answer.message_type == spec.Message.ERROR:
-        code, message = payload.get(spec.Payload.CODE), str(payload.get(spec.Payload.MESSAGE))
-        known = str(code) if code in _CODES else spec.ErrorCode.INTERNAL
-        details = payload.get(spec.Payload.DETAILS)
-        raise PolicyServerError(known, message, details if isinstance(details, Mapping) else None)
-    if answer.message_type != spec.ANSWERS[request.message_type]:
-        raise ClientError(f"{request.message_type} was answered by {answer.message_type}")
-    return payload
+def connect_options(
+    connect: Any,
+    config: Mapping[str, Any],
+    timeout: float | None,
+    token: str | None,
+    ssl_context: ssl.SSLContext | None,
+) -> dict[str, Any]:
+    """Return the options for `connect` of any version of websockets from 12 on."""
+    options: dict[str, Any] = {
+        "compression": None,
+        "max_size": spec.LIMITS["frame_bytes"],
+        "open_timeout": timeout,
+        "close_timeout": config[spec.Deploy.CLOSE_TIMEOUT_S],
+    }
+    known = inspect.signature(connect).parameters
+    # What not all versions have. Straight to the server, whatever proxy the environment names; and a simulator that
+    # keeps the interpreter busy must not be taken for a lost connection.
+    some: dict[str, Any] = {
+        "proxy": None,
+        "ping_interval": config[spec.Deploy.WS_PING_INTERVAL_S],
+        "ping_timeout": None,
+    }
+    options.update({name: value for name, value in some.items() if name in known})
+    if ssl_context is not None:
+        options["ssl" if "ssl" in known or "ssl_context" not in known else "ssl_context"] = ssl_context
+    if token is not None:
+        name = "additional_headers" if "additional_headers" in known else "extra_headers"
+        options[name] = {"Authorization": f"Bearer {token}"}
+    return options
+
+
+def connection_problem(error: BaseException, url: str) -> BaseException:
+    """Return how a failed attempt to connect is reported: for good, or as an OSError that may be tried again."""
+    from websockets.exceptions import InvalidURI, WebSocketException
+
+    if isinstance(error, InvalidURI):
+        return ServerConnectionError(f"a policy server's address is ws://host:port, got {url!r}: {error}")
+    if isinstance(error, ssl.SSLError):
+        return ServerConnectionError(f"no secure connection to {url}: {error}")
+    status = getattr(getattr(error, "response", None), "status_code", None) or getattr(error, "status_code", None)
+    if status in (401, 403):
+        return ServerConnectionError(f"the policy server at {url} wants another bearer token (HTTP {status})")
+    if isinstance(error, WebSocketException):  # something answers there, but no policy server
+        return ConnectionError(str(error))
+    return error
+
+
+def lost_connection(error: Exception) -> Exception:
+    """Return how an error of an open connection is reported: the server's own reason, or an OSError."""
+    from websockets.exceptions import ConnectionClosed
+
+    if isinstance(error, ConnectionClosed):
+        if error.rcvd is not None and error.rcvd.code == spec.CLOSE_CODES["server_failed"]:
+            return ServerFailedError(f"the policy server ended: {error.rcvd.reason}")
+        return ConnectionResetError(str(error))
+    return error

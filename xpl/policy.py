@@ -99,8 +99,9 @@ class Policy:
         self.policy_dir = Path(file).resolve().parent if file else Path.cwd()
         self._environments: dict[int, _Environment] = {}
         self._order: list[int] | None = None
-        self._episode = 0
-        self._observed = False
+        # By client: where several share a model, each has `limits.client_envs` environment numbers of its own.
+        self._episodes: dict[int, int] = {}
+        self._observed: set[int] = set()
         self.load(self.config)
 
     # -- what an adapter fills in --------------------------------------------------------------------------------------
@@ -210,12 +211,18 @@ class Policy:
 
     def reset(self) -> None:
         """Start a new episode in every environment. Calling it again changes nothing."""
-        known = list(self._environments)
-        self._environments.clear()
+        self.reset_envs(list(self._environments))
         self._order = None
+
+    def reset_envs(self, env_idx_list: Sequence[int]) -> None:
+        """Start a new episode in these environments only; others go on. What lets several clients share a model."""
+        known = [env for env in env_idx_list if self._environments.pop(env, None) is not None]
+        if self._order is not None and not self._environments.keys() >= set(self._order):
+            self._order = None
         # Seeds depend on the episode; a client that resets twice must not get other ones.
-        self._episode += self._observed
-        self._observed = False
+        for client in {_client(env) for env in known} & self._observed:
+            self._episodes[client] = self._episodes.get(client, 0) + 1
+            self._observed.discard(client)
         for env in known:
             self.reset_env(env)
 
@@ -230,11 +237,13 @@ class Policy:
             state.frames.append(_Frame(obs))
             state.step += 1
         self._order = envs
-        self._observed |= bool(envs)
+        self._observed.update(map(_client, envs))
 
     def _new_environment(self, env: int) -> _Environment:
         self.reset_env(env)
-        rng = np.random.default_rng([self.seed % 2**63, self._episode, env])
+        client = _client(env)
+        episode, own = self._episodes.get(client, 0), env % spec.LIMITS["client_envs"]
+        rng = np.random.default_rng([self.seed % 2**63, episode, own])
         return _Environment(rng=rng, frames=deque(maxlen=self.history))
 
     def _known(self, env: int) -> _Environment:
@@ -276,3 +285,8 @@ class Policy:
         quaternions = quaternion_columns(self.embodiment, self.action_type)
         averaged = ensemble(state.predictions, newest, state.step, decay, quaternions)
         return decode_rows(averaged, self.embodiment, self.action_type)
+
+
+def _client(env: int) -> int:
+    """Return which of the clients that share a model an environment belongs to."""
+    return env // spec.LIMITS["client_envs"]

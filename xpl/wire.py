@@ -9,19 +9,21 @@ from __future__ import annotations
 
 import datetime as dt
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.arrays import ArrayError, as_array, data_of, describe_dtype, from_data, parse_dtype
-from xpl.link import map_key
+from xpl.arrays import ArrayError, Data, as_array, data_of, describe_dtype, from_data, parse_dtype
+from xpl.packed import PackingError, map_key
+from xpl.packed import decode as unpack
 
 _K = spec.ARRAY_KEYS
 _ND, _TYPE, _KIND, _SHAPE, _DATA, _COMPLEX = (_K[name] for name in ("nd", "type", "kind", "shape", "data", "complex"))
 
+_EMPTY = b"\xc4\x00"  # msgpack's byte string without bytes
 _NONE = type(None)
 _ENVELOPE: dict[str, tuple[type, ...]] = {
     spec.Frame.MESSAGE_TYPE: (str,),
@@ -80,8 +82,12 @@ class Frame:
         return Frame(message_type=message_type, payload=payload, **{name: getattr(self, name) for name in _IDENTIFIERS})
 
 
-def encode(frame: Frame) -> bytes:
+def encode(frame: Frame, pieces: Sequence[Data] = ()) -> bytes:
     """Return the bytes of one frame.
+
+    Args:
+        frame: the frame.
+        pieces: further entries of its payload as the pieces of a packed map (`xpl.packed`), for a peer that takes them.
 
     Raises:
         WireError: if the envelope or the payload holds what cannot travel, or the frame is over the wire's limits.
@@ -89,17 +95,38 @@ def encode(frame: Frame) -> bytes:
     # In this order the identifiers come before the payload, so that they can be read even if the payload cannot.
     fields = {name: getattr(frame, name) for name in _ENVELOPE}
     _check_envelope(fields)
+    if pieces:
+        fields[spec.Frame.PAYLOAD] = {**frame.payload, spec.Payload.PACKED: b""}
     try:
         packed: bytes = _msgpack().packb(_outgoing(fields, 0), use_bin_type=True)
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError(f"the {frame.message_type} payload cannot be sent: {error}", _identifiers(fields)) from None
+    if pieces:  # copied once, whatever their size: the empty byte string at the very end makes room for them
+        packed = b"".join([packed[: -len(_EMPTY)], _bytes_header(sum(map(len, pieces))), *pieces])
     if len(packed) > spec.LIMITS["frame_bytes"]:
         text = f"a {frame.message_type} frame of {len(packed)} bytes is over the limit of {spec.LIMITS['frame_bytes']}"
         raise WireError(text, _identifiers(fields))
     return packed
 
 
-def decode(data: bytes) -> Frame:
+def unpacked(payload: dict[str, Any]) -> dict[str, Any]:
+    """Return a payload with the entries that it carries packed among the others.
+
+    Raises:
+        PackingError: if what is packed is not a packed map.
+    """
+    data = payload.get(spec.Payload.PACKED)
+    if data is None:
+        return payload
+    if not isinstance(data, bytes):
+        raise PackingError(f"packed entries must be bytes, got {type(data).__name__}")
+    entries = unpack(data)
+    if not isinstance(entries, dict):
+        raise PackingError(f"packed entries must be a map, got {type(entries).__name__}")
+    return {**{name: value for name, value in payload.items() if name != spec.Payload.PACKED}, **entries}
+
+
+def decode(data: Data) -> Frame:
     """Return the frame of some bytes.
 
     Raises:
@@ -132,6 +159,14 @@ def decode(data: bytes) -> Frame:
     return Frame(**known)
 
 
+def _bytes_header(size: int) -> bytes:
+    """Return how msgpack announces a byte string of a size."""
+    for mark, width in ((b"\xc4", 1), (b"\xc5", 2), (b"\xc6", 4)):
+        if size < 1 << 8 * width:
+            return mark + size.to_bytes(width, "big")
+    raise WireError(f"a byte string of {size} bytes is more than the wire can carry")
+
+
 def depth(value: Any) -> int:
     """Return how deeply maps and lists are nested in a value, 0 for a scalar; stops counting beyond the limit."""
     level = 0
@@ -162,7 +197,7 @@ def _is(value: Any, allowed: tuple[type, ...]) -> bool:
     return isinstance(value, allowed) and not isinstance(value, bool)
 
 
-def _salvaged(data: bytes) -> dict[str, Any]:
+def _salvaged(data: Data) -> dict[str, Any]:
     """Return the identifiers of a frame that does not decode, as far as they can be read."""
     fields: dict[str, Any] = {}
     try:

@@ -1,76 +1,45 @@
 """The worker: runs one adapter in the policy's own interpreter and answers the front end over a private descriptor.
 
-Standard library and numpy only. Requests and answers are maps (see `xpl.link`):
+Standard library and numpy only. Messages are packed maps (see `xpl.link`):
 
-    {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods"}}
-    {"op": "call", "method", "args"}                    -> {"ok": result}
-    {"op": "infer", "observation"}                      -> {"ok": actions, or a map that has them}
-    anything that raises                                -> {"error": {"type", "message", "traceback"}}
+    {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods", "shared"}}
+    {"op": "run", "requests": [...]}                    -> {"answers": [one answer for each request]}
+    {"op": "map", "segment", "path", "size"}            -> {"ok": None}; arrays of requests may lie there from now on
+    {"op": "unmap", "segment"}                          -> {"ok": None}
+
+A request of `run` is `{"client", "method", "payload": packed map, "segment", "optional"}`; its method is `infer` or
+what a client may call. The answer to it is `{"ok": packed map}` of the entries that the wire's answer gets. Whatever
+raises is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused": true` where the request itself was
+wrong and `"unserialisable": true` where the result cannot travel.
 """
 
 from __future__ import annotations
 
-import importlib.util
-import inspect
+import faulthandler
+import functools
 import os
-import queue
+import select
 import signal
 import socket
 import sys
 import threading
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Callable, NoReturn
+from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 from xpl import _spec as spec
-from xpl import link
+from xpl import packed
+from xpl.link import Channel
+from xpl.loading import check_shareable, load_model_class
+
+if TYPE_CHECKING:
+    from xpl.segment import Window
+    from xpl.sharing import SharedModel
 
 
-class LoadError(RuntimeError):
-    """model.py does not offer what the contract asks for."""
-
-
-class UnknownMethodError(AttributeError):
-    """A call names a method that the adapter does not offer."""
-
-
-def load_model_class(policy_dir: Path) -> type:
-    """Import model.py of an adapter under a module name of its own and return its class `Model`.
-
-    The package's `__init__.py` is not run. Relative imports work, and so do imports of the ecosystem's package where
-    the adapter lies inside a checkout of it.
-
-    Raises:
-        LoadError: if there is no model.py or no class `Model` in it.
-    """
-    path = policy_dir / spec.File.MODEL_PY
-    if not path.is_file():
-        raise LoadError(f"{policy_dir} has no model.py")
-    _offer_ecosystem(policy_dir)
-    package = f"_xpl_policy_{policy_dir.name}"
-    holder = ModuleType(package)
-    holder.__path__ = [str(policy_dir)]
-    sys.modules[package] = holder
-    name = f"{package}.model"
-    found = importlib.util.spec_from_file_location(name, path)
-    if found is None or found.loader is None:
-        raise LoadError(f"{path} cannot be imported")
-    module = importlib.util.module_from_spec(found)
-    sys.modules[name] = module
-    found.loader.exec_module(module)
-    model = getattr(module, spec.MODEL_CLASS, None)
-    if not inspect.isclass(model):
-        raise LoadError(f"{path} defines no class {spec.MODEL_CLASS}")
-    return model
-
-
-def _offer_ecosystem(policy_dir: Path) -> None:
-    """Let an adapter inside an XPolicyLab checkout import that package, as its own server would."""
-    root = policy_dir.parent.parent
-    if (root / "model_template.py").is_file():
-        sys.path[:0] = [str(root.parent), str(root)]
+class RefusedError(ValueError):
+    """A request asks for what the adapter does not offer, or lacks what it needs."""
 
 
 class Worker:
@@ -79,49 +48,158 @@ class Worker:
     def __init__(self) -> None:
         self._model: Any = None
         self._methods: frozenset[str] = frozenset()
+        self._shared: SharedModel | None = None
+        self._windows: dict[int, Window] = {}
 
-    def handle(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the answer to one request; an exception of the adapter becomes an `error` answer."""
+    def handle(self, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the answer to one message of the front end; whatever an adapter raises becomes an `error`."""
         operations: dict[str, Callable[[Mapping[str, Any]], Any]] = {
             "load": self._load,
-            "call": self._call,
-            "infer": self._infer,
+            "map": self._map,
+            "unmap": self._unmap,
         }
-        try:
-            return {"ok": operations[request["op"]](request)}
-        # SystemExit, too: libraries that parse the command line end the process over an argument that is not theirs.
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever an adapter raises is reported, not fatal
-            return {"error": describe(error)}
+        if message["op"] == "run":
+            return {"answers": self._run(message["requests"])}
+        return _attempt(functools.partial(operations[message["op"]], message))
 
-    def _load(self, request: Mapping[str, Any]) -> dict[str, Any]:
+    # -- between requests ----------------------------------------------------------------------------------------------
+
+    def _load(self, message: Mapping[str, Any]) -> dict[str, Any]:
         from xpl.policy import Policy
 
-        policy_dir = Path(request["policy_dir"])
+        policy_dir = Path(message["policy_dir"])
         model_class = load_model_class(policy_dir)
-        config = dict(request["config"])
-        manifest = request.get("manifest") or {}
+        config = dict(message["config"])
+        manifest = message.get("manifest") or {}
         if issubclass(model_class, Policy):
             config["manifest"] = manifest
-        self._model = model_class(config)
         declared = tuple(manifest.get("methods") or ())
+        shared = bool((manifest.get("serving") or {}).get("shared"))
         offered = (*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER, *declared)
+        if shared:
+            check_shareable(model_class, (*spec.HOOKS, *declared))
+        self._model = model_class(config)
         self._methods = frozenset(
             name for name in offered if not name.startswith("_") and callable(getattr(self._model, name, None))
         )
-        return {"class": model_class.__name__, "methods": sorted(self._methods)}
+        if shared:
+            from xpl.sharing import SharedModel
 
-    def _call(self, request: Mapping[str, Any]) -> Any:
-        if request["method"] not in self._methods:
-            offered = ", ".join(sorted(self._methods))
-            raise UnknownMethodError(f"the adapter has no method {request['method']!r}; it has {offered}")
-        return getattr(self._model, request["method"])(*request["args"])
+            self._shared = SharedModel(self._model)
+        return {"class": model_class.__name__, "methods": sorted(self._methods), "shared": shared}
 
-    def _infer(self, request: Mapping[str, Any]) -> Any:
-        observation = request["observation"]
+    def _map(self, message: Mapping[str, Any]) -> None:
+        from xpl.segment import Window
+
+        self._windows[message["segment"]] = Window(message["path"], message["size"])
+
+    def _unmap(self, message: Mapping[str, Any]) -> None:
+        self._windows.pop(message["segment"], None)  # adapters may keep what they have seen there
+
+    # -- requests ------------------------------------------------------------------------------------------------------
+
+    def _run(self, requests: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        if self._shared is not None:
+            return self._run_shared(self._shared, requests)
+        return [self._answer(request, functools.partial(self._perform, request)) for request in requests]
+
+    def _run_shared(self, shared: SharedModel, requests: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        from xpl.sharing import Request
+
+        results = [_tried(functools.partial(self._argument, request)) for request in requests]
+        understood = [place for place, result in enumerate(results) if not isinstance(result, Exception)]
+        asked = [Request(requests[place]["client"], requests[place]["method"], results[place]) for place in understood]
+        for place, result in zip(understood, shared.run(asked)):
+            results[place] = result
+        return [self._answer(request, functools.partial(_raised, result)) for request, result in zip(requests, results)]
+
+    def _perform(self, request: Mapping[str, Any]) -> Any:
+        method, argument = request["method"], self._argument(request)
+        if method not in self._methods and method != spec.Method.INFER:
+            return None  # an optional one: `_argument` lets no other pass
+        if method == spec.Method.INFER or (method == spec.Method.GET_ACTION and isinstance(argument, Mapping)):
+            return self._infer(argument)
+        if method in (spec.Method.RESET, spec.Method.GET_ACTION):
+            return getattr(self._model, method)()
+        return getattr(self._model, method)() if argument is None else getattr(self._model, method)(argument)
+
+    def _infer(self, observation: Any) -> Any:
         if spec.Method.UPDATE_OBS not in self._methods and spec.Method.INFER in self._methods:
             return self._model.infer(observation)
         self._model.update_obs(observation)
         return self._model.get_action()
+
+    def _argument(self, request: Mapping[str, Any]) -> Any:
+        """Return the argument of a request's method.
+
+        Raises:
+            RefusedError: if the adapter has no such method, or the argument is of the wrong kind.
+            PackingError: if the payload is damaged.
+        """
+        method = request["method"]
+        payload = self._payload(request)
+        if method == spec.Method.INFER:
+            observation = payload.get(spec.Payload.OBSERVATION)
+            if not isinstance(observation, dict):
+                raise RefusedError("infer needs a payload with an observation map")
+            return observation
+        if method not in self._methods and not request.get("optional"):
+            offered = ", ".join(sorted(self._methods))
+            raise RefusedError(f"the adapter has no method {method!r}; it has {offered}")
+        if method in spec.HOOKS:
+            return payload
+        argument = payload.get(spec.Payload.OBS)
+        wanted = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}.get(method)
+        if wanted is not None and not isinstance(argument, wanted):
+            kind = "map" if wanted is dict else "list"
+            raise RefusedError(f"{method} needs a payload with obs, a {kind}; got {type(argument).__name__}")
+        return argument
+
+    def _payload(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        window = self._windows.get(request.get("segment") or 0)
+        payload = packed.decode(request[spec.Frame.PAYLOAD].data, None if window is None else window.find)
+        if not isinstance(payload, dict):
+            raise RefusedError(f"a packed payload must be a map, got {type(payload).__name__}")
+        return payload
+
+    def _answer(self, request: Mapping[str, Any], action: Callable[[], Any]) -> dict[str, Any]:
+        answer = _attempt(action)
+        if "error" in answer:
+            return answer
+        result = answer["ok"]
+        entries: Any = {}
+        if request["method"] == spec.Method.INFER:
+            passes = isinstance(result, Mapping) and spec.Payload.ACTIONS in result
+            entries = result if passes else {spec.Payload.ACTIONS: result}
+        elif result is not None:
+            entries = {spec.Payload.RESULT: result}
+        try:
+            return {"ok": packed.Packed(b"".join(packed.encode(entries)))}
+        except Exception as error:  # noqa: BLE001 - also what a library's own array type raises while it is converted
+            return {"error": {**describe(error), "unserialisable": True}}
+
+
+def _tried(action: Callable[[], Any]) -> Any:
+    """Return the value of an action, or the exception that it raised."""
+    try:
+        return action()
+    except Exception as error:  # noqa: BLE001 - reported with the request that it belongs to
+        return error
+
+
+def _raised(result: Any) -> Any:
+    if isinstance(result, BaseException):
+        raise result
+    return result
+
+
+def _attempt(action: Callable[[], Any]) -> dict[str, Any]:
+    try:
+        return {"ok": action()}
+    # SystemExit, too: libraries that parse the command line end the process over an argument that is not theirs.
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever an adapter raises is reported, not fatal
+        refused = isinstance(error, (RefusedError, packed.PackingError))
+        return {"error": {**describe(error), **({"refused": True} if refused else {})}}
 
 
 def describe(error: BaseException) -> dict[str, str]:
@@ -133,33 +211,42 @@ def describe(error: BaseException) -> dict[str, str]:
 
 
 def main(descriptor: int) -> None:
-    """Serve requests that arrive on a descriptor until it is closed.
+    """Serve messages that arrive on a descriptor until it is closed.
 
-    Adapters may print: standard output is joined to standard error, so the link stays clean. A thread reads the link,
-    so that the worker ends with the front end even while the model computes.
+    Adapters may print: standard output is joined to standard error, so the link stays clean. A thread watches the link,
+    so that the worker ends with the front end even while the model computes. SIGUSR1 prints where it is.
     """
     os.dup2(2, 1)
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the front end, which ends the worker in order
+    faulthandler.register(signal.SIGUSR1, all_threads=True)
+    os.set_inheritable(descriptor, False)  # noqa: FBT003 - positional only
     channel = socket.socket(fileno=descriptor)
     channel.settimeout(None)
-    requests: queue.Queue[Any] = queue.Queue()
-    threading.Thread(target=_read_all, args=(channel, requests), daemon=True).start()
-    worker = Worker()
-    while True:
-        _send(channel, worker.handle(requests.get()))
+    threading.Thread(target=_watch, args=(descriptor,), daemon=True).start()
+    link, worker = Channel(channel), Worker()
+    try:
+        while True:
+            message = link.receive()
+            if message is None:
+                _end()
+            answer = worker.handle(packed.decode(message, whole=False))
+            del message  # what it holds may be large, and the next one may be long in coming
+            link.send(answer)
+    except packed.PackingError as error:
+        sys.stderr.write(f"[worker] {error}\n")
+    except OSError:
+        pass
+    _end()
 
 
-def _read_all(channel: socket.socket, requests: queue.Queue[Any]) -> None:
-    while True:
-        try:
-            message = receive(channel)
-        except link.LinkError as error:
-            sys.stderr.write(f"[worker] {error}\n")
-            message = None
-        if message is None:
-            _end()
-        requests.put(message)
+def _watch(descriptor: int) -> None:
+    """Wait until the other end of the link is closed."""
+    poll = select.poll()
+    poll.register(descriptor, 0)  # a hang-up is reported unasked
+    while not any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll()):
+        pass
+    _end()
 
 
 def _end() -> NoReturn:
@@ -167,48 +254,3 @@ def _end() -> NoReturn:
     if os.getpid() == os.getpgrp():  # the front end starts a worker as the leader of a group of its own
         os.killpg(os.getpgrp(), signal.SIGKILL)
     os._exit(0)
-
-
-def _send(channel: socket.socket, answer: dict[str, Any]) -> None:
-    try:
-        pieces = link.encode(answer)
-    except Exception as error:  # noqa: BLE001 - also what a library's own array type raises while it is converted
-        pieces = link.encode({"error": {**describe(error), "unserialisable": True}})
-    try:
-        for piece in pieces:
-            channel.sendall(piece)
-    except OSError:
-        _end()
-
-
-def receive(channel: socket.socket) -> Any | None:
-    """Return the next message of a blocking socket, or None at its end.
-
-    Raises:
-        LinkError: if what arrives is not a message.
-    """
-    prefix = _exactly(channel, link.PREFIX_BYTES)
-    if prefix is None:
-        return None
-    header = _exactly(channel, link.header_length(bytes(prefix)))
-    if header is None:
-        return None
-    tree, sizes = link.parse_header(bytes(header))
-    buffers = [_exactly(channel, size) for size in sizes]
-    if any(buffer is None for buffer in buffers):
-        return None
-    return link.decode(tree, [memoryview(buffer) for buffer in buffers if buffer is not None])
-
-
-def _exactly(channel: socket.socket, size: int) -> bytearray | None:
-    data = bytearray(size)
-    view = memoryview(data)
-    while view:
-        try:
-            count = channel.recv_into(view)
-        except OSError:
-            return None
-        if not count:
-            return None
-        view = view[count:]
-    return data

@@ -49,7 +49,14 @@ def compile_source(version: str = spec.CURRENT) -> str:
         ),
         "ErrorCode": list(wire["error_codes"]),
         "ErrorReason": list(wire["error_reasons"]),
-        "Method": [*wire["methods"]["contract"], *wire["methods"]["hooks"], wire["methods"]["single_call"]],
+        "Capability": list(wire["capabilities"]),
+        "ServerState": list(wire["states"]),
+        "Method": [
+            *wire["methods"]["contract"],
+            *wire["methods"]["hooks"],
+            wire["methods"]["single_call"],
+            wire["methods"]["partial_reset"],
+        ],
     }
     values: dict[str, Any] = {
         "SPEC_VERSION": version,
@@ -85,6 +92,7 @@ def compile_source(version: str = spec.CURRENT) -> str:
         "ARRAY_KEYS": {name: key.encode() for name, key in wire["array"]["keys"].items()},
         "STRUCTURED_KIND": wire["array"]["structured_kind"].encode(),
         "LIMITS": dict(wire["limits"]),
+        "SHARED_MEMORY": dict(wire["shared_memory"]),
         "CLOSE_CODES": dict(wire["close_codes"]),
         "EMBODIMENTS": spec.embodiments(version),
     }

@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any
 from xpl_cli.errors import ExitCode, UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
 STOP_S = 10.0
@@ -62,6 +62,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     python: str | None = None,
     env: str | None = None,
     gpu: str | None = None,
+    options: Sequence[str] = (),
     load_timeout: float = 600.0,
     echo: bool = False,
 ) -> Iterator[RunningServer]:
@@ -73,6 +74,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         python: interpreter of the adapter.
         env: environment of the adapter, as for `xpl serve --env`.
         gpu: device made visible to the adapter.
+        options: further options of `xpl serve`.
         load_timeout: longest wait for the model, s.
         echo: also show the server's output on stderr.
 
@@ -86,6 +88,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         command += ["--set", f"{key}={json.dumps(value)}"]
     for option, value in (("--python", python), ("--policy-env", env), ("--gpu", gpu)):
         command += [option, value] if value is not None else []
+    command += options
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
     )

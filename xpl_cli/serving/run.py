@@ -1,148 +1,269 @@
-"""Run a policy server until it is told to end: start the worker, load, listen, announce readiness, shut down."""
+"""Run a policy server until it is told to end: start the workers, load, listen, announce readiness, shut down."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
 import sys
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl.link import LinkError
+from xpl import agreement, segment
 from xpl_cli import interpreter
 from xpl_cli.errors import ExitCode, UserError
+from xpl_cli.progress import progress
+from xpl_cli.serving.admission import read_token, tls_context
+from xpl_cli.serving.connection import Timing
+from xpl_cli.serving.observe import Observer
+from xpl_cli.serving.pool import LoadError
 from xpl_cli.serving.server import FrontEnd, Settings
-from xpl_cli.serving.worker_process import WorkerDiedError, WorkerError, WorkerProcess
+from xpl_cli.serving.worker_process import WorkerProcess
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from websockets.asyncio.server import Server
+    from collections.abc import Iterator, Mapping, Sequence
 
     from xpl_cli.package import Package
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_PROGRESS_S = 5.0
+_GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
 
-def run_server(  # noqa: PLR0913 - one parameter per option of `xpl serve`
-    package: Package,
-    overrides: Mapping[str, Any],
-    *,
-    python: str | None = None,
-    env: str | None = None,
-    gpu: str | None = None,
-    insecure: bool = False,
-    debug: bool = False,
-    until_stdin_ends: bool = False,
-) -> None:
+@dataclass(frozen=True)
+class Options:
+    """What `xpl serve` takes besides the keys of deploy.yml.
+
+    Attributes:
+        python: interpreter of the workers.
+        env: their environment, as for `--env`.
+        gpu: devices; the workers take them in turn.
+        workers: copies of the model.
+        token_file: file of the bearer token.
+        tls_cert: certificate chain, PEM.
+        tls_key: its key, PEM, where it is not in the same file.
+        insecure: listen elsewhere than on loopback without a token.
+        debug: send tracebacks to clients.
+        metrics: offer /metrics.
+        trace: file that gets one line for each request.
+        until_stdin_ends: end when standard input ends.
+    """
+
+    python: str | None = None
+    env: str | None = None
+    gpu: Sequence[str] = ()
+    workers: int = 1
+    token_file: Path | None = None
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+    insecure: bool = False
+    debug: bool = False
+    metrics: bool = False
+    trace: Path | None = None
+    until_stdin_ends: bool = False
+
+
+def run_server(package: Package, overrides: Mapping[str, Any], options: Options) -> None:
     """Serve an adapter until SIGINT or SIGTERM.
 
-    Prints one JSON line `{"event": "ready", "url": ..., ...}` on stdout when the model is loaded.
+    Prints one JSON line `{"event": "ready", "url": ..., ...}` on stdout when the models are loaded.
 
     Raises:
-        UserError: if the model cannot be loaded, the address cannot be bound, or the worker ends.
+        UserError: if an option is wrong, the model cannot be loaded, the address cannot be bound, or no worker is left.
     """
     config = package.config(overrides)
-    host = config[spec.Deploy.HOST] or _LOOPBACK[0]
-    if host not in _LOOPBACK and not insecure:
-        raise UserError(
-            f"host is {host!r}: without authentication the server listens on loopback only",
-            hint="add --insecure to let every machine that reaches this address drive the policy",
-        )
-    interpreter_path = interpreter.resolve(package.path, package.manifest, python=python, env=env)
-    settings = Settings(
-        host=host,
-        port=config[spec.Deploy.PORT] or 0,
-        request_timeout=config[spec.Deploy.REQUEST_TIMEOUT_S],
-        ping_interval=config[spec.Deploy.WS_PING_INTERVAL_S],
-        ping_timeout=config[spec.Deploy.WS_PING_TIMEOUT_S],
-        close_timeout=config[spec.Deploy.CLOSE_TIMEOUT_S],
-        debug=debug,
-    )
-    work = _serve(package, config, settings, interpreter_path, gpu, until_stdin_ends=until_stdin_ends)
-    reason = asyncio.run(work)
+    settings = _settings(package, config, options)
+    python = interpreter.resolve(package.path, package.manifest, python=options.python, env=options.env)
+    with _trace(options.trace) as trace:
+        observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
+        run = _Run(package, config, settings, options, python, observer)
+        reason = asyncio.run(_serve(run))
     if reason is not None:
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)
 
 
-async def _serve(  # noqa: PLR0913 - see run_server
-    package: Package,
-    config: dict[str, Any],
-    settings: Settings,
-    python: str,
-    gpu: str | None,
-    *,
-    until_stdin_ends: bool,
-) -> str | None:
-    """Serve until a signal; return why it could not go on, or None."""
-    stopping = asyncio.get_running_loop().create_future()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, _end, stopping)
-    if until_stdin_ends:
-        asyncio.get_running_loop().add_reader(sys.stdin.fileno(), _watch_stdin, stopping)
-    worker = await WorkerProcess.start(python, cwd=package.path, gpu=gpu)
+def _settings(package: Package, config: Mapping[str, Any], options: Options) -> Settings:
+    host = config[spec.Deploy.HOST] or _LOOPBACK[0]
+    if options.workers < 1:
+        raise UserError(f"--workers must be at least 1, got {options.workers}")
+    token = None if options.token_file is None else read_token(options.token_file)
+    if host not in _LOOPBACK and token is None and not options.insecure:
+        raise UserError(
+            f"host is {host!r}: without authentication the server listens on loopback only",
+            hint="give it a secret with --token-file, or add --insecure to let every machine that reaches this "
+            "address drive the policy",
+        )
+    close = config[spec.Deploy.CLOSE_TIMEOUT_S]
+    return Settings(
+        host=host,
+        port=config[spec.Deploy.PORT] or 0,
+        timing=Timing(
+            hello=config[spec.Deploy.HANDSHAKE_TIMEOUT_S],
+            ping_interval=config[spec.Deploy.WS_PING_INTERVAL_S],
+            ping_timeout=config[spec.Deploy.WS_PING_TIMEOUT_S],
+            close=close,
+        ),
+        handshake_timeout=config[spec.Deploy.HANDSHAKE_TIMEOUT_S] or None,
+        request_timeout=config[spec.Deploy.REQUEST_TIMEOUT_S],
+        grace=spec.DEPLOY_DEFAULTS[spec.Deploy.CLOSE_TIMEOUT_S] if close is None else close,
+        policy=agreement.needs(package.manifest, config),
+        token=token,
+        tls=tls_context(options.tls_cert, options.tls_key),
+        debug=options.debug,
+    )
+
+
+@contextlib.contextmanager
+def _trace(path: Path | None) -> Iterator[IO[str] | None]:
+    if path is None:
+        yield None
+        return
     try:
-        front_end = FrontEnd(worker, settings)
+        with path.open("a", encoding="utf-8") as file:
+            yield file
+    except OSError as error:
+        raise UserError(f"--trace: {path}: {error.strerror}") from None
+
+
+class _Ending:
+    """Whether someone wants the server to end: the first time in order, the second time at once."""
+
+    def __init__(self) -> None:
+        self.asked = asyncio.Event()
+        self.insisted = asyncio.Event()
+
+    def ask(self) -> None:
+        (self.insisted if self.asked.is_set() else self.asked).set()
+
+    def listen(self, *, until_stdin_ends: bool) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, self.ask)
+        if until_stdin_ends:
+            loop.add_reader(sys.stdin.fileno(), self._read_stdin)
+
+    def _read_stdin(self) -> None:
+        """End when whoever started this server is gone: the last holder of the other end of standard input."""
+        if not os.read(sys.stdin.fileno(), 1024):
+            self.asked.set()
+            self.insisted.set()
+            asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
+
+
+@dataclass(frozen=True)
+class _Run:
+    package: Package
+    config: dict[str, Any]
+    settings: Settings
+    options: Options
+    python: str
+    observer: Observer | None
+
+
+async def _serve(run: _Run) -> str | None:
+    """Serve until a signal; return why it could not go on, or None."""
+    ending = _Ending()
+    ending.listen(until_stdin_ends=run.options.until_stdin_ends)
+    segment.sweep()  # what a server that was killed left behind
+    processes: list[WorkerProcess] = []
+    gpus: Sequence[str | None] = run.options.gpu or [None]
+    try:
+        for number in range(run.options.workers):
+            label = f"[{number}] " if run.options.workers > 1 else ""
+            gpu = gpus[number % len(gpus)]
+            processes.append(await WorkerProcess.start(run.python, cwd=run.package.path, gpu=gpu, label=label))
+        front_end = FrontEnd(processes, run.settings, run.observer)
+        if run.observer is not None:
+            run.observer.watch(front_end.health)
         try:
             server = await front_end.listen()
         except OSError as error:
-            return f"cannot listen on {settings.host}:{settings.port}: {error.strerror}"
-        loading = asyncio.create_task(_load(worker, package, config))
-        async with server:
-            await asyncio.wait({loading, stopping}, return_when=asyncio.FIRST_COMPLETED)
-            if stopping.done():
-                loading.cancel()
-                await asyncio.wait({loading})
-                return None
-            problem = loading.result()
-            if problem is not None:
-                await front_end.dismiss(problem)
-                return problem
-            front_end.ready.set()
-            host, port = _address(server, settings.host)
-            ready = {"event": "ready", "policy": package.name, "url": f"ws://{host}:{port}", "port": port}
-            sys.stdout.write(json.dumps(ready) + "\n")
-            sys.stdout.flush()
-            ended = asyncio.create_task(worker.ended())
-            await asyncio.wait({stopping, front_end.failed, ended}, return_when=asyncio.FIRST_COMPLETED)
-            if stopping.done():
-                return None
-            reason = front_end.failed.result() if front_end.failed.done() else ended.result()
-            await front_end.dismiss(reason)
-            return reason
+            return f"cannot listen on {run.settings.host}:{run.settings.port}: {error.strerror}"
+        try:
+            return await _until_ended(run, front_end, server, ending)
+        finally:
+            server.close()
     finally:
-        await worker.stop(grace=1.0)
+        await asyncio.gather(*(process.stop(grace=1.0) for process in processes))
 
 
-def _address(server: Server, host: str) -> tuple[str, int]:
+async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, ending: _Ending) -> str | None:
+    asked = asyncio.create_task(ending.asked.wait())
+    loading = asyncio.create_task(_load(run, front_end))
+    await _first(loading, asked)
+    if asked.done():
+        loading.cancel()
+        await asyncio.wait({loading})
+        await front_end.dismiss(_GOING_AWAY, "the policy server was stopped")
+        return None
+    problem = loading.result()
+    if problem is not None:
+        await front_end.dismiss(spec.CLOSE_CODES["server_failed"], problem)
+        return problem
+    front_end.ready()
+    host, port = _address(server, run.settings.host)
+    scheme = "ws" if run.settings.tls is None else "wss"
+    ready = {"event": spec.ServerState.READY, "policy": run.package.name, "url": f"{scheme}://{host}:{port}", "port": port}
+    sys.stdout.write(json.dumps(ready) + "\n")
+    sys.stdout.flush()
+    await _first(asked, front_end.failed)
+    if front_end.failed.done():
+        reason = front_end.failed.result()
+        await front_end.dismiss(spec.CLOSE_CODES["server_failed"], reason)
+        return reason
+    server.close()
+    await _first(asyncio.create_task(front_end.drain(run.settings.grace)), asyncio.create_task(ending.insisted.wait()))
+    await front_end.dismiss(_GOING_AWAY, "the policy server was stopped")
+    return None
+
+
+async def _first(*futures: asyncio.Future[Any]) -> None:
+    """Wait until one of them is done."""
+    await asyncio.wait(futures, return_when=asyncio.FIRST_COMPLETED)
+
+
+async def _load(run: _Run, front_end: FrontEnd) -> str | None:
+    """Load every model and say how it goes; return why it failed, or None."""
+    limit = run.config[spec.Deploy.MAX_CONNECT_SECONDS] or None  # nobody waits longer than that for a connection
+    package = run.package
+    loads = [
+        asyncio.create_task(worker.load(package.path, run.config, package.manifest))
+        for worker in front_end.workers.values()
+    ]
+    with progress() as said:
+        telling = asyncio.create_task(_tell(front_end, package.name, said.step))
+        try:
+            done, running = await asyncio.wait(loads, timeout=limit, return_when=asyncio.FIRST_EXCEPTION)
+        finally:
+            telling.cancel()
+            for load in loads:
+                load.cancel()
+    for load in done:
+        error = load.exception()
+        if isinstance(error, LoadError):
+            return str(error)
+        load.result()
+    if running:
+        for worker in front_end.workers.values():
+            worker.process.show_stacks()
+        return f"the model could not be loaded within {limit:g} s (max_connect_seconds)"
+    return None
+
+
+async def _tell(front_end: FrontEnd, name: str, say: Any) -> None:
+    while True:
+        await asyncio.sleep(1.0 if sys.stderr.isatty() else _PROGRESS_S)
+        told = front_end.progress()
+        say(f"[server] loading {name}: {told['seconds']:.0f} s, {told['memory_bytes'] / 2**20:.0f} MiB in memory")
+
+
+def _address(server: asyncio.Server, host: str) -> tuple[str, int]:
     """Return host and port to connect to. `localhost` has two addresses, and a port that was chosen is free on one."""
     bound, port = server.sockets[0].getsockname()[:2]
     if host not in _LOOPBACK:
         return host, port
     return (f"[{bound}]" if ":" in bound else bound), port
-
-
-def _end(stopping: asyncio.Future[None]) -> None:
-    if not stopping.done():
-        stopping.set_result(None)
-
-
-def _watch_stdin(stopping: asyncio.Future[None]) -> None:
-    """End when whoever started this server is gone: the last holder of the other end of standard input."""
-    if not os.read(sys.stdin.fileno(), 4096):
-        _end(stopping)
-        asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
-
-
-async def _load(worker: WorkerProcess, package: Package, config: dict[str, Any]) -> str | None:
-    """Load the adapter; return why it failed, or None."""
-    try:
-        await worker.request(op="load", policy_dir=str(package.path), config=config, manifest=dict(package.manifest))
-    except WorkerError as error:
-        sys.stderr.write(error.trace)
-        return f"the model could not be loaded: {error.kind}: {error}"
-    except (WorkerDiedError, LinkError) as error:
-        return f"the model could not be loaded: {error}"
-    return None

@@ -1,168 +1,176 @@
-"""What the front end decides about a frame, free of I/O: whose turn it is, what was answered before, what to run."""
+"""What the front end decides about a frame, free of I/O: what it asks for, and whether that was answered before."""
 
 from __future__ import annotations
 
-import time
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl import wire
+from xpl import packed, wire
 
 if TYPE_CHECKING:
-    import asyncio
-
-_OBS_TYPES: dict[str, type] = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}
-
-GRACE_S = 10.0
-"""How long a lease outlives a connection that was cut: long enough to reconnect, short enough not to block others."""
+    from collections.abc import Callable
 
 
 class RequestError(Exception):
-    """A request that is answered by an error frame."""
+    """A request that is answered by an error frame.
 
-    def __init__(self, code: str, message: str, reason: str | None = None) -> None:
+    Args:
+        code: one of the wire's error codes.
+        message: one sentence.
+        reason: a finer word than the code.
+        details: what else a client may want to know.
+    """
+
+    def __init__(self, code: str, message: str, reason: str | None = None, **details: Any) -> None:
         super().__init__(message)
         self.code = code
         self.reason = reason
+        self.details = details
 
     def payload(self) -> dict[str, Any]:
-        """Return the payload of the error frame; a finer reason than the code goes into the details."""
-        details = {"reason": self.reason} if self.reason else {}
+        """Return the payload of the error frame."""
+        details = {**({"reason": self.reason} if self.reason else {}), **self.details}
         return {spec.Payload.CODE: self.code, spec.Payload.MESSAGE: str(self), spec.Payload.DETAILS: details}
 
 
-@dataclass(frozen=True)
-class Operation:
-    """What the worker is to do for a request, and how a failure of it is coded."""
+_FAILURES = {
+    spec.Message.INFER: spec.ErrorCode.INFER_FAILED,
+    spec.Message.RESET: spec.ErrorCode.RESET_FAILED,
+}
+_HOOKS = {
+    spec.Message.PREPARE_CASE: spec.Method.PREPARE_CASE,
+    spec.Message.TRIAL_END: spec.Method.ON_TRIAL_END,
+}
 
-    request: dict[str, Any]
-    failure: str
+
+@dataclass
+class Task:
+    """What a worker is to do for a frame.
+
+    Attributes:
+        frame: the request.
+        method: `infer`, or the method that is called.
+        payload: entries that go to the worker, as a packed map.
+        optional: an adapter without this method answers nothing.
+        failure: the error code if the method raises.
+    """
+
+    frame: wire.Frame
+    method: str
+    payload: packed.Packed | None = None
+    optional: bool = False
+    failure: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.failure = _FAILURES.get(self.frame.message_type, spec.ErrorCode.CALL_FAILED)
 
 
-def operation(frame: wire.Frame) -> Operation:
-    """Return what the worker does for a reset, infer, call, prepare_case or trial_end frame.
+def task(frame: wire.Frame) -> Task:
+    """Return what a worker does for a reset, infer, call, prepare_case or trial_end frame; its payload is still open.
 
     Raises:
-        RequestError: `invalid_frame` if the payload lacks what the request needs.
+        RequestError: `invalid_frame` if it names no method that may be called.
     """
-    payload = frame.payload
     kind = frame.message_type
     if kind == spec.Message.INFER:
-        observation = payload.get(spec.Payload.OBSERVATION)
-        if not isinstance(observation, dict):
-            raise RequestError(spec.ErrorCode.INVALID_FRAME, "infer needs a payload with an observation map")
-        return Operation({"op": "infer", "observation": observation}, spec.ErrorCode.INFER_FAILED)
+        return Task(frame, spec.Method.INFER)
     if kind == spec.Message.RESET:
-        return Operation(_call(spec.Method.RESET), spec.ErrorCode.RESET_FAILED)
-    if kind == spec.Message.CALL:
-        return Operation(_contract_call(payload), spec.ErrorCode.CALL_FAILED)
-    hook = {spec.Message.PREPARE_CASE: spec.Method.PREPARE_CASE, spec.Message.TRIAL_END: spec.Method.ON_TRIAL_END}[kind]
-    return Operation(_call(hook, payload), spec.ErrorCode.CALL_FAILED)
+        return Task(frame, spec.Method.RESET)
+    if kind in _HOOKS:
+        return Task(frame, _HOOKS[kind], optional=True)
+    name = frame.payload.get(spec.Payload.FUNC_NAME)
+    if not isinstance(name, str) or name.startswith("_") or name in (spec.Method.INFER, spec.Method.RESET_ENVS):
+        raise RequestError(spec.ErrorCode.INVALID_FRAME, f"call needs the name of a public method, got {name!r:.80}")
+    return Task(frame, name)
 
 
-def _contract_call(payload: dict[str, Any]) -> dict[str, Any]:
-    name, obs = payload.get(spec.Payload.FUNC_NAME), payload.get(spec.Payload.OBS)
-    if not isinstance(name, str) or name.startswith("_"):
-        raise RequestError(spec.ErrorCode.INVALID_FRAME, f"call needs the name of a public method, got {name!r}")
-    wanted = _OBS_TYPES.get(name)
-    if wanted is not None and not isinstance(obs, wanted):
-        kind = "map" if wanted is dict else "list"
+def packed_payload(frame: wire.Frame) -> packed.Packed | None:
+    """Return the packed entries of a request, or None if it has none; they are read in the worker.
+
+    Raises:
+        RequestError: `invalid_frame` if they are none, or their header is over the limit.
+    """
+    data = frame.payload.get(spec.Payload.PACKED)
+    if data is None:
+        return None
+    try:
+        header, body = packed.lengths(data if isinstance(data, bytes) else b"")
+    except packed.PackingError as error:
+        raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
+    if header > spec.LIMITS["packed_header"] or packed.PREFIX_BYTES + header + body != len(data):
         raise RequestError(
-            spec.ErrorCode.INVALID_FRAME, f"{name} needs a payload with obs, a {kind}; got {type(obs).__name__}"
+            spec.ErrorCode.INVALID_FRAME,
+            f"packed entries of {len(data)} bytes are damaged, or their header of {header} bytes is over the limit of "
+            f"{spec.LIMITS['packed_header']}: send long lists and texts unpacked",
         )
-    if name == spec.Method.GET_ACTION and isinstance(obs, dict):
-        return {"op": "infer", "observation": obs}
-    if name in (spec.Method.RESET, spec.Method.GET_ACTION):
-        return _call(name)
-    return _call(name) if obs is None else _call(name, obs)
-
-
-def _call(method: str, *args: Any) -> dict[str, Any]:
-    return {"op": "call", "method": method, "args": list(args)}
+    return packed.Packed(data)
 
 
 @dataclass
-class Lease:
-    """Who may use the worker: one connection at a time, and for a while the client that lost its connection."""
+class Entry:
+    """A request that was begun.
 
-    grace: float = GRACE_S
-    _connection: object | None = None
-    _evaluation: str | None = None
-    _free_at: float = 0.0
+    Attributes:
+        kind: its message type.
+        answer: the bytes of its answer, once there are some.
+        waiting: who is told when there are.
+    """
 
-    def take(self, connection: object, evaluation_id: str) -> bool:
-        """Give the worker to a connection; return whether to a new client, not one that has it or came back for it.
-
-        Raises:
-            RequestError: `busy` if another connection has it, or may still come back for it.
-        """
-        if self._connection is connection:
-            return False
-        returning = self._connection is None and self._evaluation == evaluation_id
-        if not returning and (self._connection is not None or time.monotonic() < self._free_at):
-            raise RequestError(
-                spec.ErrorCode.INTERNAL, "the policy server is in use by another client", spec.ErrorReason.BUSY
-            )
-        self._connection, self._evaluation = connection, evaluation_id
-        return not returning
-
-    def release(self, connection: object, *, clean: bool) -> None:
-        """Take the worker back; after a cut its client has `grace` seconds to come back."""
-        if self._connection is connection:
-            self._connection = None
-            self._free_at = 0.0 if clean else time.monotonic() + self.grace
-            self._evaluation = None if clean else self._evaluation
+    kind: str
+    answer: bytes | None = None
+    waiting: list[Callable[[bytes], None]] = field(default_factory=list)
 
 
-@dataclass
 class Replay:
     """Answers by message id, so that a repeated request is answered and never run again."""
 
-    entries: OrderedDict[str, tuple[str, asyncio.Future[bytes]]] = field(default_factory=OrderedDict)
-    size: int = 0
+    def __init__(self) -> None:
+        self._entries: OrderedDict[str, Entry] = OrderedDict()
+        self.size = 0
 
-    def find(self, frame: wire.Frame) -> asyncio.Future[bytes] | None:
-        """Return the running or finished answer to this id, or None if it is new.
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def find(self, frame: wire.Frame) -> Entry | None:
+        """Return the running or finished request of this id, or None if it is new.
 
         Raises:
             RequestError: `invalid_frame` if the id was used for another type of request.
         """
-        known = self.entries.get(frame.message_id)
-        if known is None:
-            return None
-        if known[0] != frame.message_type:
-            text = f"message id {frame.message_id} was used for {known[0]} before and for {frame.message_type} now"
+        known = self._entries.get(frame.message_id)
+        if known is not None and known.kind != frame.message_type:
+            text = f"message id {frame.message_id} was used for {known.kind} before and for {frame.message_type} now"
             raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.DUPLICATE_ID)
-        return known[1]
+        return known
 
-    def add(self, frame: wire.Frame, answer: asyncio.Future[bytes]) -> None:
-        """Remember the answer to a request while it is computed and, within the limits, afterwards."""
-        self.entries[frame.message_id] = (frame.message_type, answer)
-        answer.add_done_callback(lambda done: self._finished(frame.message_id, done))
+    def begin(self, frame: wire.Frame) -> Entry:
+        """Remember a request that runs now."""
+        entry = self._entries[frame.message_id] = Entry(frame.message_type)
+        return entry
+
+    def finish(self, message_id: str, entry: Entry, answer: bytes) -> None:
+        """Keep an answer within the limits, and tell who waits for it."""
+        entry.answer = answer
+        if self._entries.get(message_id) is entry:  # not forgotten in the meantime
+            self.size += len(answer)
+            self._shrink()
+        waiting, entry.waiting = entry.waiting, []
+        for tell in waiting:
+            tell(answer)
 
     def forget(self) -> None:
         """Forget all answers: ids are unique for one client only, and some clients merely count."""
-        self.entries.clear()
+        self._entries.clear()
         self.size = 0
 
-    def _finished(self, message_id: str, answer: asyncio.Future[bytes]) -> None:
-        if self.entries.get(message_id, (None, None))[1] is not answer:
-            return  # forgotten in the meantime
-        self.size += _length(answer)
-        while self._over():
-            oldest, (_, first) = next(iter(self.entries.items()))
-            if not first.done():
+    def _shrink(self) -> None:
+        while len(self._entries) > 1 and (
+            len(self._entries) > spec.LIMITS["replay_entries"] or self.size > spec.LIMITS["replay_bytes"]
+        ):
+            oldest, entry = next(iter(self._entries.items()))
+            if entry.answer is None:
                 return
-            del self.entries[oldest]
-            self.size -= _length(first)
-
-    def _over(self) -> bool:
-        return len(self.entries) > spec.LIMITS["replay_entries"] or (
-            self.size > spec.LIMITS["replay_bytes"] and len(self.entries) > 1
-        )
-
-
-def _length(answer: asyncio.Future[bytes]) -> int:
-    return 0 if answer.cancelled() or answer.exception() is not None else len(answer.result())
+            del self._entries[oldest]
+            self.size -= len(entry.answer)

@@ -1,9 +1,10 @@
-"""The worker's process, seen from the front end: start, one request at a time, end."""
+"""The worker's process, seen from the front end: start, one message at a time, end."""
 
 from __future__ import annotations
 
 import asyncio
 import codecs
+import collections
 import contextlib
 import os
 import signal
@@ -13,9 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import xpl
-from xpl import link
+from xpl import packed
+from xpl.link import Inbox
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from xpl.arrays import Data
 
 # Makes `import xpl` work in any interpreter without putting a folder on its path: nothing but the SDK becomes
@@ -30,43 +34,54 @@ found.loader.exec_module(module)
 from xpl.worker import main
 main(fd)
 """
-
-
-class WorkerError(Exception):
-    """The adapter raised.
-
-    Args:
-        kind: type name of the adapter's exception.
-        message: its message.
-        trace: its traceback, for the log only.
-        unserialisable: the adapter answered, but its answer cannot travel.
-    """
-
-    def __init__(self, kind: str, message: str, trace: str, *, unserialisable: bool = False) -> None:
-        super().__init__(message)
-        self.kind = kind
-        self.trace = trace
-        self.unserialisable = unserialisable
+_BUFFER = 1 << 22
+_PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class WorkerDiedError(Exception):
-    """The worker's process ended before it answered."""
+    """The worker's process ended, or the link to it broke, before it answered."""
 
 
 class WorkerProcess:
-    """One adapter in a process of its own. Requests are answered in the order in which they were made."""
+    """One adapter in a process of its own, asked one message at a time.
 
-    def __init__(self, process: asyncio.subprocess.Process, channel: socket.socket) -> None:
+    Attributes:
+        pid: the process, which leads a group of its own.
+        last_line: what the adapter printed last.
+        died: resolves with the reason when the link breaks.
+    """
+
+    def __init__(self, process: asyncio.subprocess.Process, channel: socket.socket, label: str) -> None:
         self._process = process
         self._channel = channel
-        self._turn = asyncio.Lock()
+        self._label = label
+        self._inbox = Inbox()
+        self._unsent: collections.deque[memoryview] = collections.deque()
+        self._on_answer: Callable[[dict[str, Any]], None] | None = None
         self._output = asyncio.create_task(self._copy_output())
+        self._end = asyncio.create_task(self._notice_end())
+        self._writing = False
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(channel, self._read)
+        self.pid = process.pid
+        self.last_line = ""
+        self.died: asyncio.Future[str] = self._loop.create_future()
 
     @classmethod
-    async def start(cls, python: str, *, cwd: Path, gpu: str | None = None) -> WorkerProcess:
-        """Start a worker in the interpreter `python`; it loads nothing yet."""
+    async def start(cls, python: str, *, cwd: Path, gpu: str | None = None, label: str = "") -> WorkerProcess:
+        """Start a worker in the interpreter `python`; it loads nothing yet.
+
+        Args:
+            python: path of the interpreter.
+            cwd: working directory of the adapter.
+            gpu: device made visible to it.
+            label: put before every line that it prints.
+        """
         ours, theirs = socket.socketpair()
         ours.settimeout(0.0)
+        for end in (ours, theirs):
+            for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+                end.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         # The tool's own path settings must not leak into the policy's interpreter.
         environment.pop("PYTHONHOME", None)
@@ -88,42 +103,58 @@ class WorkerProcess:
                 cwd=cwd,
                 start_new_session=True,  # a group of its own, so that its children end with it
             )
-        return cls(process, ours)
+        return cls(process, ours, label)
 
-    async def request(self, **request: Any) -> Any:
-        """Send one request and return the adapter's result.
+    def send(self, message: dict[str, Any], on_answer: Callable[[dict[str, Any]], None]) -> None:
+        """Send a message; the answer arrives later, or never if the worker dies.
 
         Raises:
-            LinkError: if the request cannot travel; nothing was sent then.
-            WorkerError: if the adapter raised.
-            WorkerDiedError: if the process ended.
+            PackingError: if the message cannot travel; nothing was sent then.
+            WorkerDiedError: if the link is broken already.
         """
-        pieces = link.encode(request)
-        async with self._turn:
-            try:
-                answer = await self._exchange(pieces)
-            except (OSError, EOFError):
-                raise WorkerDiedError(await self.ended()) from None
-            except link.LinkError as error:
-                self._channel.close()
-                raise WorkerDiedError(f"the link to the worker broke: {error}") from None
-            except asyncio.CancelledError:
-                # Half an exchange: the next request would be given the answer to this one.
-                self._channel.close()
-                raise
-        if "error" in answer:
-            raised = answer["error"]
-            unserialisable = bool(raised.get("unserialisable"))
-            raise WorkerError(raised["type"], raised["message"], raised["traceback"], unserialisable=unserialisable)
-        return answer["ok"]
+        pieces = [memoryview(piece) for piece in packed.encode(message)]
+        if self.died.done():
+            raise WorkerDiedError(self.died.result())
+        if self._on_answer is not None:
+            raise RuntimeError("a worker is sent one message at a time")
+        self._on_answer = on_answer
+        self._unsent.extend(pieces)
+        self._write()
+
+    async def ask(self, **message: Any) -> dict[str, Any]:
+        """Send a message and return the answer.
+
+        Raises:
+            PackingError: if the message cannot travel.
+            WorkerDiedError: if the worker dies first.
+        """
+        answer: asyncio.Future[dict[str, Any]] = self._loop.create_future()
+        self.send(message, answer.set_result)
+        either: list[asyncio.Future[Any]] = [answer, self.died]
+        await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+        if not answer.done():
+            raise WorkerDiedError(self.died.result())
+        return answer.result()
+
+    def memory(self) -> int:
+        """Return the memory that the worker uses itself, bytes; 0 where the system does not tell."""
+        try:
+            return int(Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()[1]) * _PAGE
+        except (OSError, IndexError, ValueError):
+            return 0
+
+    def show_stacks(self) -> None:
+        """Have the worker print where each of its threads is, also while it hangs."""
+        with contextlib.suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGUSR1)
 
     async def stop(self, grace: float) -> None:
         """End the worker and all its children: close the link, wait `grace` seconds, then kill the group."""
-        self._channel.close()
+        self._break("the worker was stopped")
         with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(self._process.wait(), grace)
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
+            os.killpg(self.pid, signal.SIGKILL)
         await self._process.wait()
         # What has left the group and still holds the pipe would keep it open for ever.
         with contextlib.suppress(asyncio.TimeoutError):
@@ -137,30 +168,86 @@ class WorkerProcess:
         names = {number.value: number.name for number in signal.Signals}
         return f"the worker was ended by signal {names.get(-code, -code)}"
 
-    async def _exchange(self, pieces: list[Data]) -> Any:
-        loop = asyncio.get_running_loop()
-        for piece in pieces:
-            await loop.sock_sendall(self._channel, piece)
-        prefix = await self._exactly(link.PREFIX_BYTES)
-        tree, sizes = link.parse_header(await self._exactly(link.header_length(bytes(prefix))))
-        buffers = [memoryview(await self._exactly(size)) for size in sizes]
-        return link.decode(tree, buffers)
+    def _write(self) -> None:
+        """Send what there is to send, now or when the worker has read some of it."""
+        waiting = False
+        try:
+            while self._unsent:
+                sent = self._channel.sendmsg(list(self._unsent)[:64])
+                while self._unsent and sent >= len(self._unsent[0]):
+                    sent -= len(self._unsent.popleft())
+                if sent:
+                    self._unsent[0] = self._unsent[0][sent:]
+        except BlockingIOError:
+            waiting = True
+        except OSError:
+            self._break("the link to the worker broke")
+            return
+        if waiting != self._writing:
+            self._writing = waiting
+            if waiting:
+                self._loop.add_writer(self._channel, self._write)
+            else:
+                self._loop.remove_writer(self._channel)
 
-    async def _exactly(self, size: int) -> bytearray:
-        loop = asyncio.get_running_loop()
-        data = bytearray(size)
-        view = memoryview(data)
-        while view:
-            count = await loop.sock_recv_into(self._channel, view)
-            if not count:
-                raise EOFError
-            view = view[count:]
-        return data
+    def _read(self) -> None:
+        try:
+            count = self._channel.recv_into(self._inbox.space())
+            messages = self._inbox.take(count) if count else None
+        except BlockingIOError:
+            return
+        except (OSError, packed.PackingError) as error:
+            self._break(f"the link to the worker broke: {error}")
+            return
+        if messages is None:
+            self._break(None)
+        for message in messages or ():
+            self._answered(message)
+
+    def _answered(self, message: Data) -> None:
+        on_answer, self._on_answer = self._on_answer, None
+        try:
+            answer = packed.decode(message, whole=False)
+        except packed.PackingError as error:
+            self._break(f"the link to the worker broke: {error}")
+            return
+        if on_answer is None:
+            self._break("the link to the worker is out of step")
+        else:
+            on_answer(answer)
+
+    async def _notice_end(self) -> None:
+        """Notice the end of the process, which its children may hide: they hold the link, too."""
+        reason = await self.ended()
+        if self._channel.fileno() >= 0:
+            self._read()  # it may have answered before it ended
+        self._break(reason)
+        if not self.died.done():
+            self.died.set_result(reason)
+
+    def _break(self, reason: str | None) -> None:
+        """Close the link, which ends the worker, and tell why; None means that the end of its process will tell."""
+        if self._channel.fileno() >= 0:
+            self._loop.remove_reader(self._channel)
+            self._loop.remove_writer(self._channel)
+            self._channel.close()
+        if reason and not self.died.done():
+            self.died.set_result(reason)
 
     async def _copy_output(self) -> None:
         """Show what the adapter prints on our standard error; nobody else writes there mid-line."""
         stream = self._process.stdout
         text = codecs.getincrementaldecoder("utf-8")(errors="replace")  # a chunk may end inside a character
+        at_start = True
         while stream is not None and (chunk := await stream.read(65536)):
-            sys.stderr.write(text.decode(chunk))
+            shown = text.decode(chunk)
+            lines = shown.splitlines()
+            self.last_line = next((line.strip() for line in reversed(lines) if line.strip()), self.last_line)
+            if self._label:
+                shown = "".join(
+                    (self._label if at_start or place else "") + line
+                    for place, line in enumerate(shown.splitlines(keepends=True))
+                )
+                at_start = chunk.endswith(b"\n")
+            sys.stderr.write(shown)
             sys.stderr.flush()

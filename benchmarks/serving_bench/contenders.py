@@ -1,0 +1,75 @@
+"""Who takes part, with which settings and in which environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One way to ask a policy for actions.
+
+    Attributes:
+        name: `FAMILY` at its default, `FAMILY/SETTING` otherwise.
+        module: which of `ends` it is.
+        setting: what that module is told.
+        lock: file of `locks` with its environment; None is the environment of this project.
+        websocket: whether its server speaks WebSocket.
+        concurrent: setting to serve several clients at once with, which may depend on how many they are, or None where
+            it takes no part in that.
+        note: what the numbers are of.
+    """
+
+    name: str
+    module: str
+    setting: str
+    note: str
+    lock: str | None = None
+    websocket: bool = True
+    concurrent: str | None = None
+
+    @property
+    def family(self) -> str:
+        """The name without the setting."""
+        return self.name.partition("/")[0]
+
+
+TCP, WEBSOCKETS, XPL = "tcp", "websockets", "xpl"
+XPL_WEBSOCKET = "xpl/websocket"
+PEERS = ("openpi-client", "policy-websocket", "vla-eval")
+"""Families that speak WebSocket and that ours is to beat."""
+
+CONTENDERS = (
+    Contender(TCP, "tcp", "default", "same bytes, no codec", websocket=False),
+    Contender(WEBSOCKETS, "bare_websockets", "sync", "same bytes, no codec, threaded client"),
+    Contender("websockets/async", "bare_websockets", "async", "same bytes, no codec, asyncio client"),
+    Contender("zeromq", "zeromq", "default", "REQ/REP on TCP", "zeromq", websocket=False, concurrent="default"),
+    Contender("zeromq/best", "zeromq", "best", "REQ/REP on a Unix socket, no copies", "zeromq", websocket=False),
+    Contender(
+        "openpi-client",
+        "openpi",
+        "default",
+        "it has no setting that bears on this",
+        "openpi-client",
+        concurrent="default",
+    ),
+    Contender(
+        "policy-websocket",
+        "policy_websocket",
+        "default",
+        "it has no setting that bears on this",
+        "policy-websocket",
+        concurrent="default",
+    ),
+    Contender("vla-eval", "vla_eval", "default", "PNG, one request at a time", "vla-eval", concurrent="default"),
+    Contender(
+        "vla-eval/best",
+        "vla_eval",
+        "raw",
+        "raw images; batches where many ask",
+        "vla-eval",
+        concurrent="batch{clients}",
+    ),
+    Contender(XPL, "xpl_serve", "default", "shared memory", concurrent="default+shared"),
+    Contender(XPL_WEBSOCKET, "xpl_serve", "websocket", "shared memory declined", concurrent="websocket+shared"),
+)

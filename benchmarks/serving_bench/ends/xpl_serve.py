@@ -1,0 +1,107 @@
+"""Ours: `xpl serve` of an adapter, and `xpl.Client`, an ordinary one with all its checks.
+
+Setting `default` uses shared memory on one host, `websocket` declines it; both may be `+shared`, which lets several
+clients share one model.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import tempfile
+import textwrap
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from benchmarks.serving_bench.payloads import ACTION_DIM, CHUNK, EMBODIMENT, Payload
+from xpl import Client
+from xpl import _spec as spec
+
+if TYPE_CHECKING:
+    from benchmarks.serving_bench.ends import Ask, Ready
+    from benchmarks.serving_bench.model import Model
+
+CONNECT_S = 10.0
+"""For a server that is busy: one that does not share its model has to be told from one that does."""
+
+_ADAPTER = f"""
+    import time
+
+    import numpy as np
+
+    from xpl import Policy
+
+
+    class Model(Policy):
+        def load(self, config):
+            values = np.linspace(0, 1, {CHUNK} * {ACTION_DIM}, dtype=np.float32)
+            self.row = values.reshape({CHUNK}, {ACTION_DIM})
+
+        def encode(self, obs, env):
+            for camera in (obs.get("vision") or {{}}).values():
+                camera["color"].flat[0]
+            return None
+
+        def predict(self, inputs, envs):
+            cost = self.setting("fixed_ms", 0.0) + len(envs) * self.setting("sample_ms", 0.0)
+            if cost:
+                time.sleep(cost / 1000)
+            return [self.row] * len(envs)
+"""
+
+
+def serve(model: Model, setting: str, ready: Ready) -> None:
+    """Serve an adapter that is written for this until the process is interrupted."""
+    from xpl_cli.serving.launch import serving
+
+    manifest: dict[str, Any] = {
+        "temporal": {"kind": "chunk", "chunk": CHUNK},
+        "embodiments": [EMBODIMENT],
+        "action_types": ["joint"],
+    }
+    if setting.endswith("+shared"):
+        manifest["serving"] = {"shared": True}
+    with tempfile.TemporaryDirectory(prefix="xpl-bench-") as parent:
+        folder = Path(parent) / "Fixed"
+        folder.mkdir()
+        (folder / "model.py").write_text(textwrap.dedent(_ADAPTER), encoding="utf-8")
+        # JSON is YAML.
+        (folder / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
+        (folder / "deploy.yml").write_text(json.dumps({"env_cfg_type": EMBODIMENT}), encoding="utf-8")
+        with serving(folder, {"fixed_ms": model.fixed_ms, "sample_ms": model.sample_ms}) as server:
+            ready(server.url)
+            threading.Event().wait()
+
+
+class XplConnection:
+    """The client, in an episode."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def asking(self, payload: Payload) -> Ask:
+        """Return the function that sends the payload's observations: infer, or the two batch operations."""
+        observations = payload.observations
+
+        async def ask() -> Any:
+            if len(observations) == 1:
+                return self._client.infer(observations[0])
+            self._client.update_obs_batch(observations)
+            return self._client.get_action_batch()
+
+        return ask
+
+    async def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+
+async def connect(address: str, setting: str) -> XplConnection:
+    """Connect and start an episode."""
+    options: dict[str, Any] = {"config": {spec.Deploy.MAX_CONNECT_SECONDS: CONNECT_S}}
+    if "shared_memory" in inspect.signature(Client).parameters:
+        options["shared_memory"] = not setting.startswith("websocket")
+    client = Client(address, **options)
+    client.reset()
+    return XplConnection(client)

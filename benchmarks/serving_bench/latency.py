@@ -1,0 +1,106 @@
+"""One client at a time: how long a request takes, and how much processor time it costs on both sides."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.serving_bench import processes
+from benchmarks.serving_bench.contenders import TCP, Contender
+
+WARM_UP = 3
+ANSWER_S = 120.0
+
+
+@dataclass(frozen=True)
+class Turns:
+    """How often and how long a contender's turn is.
+
+    Attributes:
+        rounds: turns of each contender.
+        requests: most requests in a turn.
+        seconds: longest turn, s.
+    """
+
+    rounds: int
+    requests: int
+    seconds: float
+
+
+def run(
+    running: Sequence[tuple[Contender, str]],
+    payloads: Sequence[str],
+    turns: Turns,
+    failed: Callable[[Contender, str], None],
+) -> list[dict[str, Any]]:
+    """Measure every contender with every payload, in turn, so that a machine that changes its speed does so for all.
+
+    Args:
+        running: contenders with the interpreters of their environments.
+        payloads: names of payloads.
+        turns: how much to measure.
+        failed: told which contender failed, and why; it takes no further part.
+
+    Returns:
+        One row per payload and contender. Times in ms; `cpu_ms` is per request, of server and client together;
+        `rounds_p50_ms` is the lowest and the highest median of a round; `ratio` is of the median to raw TCP's.
+    """
+    rows = []
+    with ExitStack() as stack:
+        ends = {}
+        for contender, python in running:
+            try:
+                arguments = (python, contender.module, contender.setting)
+                server = stack.enter_context(processes.server(*arguments))
+                client = stack.enter_context(processes.client(*arguments, server.first["address"]))
+            except processes.EndError as error:
+                failed(contender, str(error))
+            else:
+                ends[contender] = server, client
+        for payload in payloads:
+            times: dict[Contender, list[list[float]]] = {contender: [] for contender in ends}
+            cpu_s = dict.fromkeys(ends, 0.0)
+            order = {"payload": payload, "requests": turns.requests, "limit_s": turns.seconds, "warm_up": WARM_UP}
+            # Round 0 does not count: in it the clients make the payload.
+            for turn in range(turns.rounds + 1):
+                print(f"latency: {payload}, round {turn} of {turns.rounds}", file=sys.stderr)
+                for contender, pair in list(ends.items()):
+                    before = sum(end.cpu_s() for end in pair)
+                    try:
+                        answer = pair[1].order(ANSWER_S, **(order if turn else {**order, "requests": 1}))
+                    except processes.EndError as error:
+                        failed(contender, str(error))
+                        del ends[contender]
+                        continue
+                    if turn:
+                        cpu_s[contender] += sum(end.cpu_s() for end in pair) - before
+                        times[contender].append(answer["times_ms"])
+            rows += [_row(payload, contender, times[contender], cpu_s[contender]) for contender in ends]
+    floors = {row["payload"]: row["p50_ms"] for row in rows if row["contender"] == TCP}
+    for row in rows:
+        row["ratio"] = row["p50_ms"] / floors[row["payload"]] if row["payload"] in floors else None
+    return rows
+
+
+def percentile(times: Sequence[float], percent: int) -> float:
+    """Return the value that so many percent of the times do not exceed."""
+    ordered = sorted(times)
+    return ordered[min(len(ordered) - 1, round(len(ordered) * percent / 100))]
+
+
+def _row(payload: str, contender: Contender, turns: list[list[float]], cpu_s: float) -> dict[str, Any]:
+    times = [time for turn in turns for time in turn]
+    medians = [statistics.median(turn) for turn in turns]
+    return {
+        "payload": payload,
+        "contender": contender.name,
+        "requests": len(times),
+        "p50_ms": statistics.median(times),
+        "p99_ms": percentile(times, 99),
+        "cpu_ms": cpu_s * 1000 / (len(times) + WARM_UP * len(turns)),
+        "rounds_p50_ms": [min(medians), max(medians)],
+    }

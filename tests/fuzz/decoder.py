@@ -1,0 +1,96 @@
+"""What reads bytes of strangers, as targets of fuzzers: each takes any bytes, and may refuse them in one way only.
+
+As a script it runs under atheris, which is guided by coverage: `python tests/fuzz/decoder.py -max_total_time=20 CORPUS`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from unittest import mock
+
+ROOT = Path(__file__).parents[2]
+
+
+def read_frame(data: bytes) -> None:
+    """Read a frame of the wire, its packed entries too; what was read can be sent again."""
+    from xpl import packed, wire
+
+    with contextlib.suppress(wire.WireError, packed.PackingError):
+        frame = wire.decode(data)
+        wire.unpacked(frame.payload)
+        wire.encode(frame)
+
+
+def read_packed(data: bytes) -> None:
+    """Read a packed value, without shared memory; what was read can be packed again."""
+    from xpl import packed
+
+    with contextlib.suppress(packed.PackingError):
+        packed.encode(packed.decode(data))
+
+
+def read_stream(data: bytes) -> None:
+    """Cut a stream into messages, as it arrives in pieces; the first byte gives their size.
+
+    Between our own processes an announced size is believed up to a limit, which is lowered here.
+    """
+    from xpl import link, packed
+
+    inbox, size, position = link.Inbox(), 1 + (data[0] if data else 0), 1
+    with contextlib.suppress(packed.PackingError), mock.patch.multiple(packed, HEADER_LIMIT=1 << 16, BODY_LIMIT=1 << 18):
+        while position < len(data):
+            space = inbox.space()
+            piece = data[position : position + min(size, len(space))]
+            space[: len(piece)] = piece
+            inbox.take(len(piece))
+            position += len(piece)
+
+
+TARGETS: tuple[Callable[[bytes], None], ...] = (read_frame, read_packed, read_stream)
+
+
+def seeds() -> Iterator[tuple[int, bytes]]:
+    """Yield the number of a target and bytes for it: the golden vectors, and packed values."""
+    import numpy as np
+
+    from xpl import packed, wire
+
+    empty = wire.encode(wire.Frame("call", "e", {}))
+    for name in ("frames", "refused", "values", "lenient"):
+        text = (ROOT / "conformance" / "vectors" / f"{name}.json").read_text(encoding="utf-8")
+        for vector in json.loads(text)["vectors"]:
+            data = b"".join(bytes.fromhex(piece) for piece, _ in vector["bytes"])
+            yield 0, data if name in ("frames", "refused") else empty[:-1] + b"\x81\xa1v" + data
+    step = {"arm_joint_state": np.zeros(7, np.float32), "ee_joint_state": np.ones(1, np.float32)}
+    inner = packed.Packed(b"".join(packed.encode({"@array": [b"xy", 1.5, None]})))
+    values = [step, [step, step], {"a": inner}, [np.float32(1), 2j, "é", {"@": True}], np.zeros(2, [("f", "<i4")])]
+    for value in values:
+        pieces = packed.encode(value)
+        yield 0, wire.encode(wire.Frame("call", "e"), packed.encode({"obs": value}))
+        yield 1, b"".join(pieces)
+        yield 2, b"\x07" + 2 * b"".join(pieces)
+
+
+def one_input(data: bytes) -> None:
+    """Run the target that the first byte names on the rest."""
+    if data:
+        TARGETS[data[0] % len(TARGETS)](data[1:])
+
+
+def main() -> None:
+    """Fuzz until the time given on the command line is over."""
+    import atheris
+
+    sys.path.insert(0, str(ROOT))
+    with atheris.instrument_imports(include=["xpl"]):
+        from xpl import link, packed, wire  # noqa: F401 - instrumented as they are imported
+    atheris.Setup(sys.argv, one_input)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

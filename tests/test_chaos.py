@@ -1,0 +1,446 @@
+from __future__ import annotations
+
+import inspect
+import itertools
+import os
+import random
+import socket
+import threading
+import uuid
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests import counting
+from tests.chaos import ANSWER, KILLS, PAIRS, REQUEST, Fault, Message, Proxy, Server, deck, nothing_left
+from tests.peer import Peer, wait_until, xpl
+from xpl import Client, wire
+from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
+
+SEED = int(os.environ.get("XPL_CHAOS_SEED", "20260101"))
+"""Of everything that is drawn here; set the variable to the seed in a failure's message to repeat it."""
+
+PATIENCE: dict[str, Any] = {
+    "request_timeout_s": 10,
+    "handshake_timeout_s": 10,
+    "connect_timeout_s": 10,
+    "connect_retry_delay_s": 0.02,
+    "max_connect_attempts": 0,
+    "max_connect_seconds": 20,
+    "close_timeout_s": 1,
+}
+HASTE = {**PATIENCE, "request_timeout_s": 0.5, "handshake_timeout_s": 0.5, "connect_timeout_s": 0.5, "close_timeout_s": 0.2}
+
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "no-shared-memory": {"shared_memory": False},
+    "plain": {"shared_memory": False, "packed": False},
+    "pipelined": {"pipelined": True},
+}
+VARIANTS = {name: given for name, given in _OPTIONS.items() if given.keys() <= inspect.signature(Client).parameters.keys()}
+"""Ways in which a client can talk to a server of today."""
+variants = pytest.mark.parametrize("options", VARIANTS.values(), ids=VARIANTS)
+
+
+@pytest.fixture(scope="module")
+def adapter(write_adapter: Callable[..., Path]) -> Path:
+    """Return the counting policy."""
+    return write_adapter(Path(counting.__file__).read_text(encoding="utf-8"), methods=["journal", "large"])
+
+
+@pytest.fixture(scope="module")
+def server(adapter: Path) -> Iterator[Server]:
+    """Serve it for all tests that leave the server alive; nothing of it may be left afterwards."""
+    with Server(adapter) as running:
+        with Client(running.url, config=PATIENCE) as client:  # what is loaded once is not a leak
+            play(client, random.Random(SEED), 20)
+            client.reset()
+        yield running
+
+
+@pytest.fixture
+def proxy(server: Server) -> Iterator[Proxy]:
+    """Return a proxy before that server; the test may leave no connection, descriptor or segment anywhere."""
+    with nothing_left(server), Proxy(server.port) as made:
+        yield made
+        with Client(server.url, config=PATIENCE) as client:
+            client.reset()  # the policy holds observations until then, and with them the memory in which they lie
+
+
+# -- an episode, and its twin ------------------------------------------------------------------------------------------
+
+_numbers = itertools.count()
+SIZES = ((4, 4), (48, 64), (240, 320))
+
+
+def observation(
+    rng: random.Random, env: int = 0, shape: tuple[int, int] | None = None, **more: Any
+) -> dict[str, Any]:
+    """Return an observation like no other: its number, and an image of it."""
+    number = next(_numbers)
+    image = np.full((*(shape or rng.choice(SIZES)), 3), number % 251, np.uint8)
+    state = {"arm_joint_state": np.full(7, float(number))}
+    return {"env_idx": env, "n": number, "state": state, "vision": {"cam_head": {"color": image}}, **more}
+
+
+def play(client: Client, rng: random.Random, steps: int) -> None:
+    """Run an episode against the policy and, beside it, against a twin in this process; they must agree throughout."""
+    twin = counting.Model({})
+    client.reset()
+    for _ in range(steps):
+        step(client, twin, rng)
+    finish(client, twin)
+
+
+def step(client: Client, twin: counting.Model, rng: random.Random) -> None:
+    """Do one thing at random to both."""
+    envs = rng.sample(range(4), rng.randint(1, 4))
+    operations: dict[str, Callable[[], tuple[Any, ...]]] = {
+        "update_obs": lambda: (observation(rng, envs[0]),),
+        "update_obs_batch": lambda: ([observation(rng, env) for env in envs],),
+        "infer": lambda: (observation(rng, envs[0]),),
+        "get_action": lambda: (),
+        "get_action_batch": lambda: (rng.choice([None, rng.sample(twin.newest, rng.randint(1, len(twin.newest)))]),),
+    }
+    name = rng.choice(list(operations)) if twin.newest else "update_obs"
+    arguments = operations[name]()
+    agree(getattr(client, name)(*arguments), getattr(twin, name)(*arguments))
+
+
+def finish(client: Client, twin: counting.Model) -> None:
+    """Compare the whole episode."""
+    agree(client.call("journal"), twin.journal())
+
+
+class DivergedError(AssertionError):
+    """A step was lost, repeated, swapped or changed, and nobody was told."""
+
+
+def agree(policy: Any, twin: Any) -> None:
+    """Compare what the policy answered with what its twin says."""
+    if policy != twin:
+        raise DivergedError(f"the policy has {policy}, and should have {twin}")
+
+
+# -- one fault at a time -----------------------------------------------------------------------------------------------
+
+BOTH = (REQUEST, ANSWER)
+SURVIVED = [
+    *itertools.product(("cut_before", "cut_during", "cut_after", "deliver_after_cut"), BOTH),  # asked again, by its id
+    *itertools.product(("bad_header",), BOTH),  # a protocol error closes the connection, which is a cut
+    *itertools.product(("duplicate", "copy_later"), BOTH),  # answered from memory; a second answer is passed over
+    *itertools.product(("delay", "trickle"), BOTH),  # waited for
+]
+
+
+@variants
+@pytest.mark.parametrize(("kind", "direction"), SURVIVED)
+@pytest.mark.parametrize("name", ["update_obs", "get_action", "infer"])
+def test_an_episode_survives(proxy: Proxy, options: dict[str, Any], kind: str, direction: str, name: str) -> None:
+    """The step under way is applied exactly once, and so are those after it."""
+    rng = random.Random(SEED)
+    with Client(proxy.url, config=PATIENCE, **options) as client:
+        twin = counting.Model({})
+        client.reset()
+        step(client, twin, rng)
+        proxy.arm([Fault(kind, direction)])
+        arguments = () if name == "get_action" else (observation(rng, 1),)
+        agree(getattr(client, name)(*arguments), getattr(twin, name)(*arguments))
+        for _ in range(3):
+            step(client, twin, rng)
+        finish(client, twin)
+    assert proxy.happened == {(kind, direction): 1}
+
+
+def at(message_type: str, field: str) -> float:
+    """Return which part of a frame's envelope lies before the value of a field."""
+    data = wire.encode(wire.Frame(message_type, uuid.uuid4().hex))
+    return (data.index(field.encode()) + len(field) + 3) / data.index(b"\xa7payload")
+
+
+LOUD = [
+    # A message that arrives whole but cannot be read is answered if its id can be, and otherwise waited for in vain.
+    (Fault("truncate", REQUEST, amount=0.99), PolicyServerError, "invalid_frame"),
+    (Fault("truncate", REQUEST, amount=0.0), RequestTimeoutError, "not answered"),
+    (Fault("truncate", ANSWER, amount=0.9), ClientError, "cannot be understood"),
+    (Fault("truncate", ANSWER, amount=0.0), ClientError, "cannot be understood"),
+    # An unknown type is refused by either side, and what has another's id is not the answer.
+    (Fault("bad_envelope", REQUEST, amount=at("infer", "message_type")), PolicyServerError, "invalid_frame"),
+    (Fault("bad_envelope", REQUEST, amount=at("infer", "message_id")), RequestTimeoutError, "not answered"),
+    (Fault("bad_envelope", ANSWER, amount=at("infer_result", "message_type")), ClientError, "was answered by"),
+    (Fault("bad_envelope", ANSWER, amount=at("infer_result", "message_id")), RequestTimeoutError, "not answered"),
+    # Nothing arrives any more, and nobody says so.
+    (Fault("black_hole", REQUEST), RequestTimeoutError, "not answered"),
+    (Fault("black_hole", ANSWER), RequestTimeoutError, "not answered"),
+]
+
+
+@variants
+@pytest.mark.parametrize(
+    ("fault", "error", "message"), LOUD, ids=[f"{fault.kind}-{fault.direction}-{fault.amount:.2g}" for fault, *_ in LOUD]
+)
+def test_a_trial_ends_with_one_clear_error(
+    proxy: Proxy, options: dict[str, Any], fault: Fault, error: type[ClientError], message: str
+) -> None:
+    """In bounded time; the evaluation's next trial starts afresh and is whole."""
+    rng, evaluation = random.Random(SEED), uuid.uuid4().hex
+    with Client(proxy.url, config=HASTE, evaluation_id=evaluation, **options) as client:
+        client.reset()
+        proxy.arm([fault])
+        with pytest.raises(error, match=message):
+            client.infer(observation(rng))
+    with Client(proxy.url, config=PATIENCE, evaluation_id=evaluation, **options) as client:
+        play(client, rng, 5)
+    assert proxy.happened == {(fault.kind, fault.direction): 1}
+
+
+@pytest.mark.parametrize("direction", BOTH)
+def test_two_messages_under_way_that_change_places_are_told_apart_by_their_ids(proxy: Proxy, direction: str) -> None:
+    """Each runs once and has its own answer; requests run in the order in which they arrive."""
+    rng, twin = random.Random(SEED), counting.Model({})
+    sent = [observation(rng, 0), observation(rng, 1)]
+    with closing(Peer(proxy.url)) as peer:
+        peer.ask("hello")
+        peer.ask("reset")
+        proxy.arm([Fault("swap", direction)])
+        ids = [peer.send("infer", {"observation": obs}).message_id for obs in sent]
+        answers = {answer.message_id: answer.payload["actions"] for answer in (peer.receive(), peer.receive())}
+        peer.send("close")
+    actions = {obs["n"]: twin.infer(obs) for obs in (sent if direction == ANSWER else reversed(sent))}
+    agree([answers[message_id] for message_id in ids], [actions[obs["n"]] for obs in sent])
+    assert proxy.happened == {("swap", direction): 1}
+
+
+def test_a_half_open_connection_does_not_lock_its_client_out(proxy: Proxy) -> None:
+    """A client whose connection died without a word is let in again as soon as the server has heard of it."""
+    rng, evaluation = random.Random(SEED), uuid.uuid4().hex
+    for direction in BOTH:
+        with Client(proxy.url, config=HASTE, evaluation_id=evaluation) as client:
+            play(client, rng, 5)
+            proxy.arm([Fault("black_hole", direction)])
+            with pytest.raises(RequestTimeoutError):
+                client.heartbeat()
+    with Client(proxy.url, config=PATIENCE, evaluation_id=evaluation) as client:
+        play(client, rng, 5)
+
+
+def test_connections_cut_at_any_stage_leave_nothing(server: Server, proxy: Proxy) -> None:
+    """Before and in the middle of the upgrade, in the middle of a frame, after hello; the fixture counts what is left."""
+    upgrade = (
+        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    ).encode()
+    hello = Message(0x82, bytes(4), wire.encode(wire.Frame("hello", "cut"))).data()
+    whole = upgrade + hello
+    for length in [0, 1, len(upgrade) - 1, len(upgrade), len(upgrade) + 1, len(whole) - 1, len(whole)] * 8:
+        with socket.create_connection(("127.0.0.1", server.port)) as connection:
+            connection.sendall(whole[:length])
+    with Client(proxy.url, config=PATIENCE, evaluation_id="cut") as client:
+        play(client, random.Random(SEED), 5)
+
+
+# -- peers that do not read --------------------------------------------------------------------------------------------
+
+MIB = 1 << 20
+BOUND = 128 * MIB
+"""Of what one client can make the server hold: its memory of answers, twice."""
+
+
+def memory(pid: int) -> int:
+    """Return the resident memory of a process, in bytes."""
+    return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+def wait_at_rest(pid: int) -> None:
+    """Wait until a process has used no processor time for thirty looks."""
+    looks: deque[str] = deque(maxlen=30)
+
+    def resting() -> bool:
+        looks.append(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[0])
+        return len(looks) == looks.maxlen and len(set(looks)) == 1
+
+    wait_until(resting, f"process {pid} is at rest")
+
+
+@pytest.mark.xfail(strict=True, reason="nothing bounds the requests of one connection that are under way")
+def test_a_slow_reader_costs_bounded_memory(server: Server, proxy: Proxy) -> None:
+    """Many large answers are asked for and none is read; others are served meanwhile, and all arrive in the end."""
+    count = 300
+    with closing(Peer(server.url)) as peer, closing(Peer(server.url)) as other:
+        peer.ask("hello")
+        before = memory(server.pid)
+        ids = [peer.send("call", {"func_name": "large", "obs": MIB}).message_id for _ in range(count)]
+        wait_at_rest(server.pid)
+        assert other.ask("heartbeat").message_type == "heartbeat_ack"
+        assert memory(server.pid) - before < BOUND
+        answers = [peer.receive() for _ in range(count)]
+        assert [answer.message_id for answer in answers] == ids
+        assert {len(answer.payload["result"]) for answer in answers} == {MIB}
+        peer.send("close")
+
+
+@pytest.mark.xfail(strict=True, reason="nothing bounds the requests of one connection that are under way")
+def test_requests_that_pile_up_cost_bounded_memory(server: Server, proxy: Proxy, tmp_path: Path) -> None:
+    """A client sends on and on while the model thinks; it is made to wait, and every step is applied once, in order."""
+    fifo, twin, rng = tmp_path / "fifo", counting.Model({}), random.Random(SEED)
+    os.mkfifo(fifo)
+    with closing(Peer(server.url)) as peer, ThreadPoolExecutor() as threads:
+        peer.ask("hello")
+        peer.ask("reset")
+        observations = [observation(rng, shape=(512, 683)) for _ in range(300)]
+        before = memory(server.pid)
+        ids = [peer.send("infer", {"observation": {**observations[0], "fifo": str(fifo)}}).message_id]
+        with fifo.open("w"):
+            sending = threads.submit(
+                lambda: [peer.send("call", {"func_name": "update_obs", "obs": obs}) for obs in observations[1:]]
+            )
+            wait_at_rest(server.pid)
+            grown = memory(server.pid) - before
+        answers = [peer.receive().message_id for _ in observations]
+        assert answers == ids + [frame.message_id for frame in sending.result()]
+        twin.infer(observations[0])
+        for obs in observations[1:]:
+            twin.update_obs(obs)
+        agree(peer.ask("call", {"func_name": "journal"}).payload["result"], twin.journal())
+        peer.send("close")
+        assert grown < BOUND
+
+
+# -- kill -9 -----------------------------------------------------------------------------------------------------------
+
+
+@variants
+@pytest.mark.parametrize("thinking", [True, False], ids=["thinking", "idle"])
+@pytest.mark.parametrize("kind", KILLS)
+def test_no_trial_goes_on_after_a_kill(
+    adapter: Path, tmp_path: Path, options: dict[str, Any], kind: str, thinking: bool
+) -> None:
+    """The client hears of it in bounded time, also if a new server has taken the place; that one serves new trials."""
+    rng, fifo = random.Random(SEED), tmp_path / "fifo"
+    os.mkfifo(fifo)
+    with Server(adapter) as server, ThreadPoolExecutor() as threads:
+        with Client(server.url, config=PATIENCE, **options) as client:
+            client.reset()
+            obs = observation(rng, **({"fifo": str(fifo)} if thinking else {}))
+            if thinking:
+                answer = threads.submit(client.infer, obs)
+                with fifo.open("w"):
+                    server.kill(kind)
+            else:
+                client.update_obs(obs)
+                server.kill(kind)
+                answer = threads.submit(client.get_action)
+            wait_until(server.ended, "the front end has ended")
+            server.start()
+            with pytest.raises((ServerConnectionError, PolicyServerError)) as ending:
+                answer.result()
+            assert isinstance(ending.value, ServerConnectionError) or ending.value.details == {"reason": "worker_died"}
+            with pytest.raises(ServerConnectionError):
+                client.get_action()
+        with Client(server.url, config=PATIENCE, **options) as client:
+            play(client, rng, 5)
+
+
+def test_a_server_that_does_not_come_back_ends_the_trial(adapter: Path) -> None:
+    """When the request's time is up."""
+    with Server(adapter) as server, Client(server.url, config=HASTE) as client:
+        client.reset()
+        server.kill("kill_front_end")
+        with pytest.raises(ServerConnectionError, match="no policy server"):
+            client.reset()
+
+
+# -- many steps, many faults -------------------------------------------------------------------------------------------
+
+
+def run_trials(proxy: Proxy, seed: int, steps: int, options: dict[str, Any]) -> Counter[str]:
+    """Play episodes of random length until so many steps were tried; return how often trials ended in which way."""
+    rng, evaluation, ends, tried = random.Random(seed), uuid.uuid4().hex, Counter[str](), 0
+    while tried < steps:
+        try:
+            with Client(proxy.url, config=HASTE, evaluation_id=evaluation, **options) as client:
+                while tried < steps:
+                    twin = counting.Model({})
+                    client.reset()
+                    for _ in range(rng.randint(5, 40)):
+                        tried += 1
+                        step(client, twin, rng)
+                    finish(client, twin)
+                    ends["whole"] += 1
+        except ClientError as error:  # loud
+            ends[type(error).__name__] += 1
+        except BaseException as error:
+            error.add_note(f"seed {seed}, step {tried}, ends {dict(ends)}, last faults {list(proxy.newest)}")
+            raise
+    return ends
+
+
+def run_chaos(server: Server, steps: int, options: dict[str, Any], every: int) -> None:
+    """Run trials through a proxy that deals faults, kills among them, until all kinds have happened."""
+    server.keep_alive()
+    pairs = [*PAIRS, *itertools.product(("swap",), BOTH if options.get("pipelined") else ())]
+    kills = list(itertools.product(KILLS, BOTH))
+    with Proxy(server.port, server.kill) as proxy:
+        proxy.arm(deck(SEED, pairs, gap=8, rare=kills, every=every))
+        ends = run_trials(proxy, SEED, steps, options)
+    print(f"\nseed {SEED}: {steps} steps, {server.starts} starts, ends {dict(ends)}, faults {dict(proxy.happened)}")
+    missing = {*pairs, *kills} - proxy.happened.keys()
+    assert not missing, f"seed {SEED}: these faults did not happen: {missing}"
+    assert ends["whole"] > 0.2 * ends.total(), f"seed {SEED}: hardly a trial was whole: {ends}"
+
+
+@variants
+def test_every_step_is_applied_once_or_the_trial_ends_loudly(adapter: Path, options: dict[str, Any]) -> None:
+    """Several hundred steps under every kind of fault; the seed is in the message of a failure."""
+    with Server(adapter) as server:
+        run_chaos(server, 600, options, every=10)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@variants
+def test_ten_thousand_steps_under_faults(adapter: Path, options: dict[str, Any]) -> None:
+    """As above, for longer."""
+    with Server(adapter) as server:
+        run_chaos(server, 10_000, options, every=60)
+
+
+# -- two clients -------------------------------------------------------------------------------------------------------
+
+
+@variants
+def test_a_second_client_never_gets_between(server: Server, proxy: Proxy, options: dict[str, Any]) -> None:
+    """With one worker it is busy at hello, also in the moments in which the first has lost its connection."""
+    rng, twin = random.Random(SEED), counting.Model({})
+    once = {**HASTE, "max_connect_attempts": 1}
+    pairs = [pair for pair in SURVIVED if pair[0] not in ("delay", "trickle")]
+    with Client(proxy.url, config=PATIENCE, **options) as client:
+        client.reset()
+        for kind, direction in pairs:
+            proxy.arm([Fault(kind, direction)])
+            step(client, twin, rng)
+            with pytest.raises(ServerConnectionError, match="in use by another client"):
+                Client(server.url, config=once, **options)
+        finish(client, twin)
+    assert proxy.happened == dict.fromkeys(pairs, 1)
+    with Client(server.url, config=PATIENCE, **options) as second:
+        play(second, rng, 5)
+
+
+@variants
+def test_two_clients_at_once_share_nothing(adapter: Path, options: dict[str, Any]) -> None:
+    """Each has a worker; both play under faults."""
+    if "--workers" not in xpl("serve", "--help", cwd=adapter).stdout:
+        pytest.skip("not run: this server has one worker")
+    with Server(adapter, "--workers", "2") as server, Proxy(server.port) as proxy, ThreadPoolExecutor() as threads:
+        proxy.arm(deck(SEED, PAIRS, gap=8))
+        runs = [threads.submit(run_trials, proxy, SEED + number, 300, options) for number in range(2)]
+        for run in runs:
+            assert run.result()["whole"]
+        assert proxy.happened.total() > 20

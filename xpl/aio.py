@@ -1,0 +1,198 @@
+"""The environment side of the wire for asyncio (extra `client`: websockets >= 12, msgpack).
+
+async with AsyncClient("ws://localhost:8000") as policy:
+    await policy.reset()
+    await policy.update_obs(observation)
+    chunk = await policy.get_action()
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ssl
+from collections.abc import Coroutine, Mapping, Sequence
+from typing import Any, Callable, TypeVar
+
+from xpl import _spec as spec
+from xpl.client import connect_options, connection_problem, lost_connection
+from xpl.conversation import Conversation, Wishes
+
+_Value = TypeVar("_Value")
+
+
+class AsyncClient:
+    """A connection to a policy server; see `xpl.client.Client` for arguments and errors.
+
+    Nothing is connected before `connect()` or `async with`. Tasks that share a client take turns.
+    """
+
+    def __init__(  # noqa: PLR0913 - keywords only
+        self,
+        url: str,
+        *,
+        evaluation_id: str | None = None,
+        trial_id: str | None = None,
+        config: Mapping[str, Any] | None = None,
+        token: str | None = None,
+        ssl_context: ssl.SSLContext | None = None,
+        environment: Mapping[str, Any] | None = None,
+        jpeg: Mapping[str, int] | None = None,
+        pipelined: bool = False,
+        shared_memory: bool = True,
+        packed: bool = True,
+        on_loading: Callable[[Mapping[str, Any]], None] | None = None,
+    ) -> None:
+        wishes = Wishes(
+            packed=packed,
+            shared_memory=shared_memory,
+            pipelined=pipelined,
+            jpeg=jpeg or {},
+            environment=environment,
+            on_loading=on_loading,
+        )
+        transport = _Suspending(url, {**spec.DEPLOY_DEFAULTS, **(config or {})}, token, ssl_context)
+        self._talk = Conversation(transport, url, config, wishes, evaluation_id, trial_id)
+        self._turn = asyncio.Lock()
+
+    @property
+    def server_instance_id(self) -> str | None:
+        """What the server calls itself; None for one of the first generation."""
+        return self._talk.server_instance_id
+
+    @property
+    def capabilities(self) -> Mapping[str, Any]:
+        """What the server announced that it can do."""
+        return self._talk.capabilities
+
+    @property
+    def policy(self) -> Mapping[str, Any]:
+        """What the policy needs, where the server said so."""
+        return self._talk.policy
+
+    async def connect(self) -> None:
+        """Connect and exchange hellos."""
+        await self._run(self._talk.connect())
+
+    async def reset(self) -> None:
+        """Start a new episode."""
+        await self._run(self._talk.reset())
+
+    async def update_obs(self, obs: Mapping[str, Any]) -> None:
+        """Show the policy the newest observation of one environment."""
+        await self._run(self._talk.update_obs(obs))
+
+    async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+        """Show the policy the newest observation of several environments."""
+        await self._run(self._talk.update_obs_batch(obs_list))
+
+    async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+        """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
+        return await self._run(self._talk.get_action(obs))
+
+    async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
+        """Return one action chunk per environment of the list; None means the last batch."""
+        return await self._run(self._talk.get_action_batch(env_idx_list))
+
+    async def infer(self, obs: Mapping[str, Any]) -> Any:
+        """Return the action chunk for one observation: update_obs and get_action as one unit."""
+        return await self._run(self._talk.infer(obs))
+
+    async def prepare_case(self, action_case_id: str, **meta: Any) -> Any:
+        """Announce a case to the adapter's hook."""
+        return await self._run(self._talk.prepare_case(action_case_id, meta))
+
+    async def trial_end(self, result: Mapping[str, Any] | None = None) -> Any:
+        """Tell the adapter's hook how the trial ended."""
+        return await self._run(self._talk.trial_end(result))
+
+    async def heartbeat(self) -> None:
+        """Ask for a sign of life; answered while the model thinks, too."""
+        await self._run(self._talk.health())
+
+    async def health(self) -> dict[str, Any]:
+        """Return the server's state: `state` is loading, ready or draining."""
+        return await self._run(self._talk.health())
+
+    async def call(self, func_name: str, obs: Any = None) -> Any:
+        """Call an operation by name, as benchmarks do; further names are methods the adapter declares."""
+        return await self._run(self._talk.call(func_name, obs))
+
+    async def settle(self) -> None:
+        """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
+        await self._run(self._talk.settle())
+
+    async def close(self) -> None:
+        """Say goodbye and close the connection; closing twice is fine."""
+        await self._run(self._talk.close())
+
+    async def __aenter__(self) -> AsyncClient:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
+        await self.connect()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def _run(self, talk: Coroutine[Any, Any, _Value]) -> _Value:
+        async with self._turn:
+            return await talk
+
+
+class _Suspending:
+    """A WebSocket connection whose methods suspend."""
+
+    def __init__(
+        self, url: str, config: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+    ) -> None:
+        self._url = url
+        self._config = config
+        self._token = token
+        self._ssl = ssl_context
+        self._socket: Any = None
+
+    async def open(self, timeout: float | None) -> None:
+        connect = _connect()
+        try:
+            self._socket = await connect(
+                self._url, **connect_options(connect, self._config, timeout, self._token, self._ssl)
+            )
+        except Exception as error:  # noqa: BLE001 - mapped
+            raise connection_problem(error, self._url) from None
+
+    async def send(self, data: bytes) -> None:
+        try:
+            await self._socket.send(data)
+        except Exception as error:  # noqa: BLE001 - mapped
+            raise lost_connection(error) from None
+
+    async def receive(self, timeout: float | None) -> bytes:
+        loop = asyncio.get_running_loop()
+        deadline = None if timeout is None else loop.time() + timeout
+        while True:
+            left = None if deadline is None else max(0.0, deadline - loop.time())
+            try:
+                message = await asyncio.wait_for(self._socket.recv(), left)
+            except asyncio.TimeoutError:
+                raise TimeoutError from None
+            except Exception as error:  # noqa: BLE001 - mapped
+                raise lost_connection(error) from None
+            if isinstance(message, bytes):  # the wire is binary only
+                return message
+
+    async def close(self) -> None:
+        opened, self._socket = self._socket, None
+        if opened is not None:
+            with contextlib.suppress(Exception):
+                await opened.close()
+
+    async def pause(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
+
+
+def _connect() -> Any:
+    """Return the connect function of websockets: its place is another one since version 13."""
+    try:
+        from websockets.asyncio.client import connect
+    except ImportError:
+        from websockets.client import connect  # type: ignore[attr-defined,no-redef]
+    return connect

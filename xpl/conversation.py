@@ -1,0 +1,599 @@
+"""What an environment says to a policy server, and how it reads the answers: the part of a client that does no I/O.
+
+Written with `async`, and driven by two clients: `xpl.client.Client` gives it a transport whose methods block and so
+never suspend, `xpl.aio.AsyncClient` one that does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import time
+import uuid
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Callable, Protocol
+
+from xpl import _spec as spec
+from xpl import agreement, images, packed, wire
+from xpl.observation import color_of, env_indices, is_encoded
+
+_CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
+_AGAIN = (spec.ErrorReason.BUSY, spec.ErrorReason.LOADING)
+_ACTING = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
+_LOADING_POLL_S = 0.5
+
+
+class ClientError(RuntimeError):
+    """Base class of what can go wrong between an environment and a policy server."""
+
+
+class PolicyServerError(ClientError):
+    """The server answered with an error; the policy raised, or refused the request.
+
+    Attributes:
+        code: one of the wire's error codes.
+        details: map with, for example, a finer `reason`.
+    """
+
+    def __init__(self, code: str, message: str, details: Mapping[str, Any] | None = None) -> None:
+        super().__init__(f"{code}: {message}")
+        self.code = code
+        self.details = dict(details or {})
+
+
+class EnvironmentMismatchError(PolicyServerError):
+    """Policy and environment do not fit; `details["differences"]` says where."""
+
+
+class ServerConnectionError(ClientError):
+    """The server cannot be reached, or a connection was lost and the trial cannot go on."""
+
+
+class ServerRestartedError(ServerConnectionError):
+    """Another server instance answers now: the episode's state is gone, the trial must be aborted."""
+
+
+class RequestTimeoutError(ClientError):
+    """A request was not answered in time; the trial must be aborted."""
+
+
+class ServerFailedError(ServerConnectionError):
+    """The server closed the connection because its policy cannot go on."""
+
+
+class Transport(Protocol):
+    """A WebSocket connection. A lost one is an OSError, a missed deadline a TimeoutError."""
+
+    async def open(self, timeout: float | None) -> None:
+        """Connect within `timeout` seconds."""
+
+    async def send(self, data: bytes) -> None:
+        """Send a binary message."""
+
+    async def receive(self, timeout: float | None) -> bytes:
+        """Return the next binary message."""
+
+    async def close(self) -> None:
+        """Close the connection, if there is one."""
+
+    async def pause(self, seconds: float) -> None:
+        """Let time pass."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a client would like to have; what the server does not offer is done without.
+
+    Attributes:
+        packed: send payloads packed.
+        shared_memory: share memory with a server on this host.
+        pipelined: send updates without waiting for their answers; their errors are raised by what is asked next.
+        jpeg: quality, 1..100, of the cameras whose colour is sent as JPEG; the others are lossless.
+        environment: what the environment offers (`xpl.agreement`); the server refuses what does not fit.
+        on_loading: told how far loading is while the model loads.
+    """
+
+    packed: bool = True
+    shared_memory: bool = True
+    pipelined: bool = False
+    jpeg: Mapping[str, int] = field(default_factory=dict)
+    environment: Mapping[str, Any] | None = None
+    on_loading: Callable[[Mapping[str, Any]], None] | None = None
+
+
+@dataclass
+class _Ahead:
+    """An update that was sent ahead: its answer is still to come.
+
+    Attributes:
+        frame: the request.
+        data: its bytes, if they do not point into memory that was shared over a lost connection.
+        blocks: blocks of shared memory that it uses.
+    """
+
+    frame: wire.Frame
+    data: bytes | None
+    blocks: list[int]
+
+
+class Conversation:
+    """A client's side of the wire.
+
+    Attributes:
+        server_instance_id: what the server called itself, None for one of the first generation.
+        capabilities: what it announced.
+        policy: what its policy needs (`xpl.agreement`).
+    """
+
+    def __init__(  # noqa: PLR0913, PLR0917 - made by the two clients only
+        self,
+        transport: Transport,
+        address: str,
+        config: Mapping[str, Any] | None,
+        wishes: Wishes,
+        evaluation_id: str | None,
+        trial_id: str | None,
+    ) -> None:
+        self._transport = transport
+        self._address = address
+        self._config = {**spec.DEPLOY_DEFAULTS, **(config or {})}
+        self._wishes = wishes
+        self._evaluation_id = evaluation_id or uuid.uuid4().hex
+        self._trial_id = trial_id
+        self._session = uuid.uuid4().hex
+        self._step = 0
+        self._is_open = False
+        self._held: list[Mapping[str, Any]] = []
+        self._arena: Any = None
+        self._ahead: OrderedDict[str, _Ahead] = OrderedDict()
+        self._late: PolicyServerError | None = None
+        self._sequence = itertools.count()
+        self.server_instance_id: str | None = None
+        self.capabilities: Mapping[str, Any] = {}
+        self.policy: Mapping[str, Any] = {}
+
+    # -- the operations of the contract --------------------------------------------------------------------------------
+
+    async def reset(self) -> None:
+        """Start a new episode."""
+        self._step = 0
+        self._held = []
+        await self._request(spec.Message.RESET, {spec.Payload.TRIAL_ID: self._trial_id})
+
+    async def update_obs(self, obs: Mapping[str, Any]) -> None:
+        """Show the policy the newest observation of one environment."""
+        self._held = [obs]
+        if not self._first_generation:
+            await self._update(spec.Method.UPDATE_OBS, obs)
+
+    async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+        """Show the policy the newest observation of several environments."""
+        self._held = list(obs_list)
+        if not self._first_generation:
+            await self._update(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
+
+    async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+        """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
+        if obs is not None:
+            return await self.infer(obs)
+        if self._first_generation:
+            if len(self._held) != 1:
+                raise ClientError("get_action needs exactly one observation since the last reset")
+            return await self.infer(self._held[0])
+        return await self._call(spec.Method.GET_ACTION)
+
+    async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
+        """Return one action chunk per environment of the list; None means the last batch."""
+        if not self._first_generation:
+            return await self._call(spec.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
+        held = dict(zip(env_indices(self._held), self._held))
+        wanted = list(held) if env_idx_list is None else list(env_idx_list)
+        missing = [index for index in wanted if index not in held]
+        if missing or len(set(wanted)) != len(wanted):
+            raise ClientError(f"expected environments out of {list(held)}, each once; got {wanted}")
+        # Each infer stands alone there, so an index that followed from the position in the batch has to be written.
+        return [await self.infer({**held[index], spec.Obs.ENV_IDX: index}) for index in wanted]
+
+    async def infer(self, obs: Mapping[str, Any]) -> Any:
+        """Return the action chunk for one observation: update_obs and get_action as one unit."""
+        answer = await self._request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
+        if spec.Payload.ACTIONS not in answer:
+            raise ClientError(
+                f"the server's answer to infer has no {spec.Payload.ACTIONS!r}; it has {', '.join(answer)}"
+            )
+        self._step += 1
+        return answer[spec.Payload.ACTIONS]
+
+    # -- the other requests --------------------------------------------------------------------------------------------
+
+    async def prepare_case(self, action_case_id: str, meta: Mapping[str, Any]) -> Any:
+        """Announce a case to the adapter's hook."""
+        payload = {spec.Payload.ACTION_CASE_ID: action_case_id, **meta}
+        return (await self._request(spec.Message.PREPARE_CASE, payload)).get(spec.Payload.RESULT)
+
+    async def trial_end(self, result: Mapping[str, Any] | None) -> Any:
+        """Tell the adapter's hook how the trial ended."""
+        payload = {spec.Payload.TRIAL_ID: self._trial_id, **(result or {})}
+        return (await self._request(spec.Message.TRIAL_END, payload)).get(spec.Payload.RESULT)
+
+    async def health(self) -> dict[str, Any]:
+        """Return the server's state; answered while the model loads or thinks, too."""
+        return await self._request(spec.Message.HEARTBEAT, {})
+
+    async def call(self, func_name: str, obs: Any = None) -> Any:
+        """Call an operation by name, as benchmarks do; further names are methods the adapter declares."""
+        if func_name == spec.Method.RESET:
+            return await self.reset()
+        if func_name == spec.Method.UPDATE_OBS:
+            return await self.update_obs(obs)
+        if func_name == spec.Method.UPDATE_OBS_BATCH:
+            return await self.update_obs_batch(obs)
+        if func_name == spec.Method.GET_ACTION:
+            return await self.get_action(obs)
+        if func_name == spec.Method.GET_ACTION_BATCH:
+            return await self.get_action_batch(obs)
+        if self._first_generation:
+            raise ClientError(f"this server offers no {func_name!r}: it is of the first generation, without `call`")
+        return await self._call(func_name, obs)
+
+    async def settle(self) -> None:
+        """Wait for the answers to all updates that were sent ahead, and raise what went wrong with them."""
+        while self._ahead and self._is_open:
+            try:
+                self._take(wire.decode(await self._transport.receive(_left(self._request_deadline()))))
+            except (OSError, wire.WireError) as error:
+                await self._drop()
+                raise ServerConnectionError(f"the connection was lost: {error}") from None
+        self._raise_late()
+
+    async def close(self) -> None:
+        """Say goodbye and close the connection; closing twice is fine."""
+        if not self._is_open:
+            return
+        with contextlib.suppress(Exception):  # the connection may be gone already, which is what was wanted
+            await self._transport.send(wire.encode(self._frame(spec.Message.CLOSE, {})))
+        await self._drop()
+
+    # -- connecting ----------------------------------------------------------------------------------------------------
+
+    async def connect(self, deadline: float = math.inf) -> None:
+        """Connect and exchange hellos, trying again while nobody listens, the model loads or the server is busy."""
+        config = self._config
+        deadline = min(deadline, _deadline(config[spec.Deploy.MAX_CONNECT_SECONDS] or None))
+        most = config[spec.Deploy.MAX_CONNECT_ATTEMPTS] or math.inf
+        delay = config[spec.Deploy.CONNECT_RETRY_DELAY_S] or 0.0
+        for attempt in itertools.count(1):
+            try:
+                await self._connect_once(deadline)
+            except ServerFailedError:
+                raise
+            except (OSError, RequestTimeoutError) as error:
+                problem: Exception = error
+            except PolicyServerError as error:
+                if error.details.get("reason") not in _AGAIN:
+                    raise
+                problem = error
+            else:
+                return
+            if attempt >= most or time.monotonic() + delay > deadline:
+                raise ServerConnectionError(f"no policy server at {self._address} after {attempt} attempts: {problem}")
+            await self._transport.pause(delay)
+
+    async def _connect_once(self, deadline: float) -> None:
+        timeout = _left(min(deadline, _deadline(self._config[spec.Deploy.CONNECT_TIMEOUT_S])))
+        await self._transport.open(timeout)
+        self._is_open = True
+        try:
+            greeting = await self._hello({})
+            while greeting.get(spec.Payload.STATE) == spec.ServerState.LOADING:
+                greeting = await self._wait_for_the_model(greeting, deadline)
+            self.server_instance_id = greeting.get(spec.Payload.SERVER_INSTANCE_ID)
+            self.capabilities = _map(greeting.get(spec.Payload.CAPABILITIES))
+            self.policy = _map(greeting.get(spec.Payload.POLICY))
+            self._check_fit()
+            await self._share(self.capabilities.get(spec.Capability.SHARED_MEMORY))
+        except BaseException:
+            await self.close()
+            raise
+
+    async def _hello(self, shared_memory: Mapping[str, Any]) -> dict[str, Any]:
+        wishes = self._wishes
+        capabilities: dict[str, Any] = {
+            spec.Capability.WIRE_VERSION: spec.WIRE_VERSION,
+            spec.Capability.LOADING: True,
+            spec.Capability.SESSION: self._session,
+        }
+        if wishes.packed:
+            capabilities[spec.Capability.PACKED] = 1
+            if wishes.shared_memory:
+                capabilities[spec.Capability.SHARED_MEMORY] = shared_memory or {"wanted": True}
+        if wishes.pipelined:
+            capabilities[spec.Capability.PIPELINING] = True
+        if wishes.jpeg:
+            capabilities[spec.Capability.JPEG] = dict(wishes.jpeg)
+        payload: dict[str, Any] = {spec.Payload.CAPABILITIES: capabilities}
+        if wishes.environment is not None:
+            payload[spec.Payload.ENVIRONMENT] = dict(wishes.environment)
+        hello = self._frame(spec.Message.HELLO, payload)
+        limit = _deadline(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
+        return await self._exchange(hello, wire.encode(hello), limit)
+
+    async def _wait_for_the_model(self, greeting: Mapping[str, Any], deadline: float) -> dict[str, Any]:
+        """Ask how far the model is until it is loaded, and return the answer to another hello."""
+        state: Mapping[str, Any] = greeting
+        while state.get(spec.Payload.STATE) == spec.ServerState.LOADING:
+            if self._wishes.on_loading is not None:
+                self._wishes.on_loading(_map(state.get(spec.Payload.PROGRESS)))
+            if time.monotonic() > deadline:
+                raise ServerConnectionError(f"the model at {self._address} was still loading when time was up")
+            await self._transport.pause(_LOADING_POLL_S)
+            beat = self._frame(spec.Message.HEARTBEAT, {})
+            limit = _deadline(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
+            state = await self._exchange(beat, wire.encode(beat), limit)
+        return await self._hello({})
+
+    def _check_fit(self) -> None:
+        """Compare what both sides announced: a server of another make may not have done so."""
+        found = agreement.differences(self.policy, self._wishes.environment or {})
+        if found:
+            details = {"reason": spec.ErrorReason.MISMATCH, "differences": found}
+            raise EnvironmentMismatchError(spec.ErrorCode.INVALID_FRAME, agreement.sentence(found), details)
+
+    async def _share(self, offer: Any) -> None:
+        """Use the memory that the server offers, once both sides have read there what the other one wrote."""
+        if not isinstance(offer, Mapping) or not self._wishes.shared_memory:
+            return
+        try:
+            from xpl.segment import Arena
+
+            arena = Arena(str(offer["path"]), int(offer["size"]))
+        except (ImportError, OSError, LookupError, TypeError, ValueError):
+            return  # another machine, another user, another system: arrays travel in the message
+        self._arena = arena
+        greeting = await self._hello({"proof": arena.token.hex()})
+        answer = _map(_map(greeting.get(spec.Payload.CAPABILITIES)).get(spec.Capability.SHARED_MEMORY))
+        if answer.get("proof") != arena.answer.hex():
+            self._forget_arena()
+
+    # -- requests ------------------------------------------------------------------------------------------------------
+
+    @property
+    def _first_generation(self) -> bool:
+        return self.server_instance_id is None
+
+    async def _call(self, name: str, obs: Any = None) -> Any:
+        payload = {spec.Payload.FUNC_NAME: name}
+        if obs is not None:
+            payload[spec.Payload.OBS] = obs
+        result = (await self._request(spec.Message.CALL, payload)).get(spec.Payload.RESULT)
+        self._step += name in _ACTING
+        return result
+
+    async def _update(self, name: str, obs: Any) -> None:
+        if not (self._wishes.pipelined and self.capabilities.get(spec.Capability.PIPELINING)):
+            await self._call(name, obs)
+            return
+        self._raise_late()
+        while len(self._ahead) >= spec.LIMITS["pipelined"]:
+            await self._receive_ahead()
+        payload = {spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs, spec.Payload.SEQUENCE: next(self._sequence)}
+        frame = self._frame(spec.Message.CALL, payload)
+        data, blocks = self._encoded(frame)
+        self._ahead[frame.message_id] = _Ahead(frame, None if blocks else data, blocks)
+        try:
+            await self._send(data)
+        except OSError as error:
+            await self._reconnect(error, _deadline(self._config[spec.Deploy.REQUEST_TIMEOUT_S]))
+
+    async def _receive_ahead(self) -> None:
+        deadline = self._request_deadline()
+        try:
+            self._take(wire.decode(await self._receive(deadline)))
+        except OSError as error:
+            await self._reconnect(error, deadline)
+        self._raise_late()
+
+    def _frame(self, message_type: str, payload: dict[str, Any]) -> wire.Frame:
+        return wire.Frame(message_type, self._evaluation_id, payload, trial_id=self._trial_id, step=self._step)
+
+    async def _request(self, message_type: str, payload: dict[str, Any]) -> dict[str, Any]:
+        """Return the payload of the answer; reconnects once after a cut, all within the request's timeout."""
+        if not self._is_open:
+            raise ServerConnectionError("the client is closed")
+        frame = self._frame(message_type, payload)
+        deadline = self._request_deadline()
+        data, blocks = self._encoded(frame)
+        try:
+            answer = await self._exchange(frame, data, deadline)
+        except OSError as error:
+            await self._reconnect(error, deadline)
+            data, blocks = self._encoded(frame)  # what lay in the memory of the lost connection lies elsewhere now
+            try:
+                # The same id: the server answers from its memory if the model ran already.
+                answer = await self._exchange(frame, data, deadline)
+            except OSError as again:
+                await self._drop()
+                raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
+        finally:
+            if blocks and self._arena is not None:
+                self._arena.answered(blocks)
+        self._raise_late()
+        return answer
+
+    async def _reconnect(self, error: OSError, deadline: float) -> None:
+        """Come back to the same server after a cut, and send again what was sent ahead and not answered."""
+        await self._drop()
+        if self._first_generation:
+            raise ServerConnectionError(
+                f"the connection was cut ({error}), and a server of the first generation must not be asked twice"
+            ) from None
+        ahead = list(self._ahead.values())
+        if any(update.data is None for update in ahead):
+            self._ahead.clear()
+            raise ServerConnectionError(
+                f"the connection was cut ({error}) while updates were sent ahead through shared memory"
+            ) from None
+        instance = self.server_instance_id
+        await self.connect(deadline)
+        if self.server_instance_id != instance:
+            raise ServerRestartedError("the policy server was restarted: the episode's state is gone") from None
+        try:
+            for update in ahead:
+                await self._transport.send(update.data or b"")
+        except OSError as again:
+            await self._drop()
+            raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
+
+    async def _exchange(self, frame: wire.Frame, data: bytes, deadline: float) -> dict[str, Any]:
+        """Send a request and return the payload of its answer; a lost connection is an OSError."""
+        started = time.monotonic()
+        try:
+            await self._send(data)
+            while True:
+                answer = wire.decode(await self._receive(deadline))
+                if answer.message_id == frame.message_id:
+                    return _payload(answer, frame)
+                self._take(answer)
+        except TimeoutError:
+            await self.close()
+            waited = time.monotonic() - started
+            raise RequestTimeoutError(f"{frame.message_type} was not answered within {waited:.1f} s") from None
+        except (wire.WireError, packed.PackingError) as error:
+            await self._drop()
+            raise ClientError(f"what the server sent cannot be understood: {error}") from None
+
+    async def _send(self, data: bytes) -> None:
+        await self._transport.send(data)
+
+    async def _receive(self, deadline: float) -> bytes:
+        try:
+            return await self._transport.receive(_left(deadline))
+        except ServerFailedError:
+            await self._drop()
+            raise
+
+    def _take(self, answer: wire.Frame) -> None:
+        """Take in the answer to an update that was sent ahead; others are not ours."""
+        update = self._ahead.pop(answer.message_id, None)
+        if update is None:
+            return
+        if update.blocks and self._arena is not None:
+            self._arena.answered(update.blocks)
+        try:
+            _payload(answer, update.frame)
+        except PolicyServerError as error:
+            self._late = self._late or error
+
+    def _raise_late(self) -> None:
+        late, self._late = self._late, None
+        if late is not None:
+            raise late
+
+    def _request_deadline(self) -> float:
+        return _deadline(self._config[spec.Deploy.REQUEST_TIMEOUT_S])
+
+    # -- encoding ------------------------------------------------------------------------------------------------------
+
+    def _encoded(self, frame: wire.Frame) -> tuple[bytes, list[int]]:
+        """Return the bytes of a request, and the blocks of shared memory that it uses."""
+        payload = frame.payload
+        key = spec.Payload.OBSERVATION if spec.Payload.OBSERVATION in payload else spec.Payload.OBS
+        value = payload.get(key)
+        if value is None:
+            return wire.encode(frame), []
+        if self._wishes.jpeg and self.capabilities.get(spec.Capability.JPEG_MARKER):
+            value = _each(value, self._compressed)
+        if not self._may_pack(frame, value):
+            return wire.encode(_with(frame, {**payload, key: value})), []
+        place = None if self._arena is None else self._arena.place
+        try:
+            pieces = packed.encode({key: value}, place)
+        except packed.PackingError as error:
+            raise wire.WireError(f"the {frame.message_type} payload cannot be sent: {error}") from None
+        finally:
+            blocks = [] if self._arena is None else self._arena.written()
+        if len(pieces[0]) > spec.LIMITS["packed_header"]:
+            if self._arena is not None:
+                self._arena.answered(blocks)
+            return wire.encode(frame), []
+        rest = {name: item for name, item in payload.items() if name != key}
+        return wire.encode(_with(frame, rest), pieces), blocks
+
+    def _may_pack(self, frame: wire.Frame, value: Any) -> bool:
+        """Tell whether a payload may travel packed: encoded images may not, the server has to decode them."""
+        return (
+            bool(self._wishes.packed and self.capabilities.get(spec.Capability.PACKED))
+            and frame.message_type in (spec.Message.INFER, spec.Message.CALL)
+            and not any(_has_images(item) for item in (value if isinstance(value, list) else [value]))
+        )
+
+    def _compressed(self, obs: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return an observation with the colour of the chosen cameras as marked JPEG."""
+        vision = obs.get(spec.Obs.VISION)
+        if not isinstance(vision, Mapping):
+            return obs
+        smaller = dict(vision)
+        for name, quality in self._wishes.jpeg.items():
+            color = color_of(vision[name]) if name in vision else None
+            if color is not None and not is_encoded(color):
+                jpeg = images.encode_jpeg(color, quality)
+                camera = vision[name]
+                smaller[name] = {**camera, spec.Camera.COLOR: jpeg} if isinstance(camera, Mapping) else jpeg
+        return {**obs, spec.Obs.VISION: smaller}
+
+    def _forget_arena(self) -> None:
+        arena, self._arena = self._arena, None
+        if arena is not None:
+            arena.close()
+
+    async def _drop(self) -> None:
+        """Close the connection, if there is one, without a goodbye."""
+        self._is_open = False
+        self._forget_arena()
+        await self._transport.close()
+
+
+def _deadline(seconds: float | None) -> float:
+    return math.inf if seconds is None else time.monotonic() + seconds
+
+
+def _left(deadline: float) -> float | None:
+    return None if deadline == math.inf else max(0.0, deadline - time.monotonic())
+
+
+def _map(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _with(frame: wire.Frame, payload: dict[str, Any]) -> wire.Frame:
+    """Return the same request with another payload."""
+    return wire.Frame(**{**vars(frame), spec.Frame.PAYLOAD: payload})
+
+
+def _each(value: Any, change: Callable[[Mapping[str, Any]], Any]) -> Any:
+    """Return an observation, or each of a list of them, changed; anything else stays as it is."""
+    if isinstance(value, list):
+        return [_each(item, change) for item in value]
+    return change(value) if isinstance(value, Mapping) else value
+
+
+def _has_images(obs: Any) -> bool:
+    vision = obs.get(spec.Obs.VISION) if isinstance(obs, Mapping) else None
+    return isinstance(vision, Mapping) and any(is_encoded(color_of(camera)) for camera in vision.values())
+
+
+def _payload(answer: wire.Frame, request: wire.Frame) -> dict[str, Any]:
+    payload = answer.payload
+    if answer.message_type == spec.Message.ERROR:
+        code, message = payload.get(spec.Payload.CODE), str(payload.get(spec.Payload.MESSAGE))
+        known = str(code) if code in _CODES else spec.ErrorCode.INTERNAL
+        details = payload.get(spec.Payload.DETAILS)
+        details = details if isinstance(details, Mapping) else {}
+        kind = EnvironmentMismatchError if details.get("reason") == spec.ErrorReason.MISMATCH else PolicyServerError
+        raise kind(known, message, details)
+    if answer.message_type != spec.ANSWERS[request.message_type]:
+        raise ClientError(f"{request.message_type} was answered by {answer.message_type}")
+    return wire.unpacked(payload)

@@ -1,0 +1,76 @@
+"""Find the class of an adapter in its folder, and check that it can be served as its manifest says."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+
+from xpl import _spec as spec
+
+
+class LoadError(RuntimeError):
+    """model.py does not offer what the contract asks for."""
+
+
+def load_model_class(policy_dir: Path) -> type:
+    """Import model.py of an adapter under a module name of its own and return its class `Model`.
+
+    The package's `__init__.py` is not run. Relative imports work, and so do imports of the ecosystem's package where
+    the adapter lies inside a checkout of it.
+
+    Raises:
+        LoadError: if there is no model.py or no class `Model` in it.
+    """
+    path = policy_dir / spec.File.MODEL_PY
+    if not path.is_file():
+        raise LoadError(f"{policy_dir} has no model.py")
+    _offer_ecosystem(policy_dir)
+    package = f"_xpl_policy_{policy_dir.name}"
+    holder = ModuleType(package)
+    holder.__path__ = [str(policy_dir)]
+    sys.modules[package] = holder
+    name = f"{package}.model"
+    found = importlib.util.spec_from_file_location(name, path)
+    if found is None or found.loader is None:
+        raise LoadError(f"{path} cannot be imported")
+    module = importlib.util.module_from_spec(found)
+    sys.modules[name] = module
+    found.loader.exec_module(module)
+    model = getattr(module, spec.MODEL_CLASS, None)
+    if not inspect.isclass(model):
+        raise LoadError(f"{path} defines no class {spec.MODEL_CLASS}")
+    return model
+
+
+def _offer_ecosystem(policy_dir: Path) -> None:
+    """Let an adapter inside an XPolicyLab checkout import that package, as its own server would."""
+    root = policy_dir.parent.parent
+    if (root / "model_template.py").is_file():
+        sys.path[:0] = [str(root.parent), str(root)]
+
+
+def check_shareable(model_class: type, ambiguous: Sequence[str]) -> None:
+    """Check that several clients may share a model.
+
+    Args:
+        model_class: class of the adapter.
+        ambiguous: methods that it must not have, because they do not tell whose environments they are about.
+
+    Raises:
+        LoadError: if it cannot tell its clients apart.
+    """
+    if not callable(getattr(model_class, spec.Method.RESET_ENVS, None)):
+        raise LoadError(
+            f"policy.yml says serving.shared, but {spec.MODEL_CLASS} has no {spec.Method.RESET_ENVS}(env_idx_list): "
+            "derive it from xpl.Policy, or write one"
+        )
+    unclear = [name for name in ambiguous if callable(getattr(model_class, name, None))]
+    if unclear:
+        raise LoadError(
+            f"policy.yml says serving.shared, but {', '.join(unclear)} cannot tell one client from another: remove it, "
+            "or do not share"
+        )

@@ -1,0 +1,115 @@
+"""Who may speak to the server at all: bearer token, TLS, number of connections; and its two plain HTTP pages."""
+
+from __future__ import annotations
+
+import hmac
+import json
+import os
+import ssl
+import stat
+from dataclasses import dataclass
+from http import HTTPStatus
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from picows import WSUpgradeResponse, WSUpgradeResponseWithListener
+
+from xpl import _spec as spec
+from xpl_cli.errors import UserError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from picows import WSUpgradeRequest
+
+_HEALTH, _METRICS = "/healthz", "/metrics"
+_TOKEN_BYTES = 16
+
+
+def read_token(path: Path) -> str:
+    """Return the token in a file.
+
+    Raises:
+        UserError: if the file cannot be read, others may read it, or the token is too short to be a secret.
+    """
+    try:
+        mode = path.stat().st_mode
+        token = path.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"the token file {path} cannot be read: {error}") from None
+    if stat.S_ISREG(mode) and mode & 0o077:
+        raise UserError(f"others may read the token file {path}", hint=f"chmod 600 {path}")
+    if len(token) < _TOKEN_BYTES or not token.isprintable() or " " in token:
+        raise UserError(
+            f"the token in {path} must be one word of at least {_TOKEN_BYTES} characters, got {len(token)}",
+            hint=f"(umask 077; openssl rand -hex 32 > {path})",
+        )
+    return token
+
+
+def tls_context(certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:
+    """Return the TLS context of a server, or None without a certificate.
+
+    Raises:
+        UserError: if only one of the files is given, or they do not make a pair.
+    """
+    if certificate is None and key is None:
+        return None
+    if certificate is None:
+        raise UserError("--tls-key needs --tls-cert")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        # A key with a password would have the server wait for someone to type it.
+        context.load_cert_chain(certificate, key, password=lambda: "")
+    except (OSError, ssl.SSLError) as error:
+        raise UserError(f"TLS: {certificate} and {key or certificate} cannot be used: {error}") from None
+    return context
+
+
+@dataclass(frozen=True)
+class Admission:
+    """Answers the HTTP request that opens a connection.
+
+    Args:
+        token: what a client has to show, or None.
+        health: returns the server's state.
+        metrics: returns the page of metrics, or None if there are none.
+        connections: returns how many connections there are.
+    """
+
+    token: str | None
+    health: Callable[[], dict[str, Any]]
+    metrics: Callable[[], bytes] | None
+    connections: Callable[[], int]
+
+    def refusal(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
+        """Return the answer to a request that is not let in, or None."""
+        if self.token is not None and not self._knows(request.headers.get("Authorization", "")):
+            return _page(HTTPStatus.UNAUTHORIZED, "a bearer token is needed\n", {"WWW-Authenticate": "Bearer"})
+        path = os.fsdecode(request.path).partition("?")[0]
+        if path == _HEALTH:
+            state = self.health()
+            ready = state["state"] == spec.ServerState.READY
+            status = HTTPStatus.OK if ready else HTTPStatus.SERVICE_UNAVAILABLE
+            return _page(status, json.dumps(state) + "\n", {"Content-Type": "application/json"})
+        if path == _METRICS and self.metrics is not None:
+            return _page(HTTPStatus.OK, self.metrics(), {"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
+        if self.connections() >= spec.LIMITS["connections"]:
+            return _page(HTTPStatus.SERVICE_UNAVAILABLE, f"{self.connections()} connections are enough\n", {})
+        return None
+
+    def _knows(self, header: str) -> bool:
+        scheme, _, shown = header.partition(" ")
+        # The time that this takes must not tell how much of it was right.
+        right = hmac.compare_digest(shown.strip().encode(errors="replace"), (self.token or "").encode())
+        return scheme.lower() == "bearer" and right
+
+
+def _page(status: HTTPStatus, body: str | bytes, headers: dict[str, str]) -> WSUpgradeResponseWithListener:
+    content = body.encode() if isinstance(body, str) else body
+    if status == HTTPStatus.OK:
+        response = WSUpgradeResponse.create_ok_response(content, headers)
+    else:
+        response = WSUpgradeResponse.create_error_response(status, content, headers)
+    return WSUpgradeResponseWithListener(response, None)

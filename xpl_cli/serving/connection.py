@@ -1,0 +1,223 @@
+"""One WebSocket connection of the front end: whole messages in, answers out, and no more of either than fits."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from picows import WSCloseCode, WSListener, WSMsgType
+
+from xpl import _spec as spec
+from xpl_cli.serving.pool import log
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from picows import WSFrame, WSTransport
+
+    from xpl.segment import Segment
+
+_CLEAN = (1000, 1001)
+_REASON_BYTES = 123  # RFC 6455, section 5.5
+_DATA = (WSMsgType.BINARY, WSMsgType.TEXT, WSMsgType.CONTINUATION)
+
+
+class Owner(Protocol):
+    """What a connection tells the front end."""
+
+    def connected(self, connection: Connection) -> None:
+        """Say that a connection was opened."""
+
+    def received(self, connection: Connection, data: bytes | memoryview) -> None:
+        """Pass on a binary message; the view is good for the length of the call only."""
+
+    def disconnected(self, connection: Connection, *, clean: bool) -> None:
+        """Say that a connection is gone."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Deadlines of a connection, s; None means none.
+
+    Attributes:
+        hello: longest silence at the beginning.
+        ping_interval: time between two pings.
+        ping_timeout: longest time that the peer's machine may leave what was sent unacknowledged, beyond that.
+        close: longest wait for the other side to close.
+    """
+
+    hello: float | None
+    ping_interval: float | None
+    ping_timeout: float | None
+    close: float | None
+
+
+class Connection(WSListener):
+    """A peer.
+
+    Attributes:
+        segment: memory shared with it, its number, and whether the peer proved that it sees it.
+    """
+
+    def __init__(self, owner: Owner, timing: Timing) -> None:
+        self._owner = owner
+        self._timing = timing
+        self._loop = asyncio.get_running_loop()
+        self._transport: WSTransport | None = None
+        self._parts: list[bytes] = []
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._pending = 0
+        self._choked = False
+        self._reading = True
+        self._clean = False
+        self.is_open = False
+        self.segment: Segment | None = None
+        self.segment_number: int | None = None
+
+    # -- what the library calls ----------------------------------------------------------------------------------------
+
+    def on_ws_connected(self, transport: WSTransport) -> None:
+        """Set the deadlines."""
+        self._transport = transport
+        self.is_open = True
+        self._notice_dead_peer(transport)
+        self._after("silence", self._timing.hello, self._no_hello)
+        self._after("ping", self._timing.ping_interval, self._ping)
+        self._owner.connected(self)
+
+    def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
+        """Put fragments together, and pass on whole messages."""
+        kind = frame.msg_type
+        if frame.rsv1 or frame.rsv2 or frame.rsv3:
+            self.close(WSCloseCode.PROTOCOL_ERROR.value, "no extension was agreed on")
+        elif kind == WSMsgType.BINARY and frame.fin and not self._parts:
+            self._whole(frame.get_payload_as_memoryview())
+        elif kind in _DATA:
+            self._fragment(frame)
+        elif kind == WSMsgType.CLOSE:
+            self._clean = int(frame.get_close_code()) in _CLEAN  # type: ignore[call-overload]
+            with contextlib.suppress(Exception):  # the peer may be gone before it hears us
+                transport.send_close(frame.get_close_code())
+            transport.disconnect()
+
+    def on_ws_disconnected(self, transport: WSTransport) -> None:  # noqa: ARG002 - the library's signature
+        """Clear up."""
+        self.is_open = False
+        for timer in self._timers.values():
+            timer.cancel()
+        if self.segment is not None:
+            self.segment.close()
+        self._owner.disconnected(self, clean=self._clean)
+
+    def pause_writing(self) -> None:
+        """Read nothing from a peer that does not read its answers."""
+        self._choked = True
+        self._regulate()
+
+    def resume_writing(self) -> None:
+        """Read on."""
+        self._choked = False
+        self._regulate()
+
+    # -- what the front end calls --------------------------------------------------------------------------------------
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the peer speaks from a loopback address."""
+        peer = self._raw("peername")
+        return isinstance(peer, tuple) and (str(peer[0]).startswith("127.") or peer[0] == "::1")
+
+    def expect_answer(self) -> None:
+        """Count a request; a peer that has too many unanswered is not read."""
+        self._pending += 1
+        self._regulate()
+
+    def answer(self, data: bytes) -> None:
+        """Send the answer to a request, if the peer is still there."""
+        self._pending -= 1
+        self.send(data)
+        self._regulate()
+
+    def send(self, data: bytes) -> None:
+        """Send a message, if the peer is still there."""
+        if self.is_open and self._transport is not None:
+            self._transport.send(WSMsgType.BINARY, data)
+
+    def close(self, code: int, reason: str = "") -> None:
+        """Close in order; by force if the peer does not answer in time."""
+        if not self.is_open or self._transport is None:
+            return
+        self._clean = self._clean or code in _CLEAN
+        if not self._transport.is_close_frame_sent:
+            short = reason.encode()[:_REASON_BYTES].decode(errors="ignore")
+            self._transport.send_close(code, short)  # type: ignore[arg-type]  # any code will do
+        self._after("closing", self._timing.close, self._transport.underlying_transport.abort)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether requests of it are unanswered."""
+        return self._pending > 0
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _fragment(self, frame: WSFrame) -> None:
+        starts = frame.msg_type != WSMsgType.CONTINUATION
+        if starts == bool(self._parts):
+            self.close(WSCloseCode.PROTOCOL_ERROR.value, "fragments out of order")
+            return
+        if starts:
+            self._parts = [b"T" if frame.msg_type == WSMsgType.TEXT else b"B"]
+        self._parts.append(frame.get_payload_as_bytes())
+        if sum(map(len, self._parts)) > spec.LIMITS["frame_bytes"]:
+            self.close(WSCloseCode.MESSAGE_TOO_BIG.value, "the message is over the limit")
+        elif frame.fin:
+            (kind, *parts), self._parts = self._parts, []
+            if kind == b"T":
+                log("ignored a text message: the wire is binary")
+            else:
+                self._whole(b"".join(parts))
+
+    def _whole(self, data: bytes | memoryview) -> None:
+        hello = self._timers.pop("silence", None)
+        if hello is not None:
+            hello.cancel()
+        self._owner.received(self, data)
+
+    def _regulate(self) -> None:
+        reading = not self._choked and self._pending < spec.LIMITS["pending"]
+        if reading == self._reading or not self.is_open or self._transport is None:
+            return
+        self._reading = reading
+        raw = self._transport.underlying_transport
+        if reading:
+            raw.resume_reading()
+        else:
+            raw.pause_reading()
+
+    def _no_hello(self) -> None:
+        self.close(spec.CLOSE_CODES["no_hello"], f"nothing was said within {self._timing.hello:g} s")
+
+    def _ping(self) -> None:
+        if self.is_open and self._transport is not None:
+            self._transport.send_ping()
+            self._after("ping", self._timing.ping_interval, self._ping)
+
+    def _after(self, name: str, seconds: float | None, action: Callable[[], None]) -> None:
+        if seconds:
+            self._timers[name] = self._loop.call_later(seconds, action)
+
+    def _notice_dead_peer(self, transport: WSTransport) -> None:
+        """Have the kernel cut the connection if the peer's machine no longer acknowledges what is sent, pings included.
+
+        Not by a missing pong: clients in the field answer pings only while a call is under way.
+        """
+        interval, timeout = self._timing.ping_interval, self._timing.ping_timeout
+        raw = transport.underlying_transport.get_extra_info("socket")
+        if raw is not None and interval and timeout and hasattr(socket, "TCP_USER_TIMEOUT"):
+            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * (interval + timeout)))
+
+    def _raw(self, name: str) -> Any:
+        return None if self._transport is None else self._transport.underlying_transport.get_extra_info(name)

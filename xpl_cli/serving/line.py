@@ -1,0 +1,193 @@
+"""The requests that wait for one worker, free of I/O: in which order and in which batches they run."""
+
+from __future__ import annotations
+
+import collections
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from xpl import _spec as spec
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from xpl_cli.serving.places import Place
+    from xpl_cli.serving.session import RequestError, Task
+
+_ACTIONS = frozenset((spec.Method.INFER, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH))
+_TOGETHER = 16
+"""Requests of one client that are sent to its worker at once: an action and the updates before it."""
+_PATIENCE = 0.25
+"""Longest wait for others, as a part of the time that the model took last."""
+_SLACK = 2.0
+"""A client is expected until it has thought this many times as long as it usually does."""
+_MEMORY = 0.3
+"""Weight of the newest value in running means."""
+
+
+@dataclass(eq=False)
+class Job:
+    """A task in the line.
+
+    Attributes:
+        task: what is to be done.
+        place: for whom.
+        segment: number of the shared memory that its arrays may lie in.
+        done: is told the worker's answer.
+        size: bytes of the request.
+        received: when the request came, s.
+        arrived: when it was put into the line, s.
+        started: when it was sent to the worker, s.
+    """
+
+    task: Task
+    place: Place
+    segment: int | None
+    done: Callable[[Job, dict[str, Any] | RequestError], None]
+    size: int = 0
+    received: float = 0.0
+    arrived: float = 0.0
+    started: float = 0.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether its payload is there; images may still be decoded."""
+        return self.task.payload is not None
+
+    def request(self) -> dict[str, Any]:
+        """Return what the worker is sent."""
+        return {
+            "client": self.place.client,
+            "method": self.task.method,
+            spec.Frame.PAYLOAD: self.task.payload,
+            "segment": self.segment,
+            "optional": self.task.optional,
+        }
+
+
+@dataclass
+class _Habit:
+    """How a client of a shared worker behaves.
+
+    Attributes:
+        answered: when it got its last action, s.
+        pause: how long it usually takes until it asks for the next one, s; None before that is known.
+    """
+
+    answered: float
+    pause: float | None = None
+
+
+@dataclass
+class Line:
+    """The line of one worker. Requests of one client run in their order; clients of a shared worker run together.
+
+    Args:
+        shared: whether several clients use the worker.
+        most: most requests in one batch.
+    """
+
+    shared: bool = False
+    most: int | None = None
+    _jobs: dict[Place, collections.deque[Job]] = field(default_factory=dict)
+    _habits: dict[Place, _Habit] = field(default_factory=dict)
+    _model_s: float = 0.0
+    _idle_since: float = 0.0
+
+    def __len__(self) -> int:
+        return sum(map(len, self._jobs.values()))
+
+    def add(self, job: Job, now: float) -> None:
+        """Put a job at the end of its client's line."""
+        job.arrived = now
+        self._jobs.setdefault(job.place, collections.deque()).append(job)
+        habit = self._habits.get(job.place)
+        if habit is not None and habit.answered and job.task.method in _ACTIONS:
+            pause = now - habit.answered
+            habit.pause = pause if habit.pause is None else _mean(habit.pause, pause)
+            habit.answered = 0.0
+
+    def next(self, now: float) -> tuple[list[Job], float]:
+        """Return the jobs to run now, or none and how long to wait, s, for a client that is about to ask.
+
+        A batch may wait if others are expected within a part of what the model takes anyway; a client that is alone
+        never waits.
+        """
+        heads = [jobs[0] for jobs in self._jobs.values() if jobs and jobs[0].ready]
+        if not heads:
+            return [], 0.0
+        if not self.shared:
+            return self._run(self._in_a_row(heads[0].place), now), 0.0
+        asking = [job for job in heads if job.task.method in _ACTIONS]
+        if len(asking) < len(heads):  # what only updates or resets is done at once, so that it is ready for the batch
+            return self._run([job for job in heads if job not in asking], now), 0.0
+        batch = sorted(asking, key=lambda job: job.arrived)[: self.most]
+        wait = 0.0 if len(batch) == self.most else self._expected(batch, now)
+        return ([], wait) if wait > 0.0 else (self._run(batch, now), 0.0)
+
+    def finished(self, jobs: list[Job], now: float) -> None:
+        """Learn from what was answered just now how long the model and its clients take."""
+        self._idle_since = now
+        if any(job.task.method in _ACTIONS for job in jobs):
+            took = now - jobs[0].started
+            self._model_s = took if not self._model_s else _mean(self._model_s, took)
+        if self.shared:
+            for job in jobs:
+                if job.task.method in _ACTIONS:
+                    self._habits.setdefault(job.place, _Habit(now)).answered = now
+
+    def forget(self, place: Place) -> None:
+        """Expect nothing more from a client that left."""
+        self._habits.pop(place, None)
+
+    def remove(self, job: Job) -> None:
+        """Take one job out, if it is still there."""
+        jobs = self._jobs.get(job.place)
+        if jobs is not None and job in jobs:
+            jobs.remove(job)
+            if not jobs:
+                del self._jobs[job.place]
+
+    def holds(self, place: Place) -> bool:
+        """Tell whether jobs of a client wait."""
+        return place in self._jobs
+
+    def clear(self) -> list[Job]:
+        """Take all jobs out and return them."""
+        jobs = [job for line in self._jobs.values() for job in line]
+        self._jobs.clear()
+        return jobs
+
+    def _in_a_row(self, place: Place) -> list[Job]:
+        row: list[Job] = []
+        for job in self._jobs[place]:
+            if not job.ready or len(row) == _TOGETHER:
+                break
+            row.append(job)
+            if job.task.method not in (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH):
+                break
+        return row
+
+    def _run(self, jobs: list[Job], now: float) -> list[Job]:
+        for job in jobs:
+            job.started = now
+            self._jobs[job.place].popleft()
+            if not self._jobs[job.place]:
+                del self._jobs[job.place]
+        return jobs
+
+    def _expected(self, batch: list[Job], now: float) -> float:
+        """Return how long to wait for clients that will ask within our patience, s."""
+        until = max(self._idle_since, min(job.arrived for job in batch)) + _PATIENCE * self._model_s
+        asking = {job.place for job in batch}
+        due = [
+            habit.answered + _SLACK * habit.pause
+            for place, habit in self._habits.items()
+            if place not in asking and habit.answered and habit.pause is not None
+        ]
+        return max((time - now for time in due if time <= until), default=0.0)
+
+
+def _mean(old: float, new: float) -> float:
+    return (1.0 - _MEMORY) * old + _MEMORY * new

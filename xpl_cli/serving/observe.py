@@ -1,0 +1,150 @@
+"""What operators may watch: metrics for Prometheus and a trace of every request. Both are off unless asked for."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import IO, TYPE_CHECKING, Any
+
+from xpl import _spec as spec
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from xpl import wire
+    from xpl_cli.serving.line import Job
+
+_SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0)
+
+
+class Observer:
+    """Is told about every request.
+
+    Args:
+        metrics: count and time requests.
+        trace: where each request is written as one line of JSON, or None.
+
+    Attributes:
+        page: returns the metrics in Prometheus' text format; None if they are off.
+    """
+
+    def __init__(self, *, metrics: bool, trace: IO[str] | None) -> None:
+        self._metrics = _Metrics() if metrics else None
+        self._trace = trace
+        self.page: Callable[[], bytes] | None = None if self._metrics is None else self._metrics.page
+
+    def watch(self, health: Callable[[], dict[str, Any]]) -> None:
+        """Have the metrics show the server's state."""
+        if self._metrics is not None:
+            self._metrics.watch(health)
+
+    def answered(self, job: Job, finished: float, size: int, outcome: str) -> None:
+        """Take note of a request that a worker answered.
+
+        Args:
+            job: the request.
+            finished: when the worker had answered, s on the monotonic clock.
+            size: bytes of the answer.
+            outcome: `ok` or the error code.
+        """
+        sent = time.monotonic()
+        if self._metrics is not None:
+            self._metrics.answered(job, finished, size, outcome)
+        if self._trace is not None:
+            frame = job.task.frame
+            started = job.started or finished
+            line = {
+                spec.Frame.MESSAGE_ID: frame.message_id,
+                spec.Frame.MESSAGE_TYPE: frame.message_type,
+                "method": job.task.method,
+                spec.Frame.EVALUATION_ID: frame.evaluation_id,
+                spec.Frame.TRIAL_ID: frame.trial_id,
+                spec.Frame.STEP: frame.step,
+                "worker": job.place.worker,
+                "client": job.place.client,
+                "outcome": outcome,
+                "bytes_in": job.size,
+                "bytes_out": size,
+                "ms": {
+                    "read": _ms(job.received, job.arrived),
+                    "wait": _ms(job.arrived, started),
+                    "model": _ms(started, finished),
+                    "send": _ms(finished, sent),
+                },
+            }
+            self._trace.write(json.dumps(line) + "\n")
+            self._trace.flush()
+
+    def refused(self, frame: wire.Frame, code: str) -> None:
+        """Take note of a request that no worker was asked."""
+        if self._metrics is not None:
+            self._metrics.refused(frame.message_type, code)
+        if self._trace is not None:
+            line = {spec.Frame.MESSAGE_ID: frame.message_id, spec.Frame.MESSAGE_TYPE: frame.message_type, "outcome": code}
+            self._trace.write(json.dumps(line) + "\n")
+            self._trace.flush()
+
+
+class _Metrics:
+    def __init__(self) -> None:
+        from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
+
+        self._registry = CollectorRegistry()
+        registry = self._registry
+        self._requests = Counter(
+            "xpl_requests", "requests by method and outcome", ["method", "outcome"], registry=registry
+        )
+        self._wait = Histogram("xpl_wait_seconds", "time in the line", ["method"], registry=registry, buckets=_SECONDS)
+        self._model = Histogram(
+            "xpl_model_seconds", "time at the worker", ["method"], registry=registry, buckets=_SECONDS
+        )
+        self._bytes = Counter("xpl_bytes", "bytes by direction", ["direction"], registry=registry)
+        self._states = {
+            name: Gauge(f"xpl_{name}", text, registry=registry)
+            for name, text in {
+                spec.ServerState.READY: "1 when the models are loaded",
+                "connections": "open connections",
+                "places": "clients that can be served at once",
+                "taken": "places in use",
+                "waiting": "requests in line",
+                "busy_seconds": "how long the busiest worker has been at work",
+                "memory_bytes": "memory of the workers",
+            }.items()
+        }
+
+    def page(self) -> bytes:
+        from prometheus_client import generate_latest
+
+        return generate_latest(self._registry)
+
+    def watch(self, health: Callable[[], dict[str, Any]]) -> None:
+        def over(key: str, of: Callable[[list[float]], float]) -> float:
+            return of([float(worker[key]) for worker in health()["workers"]] or [0.0])
+
+        sources: dict[str, Callable[[], float]] = {
+            spec.ServerState.READY: lambda: float(health()[spec.Payload.STATE] == spec.ServerState.READY),
+            "connections": lambda: float(health()["connections"]),
+            "places": lambda: float(health()["places"]),
+            "taken": lambda: float(health()["taken"]),
+            "waiting": lambda: over("waiting", sum),
+            "busy_seconds": lambda: over("busy_s", max),
+            "memory_bytes": lambda: over("memory_bytes", sum),
+        }
+        for name, source in sources.items():
+            self._states[name].set_function(source)
+
+    def answered(self, job: Job, finished: float, size: int, outcome: str) -> None:
+        method = job.task.method
+        self._requests.labels(method, outcome).inc()
+        if job.started:
+            self._wait.labels(method).observe(job.started - job.arrived)
+            self._model.labels(method).observe(finished - job.started)
+        self._bytes.labels("in").inc(job.size)
+        self._bytes.labels("out").inc(size)
+
+    def refused(self, kind: str, code: str) -> None:
+        self._requests.labels(kind if kind.isidentifier() and len(kind) < 32 else "other", code).inc()
+
+
+def _ms(start: float, end: float) -> float:
+    return round(1000.0 * (end - start), 3)
