@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-import json
 import os
 import random
 import re
@@ -407,11 +406,13 @@ class Server:
         with socket.create_server(("127.0.0.1", 0)) as probe:
             self.port = probe.getsockname()[1]
         self._command = [sys.executable, "-m", "xpl_cli", "serve", str(adapter)]
-        self._command += ["--host", "127.0.0.1", "--port", str(self.port), *options]
+        # A place waits as long for a client that was cut as a connection does to be closed.
+        self._command += ["--host", "127.0.0.1", "--port", str(self.port), "--set", "close_timeout_s=1", *options]
         self.mark = uuid.uuid4().hex
         self.starts = 0
         self._since = time.time()
         self.log: list[str] = []
+        self._listens = False
         self._process: subprocess.Popen[bytes] | None = None
         self._stopping = False
         self._keeper: threading.Thread | None = None
@@ -438,10 +439,11 @@ class Server:
         )
         assert self._process.stdout is not None
         self.starts += 1
+        self._listens = False
         ready = threading.Event()
         threading.Thread(target=self._read, args=(self._process.stdout, ready), daemon=True).start()
         assert ready.wait(60), self.log
-        assert self._process.poll() is None or self._stopping or self._keeper, self.log
+        assert self._listens or self._stopping or self._keeper, self.log
 
     def workers(self) -> list[int]:
         """Return the processes of its workers."""
@@ -491,7 +493,8 @@ class Server:
         with stream:
             for line in stream:
                 self.log.append(line.decode(errors="replace").rstrip())
-                if line.startswith(b'{"event": "ready"') and json.loads(line)["event"] == "ready":
+                if line.startswith(b'{"event": "ready"'):
+                    self._listens = True
                     ready.set()
         ready.set()
 

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import contextlib
 import inspect
 import itertools
 import os
 import random
 import socket
-import threading
+import time
 import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
@@ -19,7 +20,7 @@ import pytest
 
 from tests import counting
 from tests.chaos import ANSWER, KILLS, PAIRS, REQUEST, Fault, Message, Proxy, Server, deck, nothing_left
-from tests.peer import Peer, wait_until, xpl
+from tests.peer import DEADLINE_S, Peer, wait_until, xpl
 from xpl import Client, wire
 from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
 
@@ -46,6 +47,10 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 VARIANTS = {name: given for name, given in _OPTIONS.items() if given.keys() <= inspect.signature(Client).parameters.keys()}
 """Ways in which a client can talk to a server of today."""
 variants = pytest.mark.parametrize("options", VARIANTS.values(), ids=VARIANTS)
+main_variants = pytest.mark.parametrize(
+    "options", [pytest.param(VARIANTS[name], id=name) for name in ("default", "pipelined") if name in VARIANTS]
+)
+"""Those that differ most, for long runs."""
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +63,7 @@ def adapter(write_adapter: Callable[..., Path]) -> Path:
 def server(adapter: Path) -> Iterator[Server]:
     """Serve it for all tests that leave the server alive; nothing of it may be left afterwards."""
     with Server(adapter) as running:
-        with Client(running.url, config=PATIENCE) as client:  # what is loaded once is not a leak
+        with Client(running.url, config=PATIENCE, **VARIANTS.get("no-shared-memory", {})) as client:  # what is loaded once is not a leak
             play(client, random.Random(SEED), 20)
             client.reset()
         yield running
@@ -69,7 +74,7 @@ def proxy(server: Server) -> Iterator[Proxy]:
     """Return a proxy before that server; the test may leave no connection, descriptor or segment anywhere."""
     with nothing_left(server), Proxy(server.port) as made:
         yield made
-        with Client(server.url, config=PATIENCE) as client:
+        with Client(server.url, config=PATIENCE, **VARIANTS.get("no-shared-memory", {})) as client:
             client.reset()  # the policy holds observations until then, and with them the memory in which they lie
 
 
@@ -150,12 +155,23 @@ def test_an_episode_survives(proxy: Proxy, options: dict[str, Any], kind: str, d
         client.reset()
         step(client, twin, rng)
         proxy.arm([Fault(kind, direction)])
-        arguments = () if name == "get_action" else (observation(rng, 1),)
-        agree(getattr(client, name)(*arguments), getattr(twin, name)(*arguments))
-        for _ in range(3):
-            step(client, twin, rng)
-        finish(client, twin)
+        arguments = () if name == "get_action" else (observation(rng, 1, SIZES[-1]),)
+        with survivable(options):
+            agree(getattr(client, name)(*arguments), getattr(twin, name)(*arguments))
+            for _ in range(3):
+                step(client, twin, rng)
+            finish(client, twin)
     assert proxy.happened == {(kind, direction): 1}
+
+
+@contextlib.contextmanager
+def survivable(options: dict[str, Any]) -> Iterator[None]:
+    """Let no error pass, but the one of a client that sent ahead what it cannot send again: that trial ends loudly."""
+    try:
+        yield
+    except ServerConnectionError as error:
+        if not options.get("pipelined") or "sent ahead through shared memory" not in str(error):
+            raise
 
 
 def at(message_type: str, field: str) -> float:
@@ -230,15 +246,17 @@ def test_a_half_open_connection_does_not_lock_its_client_out(proxy: Proxy) -> No
         play(client, rng, 5)
 
 
+UPGRADE = (
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+
+
 def test_connections_cut_at_any_stage_leave_nothing(server: Server, proxy: Proxy) -> None:
     """Before and in the middle of the upgrade, in the middle of a frame, after hello; the fixture counts what is left."""
-    upgrade = (
-        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
-    ).encode()
     hello = Message(0x82, bytes(4), wire.encode(wire.Frame("hello", "cut"))).data()
-    whole = upgrade + hello
-    for length in [0, 1, len(upgrade) - 1, len(upgrade), len(upgrade) + 1, len(whole) - 1, len(whole)] * 8:
+    whole = UPGRADE + hello
+    for length in [0, 1, len(UPGRADE) - 1, len(UPGRADE), len(UPGRADE) + 1, len(whole) - 1, len(whole)] * 8:
         with socket.create_connection(("127.0.0.1", server.port)) as connection:
             connection.sendall(whole[:length])
     with Client(proxy.url, config=PATIENCE, evaluation_id="cut") as client:
@@ -248,8 +266,8 @@ def test_connections_cut_at_any_stage_leave_nothing(server: Server, proxy: Proxy
 # -- peers that do not read --------------------------------------------------------------------------------------------
 
 MIB = 1 << 20
-BOUND = 128 * MIB
-"""Of what one client can make the server hold: its memory of answers, twice."""
+BOUND = 256 * MIB
+"""Of what one client makes the server hold: the answers it remembers and the requests under way, with their copies."""
 
 
 def memory(pid: int) -> int:
@@ -258,20 +276,20 @@ def memory(pid: int) -> int:
 
 
 def wait_at_rest(pid: int) -> None:
-    """Wait until a process has used no processor time for thirty looks."""
-    looks: deque[str] = deque(maxlen=30)
+    """Wait until neither a process nor this one has used processor time for thirty looks."""
+    looks: deque[tuple[str, int]] = deque(maxlen=30)
 
     def resting() -> bool:
-        looks.append(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[0])
+        used = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[0]
+        looks.append((used, int(time.process_time() * 20)))  # looking itself takes a little
         return len(looks) == looks.maxlen and len(set(looks)) == 1
 
     wait_until(resting, f"process {pid} is at rest")
 
 
-@pytest.mark.xfail(strict=True, reason="nothing bounds the requests of one connection that are under way")
 def test_a_slow_reader_costs_bounded_memory(server: Server, proxy: Proxy) -> None:
     """Many large answers are asked for and none is read; others are served meanwhile, and all arrive in the end."""
-    count = 300
+    count = 600
     with closing(Peer(server.url)) as peer, closing(Peer(server.url)) as other:
         peer.ask("hello")
         before = memory(server.pid)
@@ -285,15 +303,17 @@ def test_a_slow_reader_costs_bounded_memory(server: Server, proxy: Proxy) -> Non
         peer.send("close")
 
 
-@pytest.mark.xfail(strict=True, reason="nothing bounds the requests of one connection that are under way")
-def test_requests_that_pile_up_cost_bounded_memory(server: Server, proxy: Proxy, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("count", "side"), [(600, 591), (36, 2365)], ids=["many", "large"])
+def test_requests_that_pile_up_cost_bounded_memory(
+    server: Server, proxy: Proxy, tmp_path: Path, count: int, side: int
+) -> None:
     """A client sends on and on while the model thinks; it is made to wait, and every step is applied once, in order."""
     fifo, twin, rng = tmp_path / "fifo", counting.Model({}), random.Random(SEED)
     os.mkfifo(fifo)
     with closing(Peer(server.url)) as peer, ThreadPoolExecutor() as threads:
         peer.ask("hello")
         peer.ask("reset")
-        observations = [observation(rng, shape=(512, 683)) for _ in range(300)]
+        observations = [observation(rng, shape=(side, side)) for _ in range(count)]  # 600 MB in all
         before = memory(server.pid)
         ids = [peer.send("infer", {"observation": {**observations[0], "fifo": str(fifo)}}).message_id]
         with fifo.open("w"):
@@ -310,6 +330,20 @@ def test_requests_that_pile_up_cost_bounded_memory(server: Server, proxy: Proxy,
         agree(peer.ask("call", {"func_name": "journal"}).payload["result"], twin.journal())
         peer.send("close")
         assert grown < BOUND
+
+
+@pytest.mark.parametrize("content", [b"", b"x"], ids=["empty", "short"])
+def test_a_message_in_countless_fragments_holds_up_nobody(server: Server, proxy: Proxy, content: bytes) -> None:
+    """Whether it is refused or put together: what others ask is answered meanwhile."""
+    fragment = Message(0x00, bytes(4), content).data()  # neither the first one nor the last
+    before = memory(server.pid)
+    with closing(Peer(server.url)) as other, socket.create_connection(("127.0.0.1", server.port)) as sender:
+        sender.settimeout(DEADLINE_S)
+        with contextlib.suppress(OSError):  # refused, or left unread
+            sender.sendall(UPGRADE + Message(0x02, bytes(4), b"x").data() + 200_000 * fragment)
+        assert other.ask("heartbeat").message_type == "heartbeat_ack"
+        wait_at_rest(server.pid)
+        assert memory(server.pid) - before < BOUND
 
 
 # -- kill -9 -----------------------------------------------------------------------------------------------------------
@@ -395,16 +429,16 @@ def run_chaos(server: Server, steps: int, options: dict[str, Any], every: int) -
     assert ends["whole"] > 0.2 * ends.total(), f"seed {SEED}: hardly a trial was whole: {ends}"
 
 
-@variants
+@main_variants
 def test_every_step_is_applied_once_or_the_trial_ends_loudly(adapter: Path, options: dict[str, Any]) -> None:
-    """Several hundred steps under every kind of fault; the seed is in the message of a failure."""
+    """Five hundred steps under every kind of fault; the seed is in the message of a failure."""
     with Server(adapter) as server:
-        run_chaos(server, 600, options, every=10)
+        run_chaos(server, 500, options, every=20)
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
-@variants
+@pytest.mark.timeout(900)
+@main_variants
 def test_ten_thousand_steps_under_faults(adapter: Path, options: dict[str, Any]) -> None:
     """As above, for longer."""
     with Server(adapter) as server:
@@ -414,7 +448,7 @@ def test_ten_thousand_steps_under_faults(adapter: Path, options: dict[str, Any])
 # -- two clients -------------------------------------------------------------------------------------------------------
 
 
-@variants
+@pytest.mark.parametrize("options", [given for given in VARIANTS.values() if not given.get("pipelined")], ids=str)
 def test_a_second_client_never_gets_between(server: Server, proxy: Proxy, options: dict[str, Any]) -> None:
     """With one worker it is busy at hello, also in the moments in which the first has lost its connection."""
     rng, twin = random.Random(SEED), counting.Model({})
@@ -424,9 +458,10 @@ def test_a_second_client_never_gets_between(server: Server, proxy: Proxy, option
         client.reset()
         for kind, direction in pairs:
             proxy.arm([Fault(kind, direction)])
-            step(client, twin, rng)
-            with pytest.raises(ServerConnectionError, match="in use by another client"):
-                Client(server.url, config=once, **options)
+            for _ in range(2):  # a connection that was cut after an answer is missed with the next request
+                step(client, twin, rng)
+                with pytest.raises(ServerConnectionError, match="in use by another client"):
+                    Client(server.url, config=once, **options)
         finish(client, twin)
     assert proxy.happened == dict.fromkeys(pairs, 1)
     with Client(server.url, config=PATIENCE, **options) as second:

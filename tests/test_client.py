@@ -509,7 +509,7 @@ def test_a_wrong_answer_is_a_clear_error(
 
 def test_a_frame_over_the_limit_is_not_sent(shared: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server would close the connection over it."""
-    with Client(shared.url) as client:
+    with Client(shared.url, shared_memory=False) as client:
         monkeypatch.setitem(spec.LIMITS, "frame_bytes", 100_000)
         with pytest.raises(WireError, match="over the limit"):
             client.infer({"n": 1, "large": np.zeros(100_000, np.uint8)})

@@ -9,6 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from xpl import _spec as spec
 from xpl.action import ActionError, check_chunk
 from xpl.embodiment import UnknownEmbodimentError
 from xpl.observation import ObservationError
@@ -274,16 +275,81 @@ def test_a_reset_that_fails_raises() -> None:
     """It never passes in silence, and our own state is gone already."""
 
     class Fragile(Tracing):
+        fails: bool
+
         def reset_env(self, env: int) -> None:
-            if self._episode:
+            if self.fails:
                 raise RuntimeError("native reset failed")
 
     policy = Fragile(config())
+    policy.fails = False
     policy.update_obs(observed(1))
+    policy.fails = True
     with pytest.raises(RuntimeError, match="native reset failed"):
         policy.reset()
     with pytest.raises(PolicyStateError):
         policy.get_action()
+
+
+CLIENT = spec.LIMITS["client_envs"]
+
+
+def drawn(policy: Tracing, env: int) -> float:
+    """Return the random number of an environment's next chunk."""
+    policy.update_obs(observed(1, env))
+    return float(rows(policy.get_action())[0, 5])
+
+
+def test_reset_envs_ends_the_episode_of_these_environments_only() -> None:
+    """The others keep their history, and the newest batch counts only while it is whole."""
+    policy = Tracing(config())
+    policy.update_obs_batch([observed(number, env) for number, env in ((1, 0), (2, 1), (3, CLIENT))])
+    policy.forgotten.clear()
+    policy.reset_envs([1, 5, 0])
+    assert policy.forgotten == [1, 0]
+    with pytest.raises(PolicyStateError, match="needs an observation"):
+        policy.get_action_batch()
+    with pytest.raises(PolicyStateError, match="environment 0 has no observation"):
+        policy.get_action_batch([0])
+    policy.update_obs(observed(4, CLIENT))
+    policy.reset_envs([])
+    policy.reset_envs([0, 1])
+    assert rows(policy.get_action())[0, :3].tolist() == [3, 3, 4]
+
+
+def test_the_seeds_of_a_client_are_those_that_it_would_have_alone() -> None:
+    """Episodes and environments are counted for each client, however often it or the others reset."""
+    alone, shared = Tracing(config()), Tracing(config())
+    other = Tracing(config())  # never resets
+    for _ in range(4):
+        expected = [drawn(alone, env) for env in (0, 3)]
+        assert [drawn(shared, 2 * CLIENT + env) for env in (0, 3)] == expected
+        assert [drawn(shared, 5 * CLIENT + env) for env in (0, 3)] == [drawn(other, env) for env in (0, 3)]
+        for _ in range(2):  # a second reset changes nothing
+            alone.reset()
+            shared.reset_envs([2 * CLIENT, 2 * CLIENT + 3])
+
+
+def test_a_forward_pass_that_fails_leaves_the_random_generators_where_they_were() -> None:
+    """What is tried again gives what it would have given; so does a batch without the one that spoilt it."""
+
+    class Failing(Tracing):
+        fails = False
+
+        def decode(self, raw: np.ndarray, obs: Any, env: int) -> Any:
+            if self.fails and env == 2:
+                raise ValueError("not this one")
+            return super().decode(raw, obs, env)
+
+    policy, untroubled = Failing(config()), Tracing(config())
+    for one in (policy, untroubled):
+        one.update_obs_batch([observed(env, env) for env in range(3)])
+    policy.fails = True
+    with pytest.raises(ValueError, match="not this one"):
+        policy.get_action_batch()
+    policy.fails = False
+    for chunk, expected in zip(policy.get_action_batch([1, 0]), untroubled.get_action_batch([1, 0]), strict=True):
+        assert rows(chunk).tolist() == rows(expected).tolist()
 
 
 class Fixed(Policy):

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import json
 import os
@@ -25,7 +24,6 @@ from xpl import Client, images, wire
 from xpl import _spec as spec
 from xpl.client import PolicyServerError, ServerConnectionError
 from xpl_cli.errors import ExitCode
-from xpl_cli.serving import session
 from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
 
 # Counts what runs, shows what it was given, and does on request everything an adapter should not do.
@@ -431,41 +429,6 @@ def test_a_retry_after_a_cut_gets_the_answer_of_the_one_run(shared: RunningServe
     back.close()
 
 
-def test_the_memory_of_answers_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By entries and by bytes; what still runs is never forgotten."""
-    monkeypatch.setitem(spec.LIMITS, "replay_entries", 3)
-    monkeypatch.setitem(spec.LIMITS, "replay_bytes", 100)
-
-    async def scenario() -> None:
-        replay = session.Replay()
-        frames = [wire.Frame("infer", "e") for _ in range(6)]
-        futures: list[asyncio.Future[bytes]] = [asyncio.get_running_loop().create_future() for _ in frames]
-        for frame, future in zip(frames, futures, strict=True):
-            replay.add(frame, future)
-        for future in futures[1:]:
-            future.set_result(b"x" * 10)
-        await asyncio.sleep(0)
-        assert len(replay.entries) == 6  # the oldest still runs
-        futures[0].set_result(b"x" * 10)
-        await asyncio.sleep(0)
-        assert [replay.find(frame) is None for frame in frames] == [True, True, True, False, False, False]
-        assert replay.size == 30
-        large = wire.Frame("infer", "e")
-        future = asyncio.get_running_loop().create_future()
-        replay.add(large, future)
-        future.set_result(b"x" * 99)
-        await asyncio.sleep(0)
-        assert list(replay.entries) == [large.message_id]
-        running = asyncio.get_running_loop().create_future()
-        replay.add(frames[0], running)
-        replay.forget()
-        running.set_result(b"late")
-        await asyncio.sleep(0)
-        assert (len(replay.entries), replay.size) == (0, 0)
-
-    asyncio.run(scenario())
-
-
 # -- who may use the worker --------------------------------------------------------------------------------------------
 
 
@@ -499,26 +462,6 @@ def test_a_connection_closed_in_order_frees_the_worker_without_a_goodbye(shared:
     first.close()
     second = wait_until(lambda: greeted(shared.url), "the lease is free")
     second.close()
-
-
-def test_a_lease_survives_a_cut_for_its_own_client_only() -> None:
-    """For the length of the grace period; a clean end frees it at once."""
-    lease = session.Lease(grace=1000.0)
-    assert lease.take("a", "evaluation 1")
-    assert not lease.take("a", "evaluation 1")
-    with pytest.raises(session.RequestError):
-        lease.take("b", "evaluation 1")  # the first connection still stands
-    lease.release("b", clean=True)  # not the holder: changes nothing
-    lease.release("a", clean=False)
-    with pytest.raises(session.RequestError) as busy:
-        lease.take("c", "evaluation 2")
-    assert busy.value.reason == "busy"
-    assert not lease.take("d", "evaluation 1")
-    lease.release("d", clean=True)
-    assert lease.take("c", "evaluation 2")
-    lease.grace = 0.0
-    lease.release("c", clean=False)
-    assert lease.take("e", "evaluation 3")
 
 
 def test_a_cut_client_keeps_its_lease_for_the_grace_period(shared: RunningServer) -> None:

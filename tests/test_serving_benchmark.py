@@ -45,6 +45,7 @@ def test_the_serving_benchmark_measures_every_phase_and_leaves_no_process(tmp_pa
         assert 0 < row["p50_ms"] <= row["p99_ms"]
         assert row["cpu_ms"] > 0
         assert row["ratio"] > 0
+        assert row["shared_memory"] == (row["contender"] == "xpl")
     assert all(row["ratio"] == 1 for row in figures["latency"] if row["contender"] == "tcp")
 
     assert {(row["contender"], row["clients"]) for row in figures["throughput"]} == {("xpl", 1), ("xpl/websocket", 1)}

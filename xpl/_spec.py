@@ -173,6 +173,7 @@ class ErrorReason:
     DUPLICATE_ID = "duplicate_id"
     NO_EPISODE = "no_episode"
     OUT_OF_ORDER = "out_of_order"
+    UNREADABLE = "unreadable"
 
 
 class Capability:
@@ -182,7 +183,7 @@ class Capability:
     JPEG_MARKER = "jpeg_marker"
     LOADING = "loading"
     PACKED = "packed"
-    PIPELINING = "pipelining"
+    SEQUENCE = "sequence"
     SHARED_MEMORY = "shared_memory"
     SESSION = "session"
     JPEG = "jpeg"
@@ -276,6 +277,8 @@ LIMITS: dict[str, int] = {'frame_bytes': 268435456,
  'replay_bytes': 67108864,
  'connections': 256,
  'pending': 64,
+ 'pending_bytes': 67108864,
+ 'fragments': 65536,
  'pipelined': 8,
  'shared_array': 16384,
  'shared_bytes': 1073741824,

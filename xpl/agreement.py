@@ -27,7 +27,7 @@ def needs(manifest: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, A
     inputs = manifest.get(_INPUTS) or {}
     return {
         "name": config.get(spec.Deploy.POLICY_NAME),
-        _EMBODIMENTS: manifest.get(_EMBODIMENTS),
+        _EMBODIMENTS: _all_canonical(manifest.get(_EMBODIMENTS)),
         _EMBODIMENT: _canonical(config.get(spec.Deploy.ENV_CFG_TYPE)),
         _ACTION_TYPES: manifest.get(_ACTION_TYPES),
         _ACTION_TYPE: config.get(spec.Deploy.ACTION_TYPE),
@@ -44,10 +44,13 @@ def differences(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> li
         found.append({"field": field, "policy": wanted, "environment": offered, "message": message})
 
     for one, many in ((_EMBODIMENT, _EMBODIMENTS), (_ACTION_TYPE, _ACTION_TYPES)):
-        offered = environment.get(one)
+        offered, configured, declared = environment.get(one), policy.get(one), policy.get(many)
         if one == _EMBODIMENT:
-            offered = _canonical(offered) or offered
-        configured, declared = policy.get(one), policy.get(many)
+            offered, configured, declared = (
+                _canonical(offered) or offered,
+                _canonical(configured) or configured,
+                _all_canonical(declared),
+            )
         if offered is None:
             continue
         if configured is not None and configured != offered:
@@ -70,6 +73,10 @@ def differences(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> li
 def sentence(found: list[dict[str, Any]]) -> str:
     """Return one sentence about the differences."""
     return "policy and environment do not fit: " + "; ".join(str(one["message"]) for one in found)
+
+
+def _all_canonical(names: Any) -> Any:
+    return [_canonical(name) or name for name in names] if isinstance(names, list) else names
 
 
 def _canonical(name: Any) -> str | None:

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import inspect
 import ssl
 from collections.abc import Coroutine, Mapping, Sequence
 from typing import Any, Callable, TypeVar
 
 from xpl import _spec as spec
-from xpl.client import connect_options, connection_problem, lost_connection
-from xpl.conversation import Conversation, Wishes
+from xpl.blocking import refused_handshake, wrong_address
+from xpl.conversation import Conversation, ServerConnectionError, ServerFailedError, Wishes
 
 _Value = TypeVar("_Value")
+_GOODBYE_S = 0.2
 
 
 class AsyncClient:
@@ -153,17 +155,17 @@ class _Suspending:
     async def open(self, timeout: float | None) -> None:
         connect = _connect()
         try:
-            self._socket = await connect(
-                self._url, **connect_options(connect, self._config, timeout, self._token, self._ssl)
-            )
+            self._socket = await connect(self._url, **_options(connect, self._config, timeout, self._token, self._ssl))
         except Exception as error:  # noqa: BLE001 - mapped
-            raise connection_problem(error, self._url) from None
+            raise _connection_problem(error, self._url) from None
 
-    async def send(self, data: bytes) -> None:
+    async def send(self, data: bytes, timeout: float | None) -> None:
         try:
-            await self._socket.send(data)
+            await asyncio.wait_for(self._socket.send(data), timeout)
+        except asyncio.TimeoutError:
+            raise TimeoutError from None
         except Exception as error:  # noqa: BLE001 - mapped
-            raise lost_connection(error) from None
+            raise _lost_connection(error) from None
 
     async def receive(self, timeout: float | None) -> bytes:
         loop = asyncio.get_running_loop()
@@ -175,7 +177,7 @@ class _Suspending:
             except asyncio.TimeoutError:
                 raise TimeoutError from None
             except Exception as error:  # noqa: BLE001 - mapped
-                raise lost_connection(error) from None
+                raise _lost_connection(error) from None
             if isinstance(message, bytes):  # the wire is binary only
                 return message
 
@@ -183,7 +185,9 @@ class _Suspending:
         opened, self._socket = self._socket, None
         if opened is not None:
             with contextlib.suppress(Exception):
-                await opened.close()
+                # Said, but not waited for: the other side may be the one that does not answer.
+                closing = asyncio.ensure_future(opened.close())
+                await asyncio.wait({closing}, timeout=_GOODBYE_S)
 
     async def pause(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
@@ -196,3 +200,50 @@ def _connect() -> Any:
     except ImportError:
         from websockets.client import connect  # type: ignore[attr-defined,no-redef]
     return connect
+
+
+def _options(
+    connect: Any,
+    config: Mapping[str, Any],
+    timeout: float | None,
+    token: str | None,
+    ssl_context: ssl.SSLContext | None,
+) -> dict[str, Any]:
+    """Return the options for `connect` of any version of websockets from 12 on."""
+    options: dict[str, Any] = {
+        "compression": None,
+        "max_size": spec.LIMITS["frame_bytes"],
+        "open_timeout": timeout,
+        "close_timeout": config[spec.Deploy.CLOSE_TIMEOUT_S],
+        "ping_interval": config[spec.Deploy.WS_PING_INTERVAL_S],
+        "ping_timeout": None,  # a loop that is kept busy must not be taken for a lost connection
+    }
+    known = inspect.signature(connect).parameters
+    if "proxy" in known:
+        options["proxy"] = None  # straight to the server, whatever proxy the environment names
+    if ssl_context is not None:
+        options["ssl"] = ssl_context
+    if token is not None:
+        name = "additional_headers" if "additional_headers" in known else "extra_headers"
+        options[name] = {"Authorization": f"Bearer {token}"}
+    return options
+
+
+def _connection_problem(error: Exception, url: str) -> Exception:
+    from websockets.exceptions import InvalidURI, WebSocketException
+
+    if isinstance(error, InvalidURI):
+        return wrong_address(url, error)
+    if isinstance(error, ssl.SSLError):
+        return ServerConnectionError(f"no secure connection to {url}: {error}")
+    return refused_handshake(error, url) if isinstance(error, WebSocketException) else error
+
+
+def _lost_connection(error: Exception) -> Exception:
+    from websockets.exceptions import ConnectionClosed
+
+    if isinstance(error, ConnectionClosed):
+        if error.rcvd is not None and error.rcvd.code == spec.CLOSE_CODES["server_failed"]:
+            return ServerFailedError(f"the policy server ended: {error.rcvd.reason}")
+        return ConnectionResetError(str(error))
+    return error

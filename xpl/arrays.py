@@ -101,7 +101,8 @@ def _named_dtype(name: str) -> np.dtype[Any]:
 def _dtype(known: Any, description: Any) -> np.dtype[Any]:
     try:
         dtype: np.dtype[Any] = np.dtype(known)
-    except (TypeError, ValueError, OverflowError) as error:
+    # A warning, too, where those are errors: numpy calls some names old.
+    except (TypeError, ValueError, OverflowError, DeprecationWarning) as error:
         raise ArrayError(f"unknown array type {description!r:.80}: {error}") from None
     check_dtype(dtype)
     return dtype

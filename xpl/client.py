@@ -6,21 +6,20 @@
         chunk = policy.get_action()
 
 `call(func_name=..., obs=...)` is the same in the style that benchmarks use. Against a server of the first generation,
-which knows no `call`, observations are held back and sent with `infer`, and a batch is one infer per environment. The
-connection is served by a thread of its own, so that a simulator that blocks misses no ping. See `xpl.aio` for asyncio.
+which knows no `call`, observations are held back and sent with `infer`, and a batch is one infer per environment. A
+thread of its own looks after an idle connection, so that a simulator that blocks misses no ping. `xpl.aio` is for
+asyncio.
 """
 
 from __future__ import annotations
 
-import contextlib
-import inspect
 import ssl
 import threading
-import time
 from collections.abc import Coroutine, Mapping, Sequence
 from typing import Any, Callable, TypeVar
 
 from xpl import _spec as spec
+from xpl.blocking import BlockingTransport
 from xpl.conversation import (
     ClientError,
     Conversation,
@@ -96,9 +95,10 @@ class Client:
             environment=environment,
             on_loading=on_loading,
         )
-        transport = _Blocking(url, {**spec.DEPLOY_DEFAULTS, **(config or {})}, token, ssl_context)
-        self._talk = Conversation(transport, url, config, wishes, evaluation_id, trial_id)
         self._turn = threading.Lock()
+        timing = {**spec.DEPLOY_DEFAULTS, **(config or {})}
+        transport = BlockingTransport(url, timing, token, ssl_context, self._turn)
+        self._talk = Conversation(transport, url, config, wishes, evaluation_id, trial_id)
         self._run(self._talk.connect())
 
     @property
@@ -183,123 +183,3 @@ class Client:
                 value: _Value = done.value
                 return value
             raise AssertionError("a blocking transport was suspended")
-
-
-class _Blocking:
-    """A WebSocket connection whose methods block."""
-
-    def __init__(
-        self, url: str, config: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
-    ) -> None:
-        self._url = url
-        self._config = config
-        self._token = token
-        self._ssl = ssl_context
-        self._socket: Any = None
-        self._open = contextlib.ExitStack()
-
-    async def open(self, timeout: float | None) -> None:
-        from websockets.sync.client import connect
-
-        options = connect_options(connect, self._config, timeout, self._token, self._ssl)
-        # In a thread that does not keep the interpreter alive: the connection's own threads are of its kind, and
-        # websockets 12 would have a script that forgets to close wait for ever.
-        outcome: list[Any] = []
-
-        def enter() -> None:
-            try:
-                # As a context, which is the one form that all versions of websockets take.
-                outcome.append(self._open.enter_context(connect(self._url, **options)))
-            except BaseException as error:  # noqa: BLE001 - raised in the thread that asked
-                outcome.append(error)
-
-        thread = threading.Thread(target=enter, daemon=True)
-        thread.start()
-        thread.join()
-        if isinstance(outcome[0], BaseException):
-            raise connection_problem(outcome[0], self._url) from None
-        self._socket = outcome[0]
-
-    async def send(self, data: bytes) -> None:
-        try:
-            self._socket.send(data)
-        except Exception as error:  # noqa: BLE001 - mapped
-            raise lost_connection(error) from None
-
-    async def receive(self, timeout: float | None) -> bytes:
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while True:
-            try:
-                message = self._socket.recv(timeout=deadline and max(0.0, deadline - time.monotonic()))
-            except TimeoutError:
-                raise
-            except Exception as error:  # noqa: BLE001 - mapped
-                raise lost_connection(error) from None
-            if isinstance(message, bytes):  # the wire is binary only
-                return message
-
-    async def close(self) -> None:
-        self._socket = None
-        with contextlib.suppress(Exception):
-            self._open.close()
-
-    async def pause(self, seconds: float) -> None:
-        time.sleep(seconds)  # noqa: ASYNC251 - this transport is the one that blocks
-
-
-def connect_options(
-    connect: Any,
-    config: Mapping[str, Any],
-    timeout: float | None,
-    token: str | None,
-    ssl_context: ssl.SSLContext | None,
-) -> dict[str, Any]:
-    """Return the options for `connect` of any version of websockets from 12 on."""
-    options: dict[str, Any] = {
-        "compression": None,
-        "max_size": spec.LIMITS["frame_bytes"],
-        "open_timeout": timeout,
-        "close_timeout": config[spec.Deploy.CLOSE_TIMEOUT_S],
-    }
-    known = inspect.signature(connect).parameters
-    # What not all versions have. Straight to the server, whatever proxy the environment names; and a simulator that
-    # keeps the interpreter busy must not be taken for a lost connection.
-    some: dict[str, Any] = {
-        "proxy": None,
-        "ping_interval": config[spec.Deploy.WS_PING_INTERVAL_S],
-        "ping_timeout": None,
-    }
-    options.update({name: value for name, value in some.items() if name in known})
-    if ssl_context is not None:
-        options["ssl" if "ssl" in known or "ssl_context" not in known else "ssl_context"] = ssl_context
-    if token is not None:
-        name = "additional_headers" if "additional_headers" in known else "extra_headers"
-        options[name] = {"Authorization": f"Bearer {token}"}
-    return options
-
-
-def connection_problem(error: BaseException, url: str) -> BaseException:
-    """Return how a failed attempt to connect is reported: for good, or as an OSError that may be tried again."""
-    from websockets.exceptions import InvalidURI, WebSocketException
-
-    if isinstance(error, InvalidURI):
-        return ServerConnectionError(f"a policy server's address is ws://host:port, got {url!r}: {error}")
-    if isinstance(error, ssl.SSLError):
-        return ServerConnectionError(f"no secure connection to {url}: {error}")
-    status = getattr(getattr(error, "response", None), "status_code", None) or getattr(error, "status_code", None)
-    if status in (401, 403):
-        return ServerConnectionError(f"the policy server at {url} wants another bearer token (HTTP {status})")
-    if isinstance(error, WebSocketException):  # something answers there, but no policy server
-        return ConnectionError(str(error))
-    return error
-
-
-def lost_connection(error: Exception) -> Exception:
-    """Return how an error of an open connection is reported: the server's own reason, or an OSError."""
-    from websockets.exceptions import ConnectionClosed
-
-    if isinstance(error, ConnectionClosed):
-        if error.rcvd is not None and error.rcvd.code == spec.CLOSE_CODES["server_failed"]:
-            return ServerFailedError(f"the policy server ended: {error.rcvd.reason}")
-        return ConnectionResetError(str(error))
-    return error

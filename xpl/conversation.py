@@ -23,7 +23,10 @@ from xpl.observation import color_of, env_indices, is_encoded
 _CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
 _AGAIN = (spec.ErrorReason.BUSY, spec.ErrorReason.LOADING)
 _ACTING = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
+_UNCOUNTED = (spec.ErrorReason.UNREADABLE, spec.ErrorReason.SHUTTING_DOWN, *_AGAIN)
+_BETWEEN_EPISODES = (spec.Message.RESET, spec.Message.HEARTBEAT, spec.Message.PREPARE_CASE, spec.Message.TRIAL_END)
 _LOADING_POLL_S = 0.5
+_GOODBYE_S = 0.2
 
 
 class ClientError(RuntimeError):
@@ -70,8 +73,8 @@ class Transport(Protocol):
     async def open(self, timeout: float | None) -> None:
         """Connect within `timeout` seconds."""
 
-    async def send(self, data: bytes) -> None:
-        """Send a binary message."""
+    async def send(self, data: bytes, timeout: float | None) -> None:
+        """Send a binary message within `timeout` seconds."""
 
     async def receive(self, timeout: float | None) -> bytes:
         """Return the next binary message."""
@@ -146,11 +149,12 @@ class Conversation:
         self._session = uuid.uuid4().hex
         self._step = 0
         self._is_open = False
+        self._is_lost = False
         self._held: list[Mapping[str, Any]] = []
         self._arena: Any = None
         self._ahead: OrderedDict[str, _Ahead] = OrderedDict()
         self._late: PolicyServerError | None = None
-        self._sequence = itertools.count()
+        self._sequence = 0
         self.server_instance_id: str | None = None
         self.capabilities: Mapping[str, Any] = {}
         self.policy: Mapping[str, Any] = {}
@@ -161,6 +165,7 @@ class Conversation:
         """Start a new episode."""
         self._step = 0
         self._held = []
+        self._is_lost = False
         await self._request(spec.Message.RESET, {spec.Payload.TRIAL_ID: self._trial_id})
 
     async def update_obs(self, obs: Mapping[str, Any]) -> None:
@@ -241,12 +246,8 @@ class Conversation:
 
     async def settle(self) -> None:
         """Wait for the answers to all updates that were sent ahead, and raise what went wrong with them."""
-        while self._ahead and self._is_open:
-            try:
-                self._take(wire.decode(await self._transport.receive(_left(self._request_deadline()))))
-            except (OSError, wire.WireError) as error:
-                await self._drop()
-                raise ServerConnectionError(f"the connection was lost: {error}") from None
+        while self._ahead:
+            await self._receive_ahead()
         self._raise_late()
 
     async def close(self) -> None:
@@ -254,7 +255,7 @@ class Conversation:
         if not self._is_open:
             return
         with contextlib.suppress(Exception):  # the connection may be gone already, which is what was wanted
-            await self._transport.send(wire.encode(self._frame(spec.Message.CLOSE, {})))
+            await self._transport.send(wire.encode(self._frame(spec.Message.CLOSE, {})), _GOODBYE_S)
         await self._drop()
 
     # -- connecting ----------------------------------------------------------------------------------------------------
@@ -290,7 +291,10 @@ class Conversation:
             greeting = await self._hello({})
             while greeting.get(spec.Payload.STATE) == spec.ServerState.LOADING:
                 greeting = await self._wait_for_the_model(greeting, deadline)
-            self.server_instance_id = greeting.get(spec.Payload.SERVER_INSTANCE_ID)
+            instance = greeting.get(spec.Payload.SERVER_INSTANCE_ID)
+            if instance != self.server_instance_id:
+                self._sequence = 0
+            self.server_instance_id = instance
             self.capabilities = _map(greeting.get(spec.Payload.CAPABILITIES))
             self.policy = _map(greeting.get(spec.Payload.POLICY))
             self._check_fit()
@@ -304,14 +308,13 @@ class Conversation:
         capabilities: dict[str, Any] = {
             spec.Capability.WIRE_VERSION: spec.WIRE_VERSION,
             spec.Capability.LOADING: True,
+            spec.Capability.SEQUENCE: True,
             spec.Capability.SESSION: self._session,
         }
         if wishes.packed:
             capabilities[spec.Capability.PACKED] = 1
             if wishes.shared_memory:
                 capabilities[spec.Capability.SHARED_MEMORY] = shared_memory or {"wanted": True}
-        if wishes.pipelined:
-            capabilities[spec.Capability.PIPELINING] = True
         if wishes.jpeg:
             capabilities[spec.Capability.JPEG] = dict(wishes.jpeg)
         payload: dict[str, Any] = {spec.Payload.CAPABILITIES: capabilities}
@@ -373,39 +376,51 @@ class Conversation:
         return result
 
     async def _update(self, name: str, obs: Any) -> None:
-        if not (self._wishes.pipelined and self.capabilities.get(spec.Capability.PIPELINING)):
+        if not (self._wishes.pipelined and self.capabilities.get(spec.Capability.SEQUENCE)):
             await self._call(name, obs)
             return
-        self._raise_late()
+        self._check_open(spec.Message.CALL)
         while len(self._ahead) >= spec.LIMITS["pipelined"]:
             await self._receive_ahead()
-        payload = {spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs, spec.Payload.SEQUENCE: next(self._sequence)}
-        frame = self._frame(spec.Message.CALL, payload)
-        data, blocks = self._encoded(frame)
+        self._raise_late()
+        frame, data, blocks = self._numbered(spec.Message.CALL, {spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs})
+        deadline = self._request_deadline()
         self._ahead[frame.message_id] = _Ahead(frame, None if blocks else data, blocks)
         try:
-            await self._send(data)
-        except OSError as error:
-            await self._reconnect(error, _deadline(self._config[spec.Deploy.REQUEST_TIMEOUT_S]))
-
-    async def _receive_ahead(self) -> None:
-        deadline = self._request_deadline()
-        try:
-            self._take(wire.decode(await self._receive(deadline)))
+            await self._transport.send(data, _left(deadline))
         except OSError as error:
             await self._reconnect(error, deadline)
-        self._raise_late()
+
+    async def _receive_ahead(self) -> None:
+        """Take in one more answer to what was sent ahead."""
+        deadline = self._request_deadline()
+        try:
+            self._take(wire.decode(await self._transport.receive(_left(deadline))))
+        except ServerFailedError:
+            await self._drop()
+            raise
+        except TimeoutError:
+            await self.close()
+            raise RequestTimeoutError("an update that was sent ahead was not answered in time") from None
+        except OSError as error:
+            await self._reconnect(error, deadline)
 
     def _frame(self, message_type: str, payload: dict[str, Any]) -> wire.Frame:
         return wire.Frame(message_type, self._evaluation_id, payload, trial_id=self._trial_id, step=self._step)
 
+    def _numbered(self, message_type: str, payload: dict[str, Any]) -> tuple[wire.Frame, bytes, list[int]]:
+        """Return a request with its number, where the server counts, too; its bytes and its blocks."""
+        counts = message_type != spec.Message.HEARTBEAT and bool(self.capabilities.get(spec.Capability.SEQUENCE))
+        frame = self._frame(message_type, {**payload, spec.Payload.SEQUENCE: self._sequence} if counts else payload)
+        data, blocks = self._encoded(frame)
+        self._sequence += counts  # not before: what cannot be sent has no number
+        return frame, data, blocks
+
     async def _request(self, message_type: str, payload: dict[str, Any]) -> dict[str, Any]:
         """Return the payload of the answer; reconnects once after a cut, all within the request's timeout."""
-        if not self._is_open:
-            raise ServerConnectionError("the client is closed")
-        frame = self._frame(message_type, payload)
+        self._check_open(message_type)
+        frame, data, blocks = self._numbered(message_type, payload)
         deadline = self._request_deadline()
-        data, blocks = self._encoded(frame)
         try:
             answer = await self._exchange(frame, data, deadline)
         except OSError as error:
@@ -423,6 +438,13 @@ class Conversation:
         self._raise_late()
         return answer
 
+    def _check_open(self, message_type: str) -> None:
+        """Refuse what cannot be asked: the client is closed, or the episode's state was lost and not yet reset."""
+        if not self._is_open:
+            raise ServerConnectionError("the client is closed")
+        if self._is_lost and message_type not in _BETWEEN_EPISODES:
+            raise ServerRestartedError("the policy server was restarted: the episode's state is gone; reset") from None
+
     async def _reconnect(self, error: OSError, deadline: float) -> None:
         """Come back to the same server after a cut, and send again what was sent ahead and not answered."""
         await self._drop()
@@ -439,10 +461,12 @@ class Conversation:
         instance = self.server_instance_id
         await self.connect(deadline)
         if self.server_instance_id != instance:
-            raise ServerRestartedError("the policy server was restarted: the episode's state is gone") from None
+            self._is_lost = True
+            self._ahead.clear()
+            self._check_open(spec.Message.CALL)
         try:
             for update in ahead:
-                await self._transport.send(update.data or b"")
+                await self._transport.send(update.data or b"", _left(deadline))
         except OSError as again:
             await self._drop()
             raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
@@ -451,29 +475,22 @@ class Conversation:
         """Send a request and return the payload of its answer; a lost connection is an OSError."""
         started = time.monotonic()
         try:
-            await self._send(data)
+            await self._transport.send(data, _left(deadline))
             while True:
-                answer = wire.decode(await self._receive(deadline))
+                answer = wire.decode(await self._transport.receive(_left(deadline)))
                 if answer.message_id == frame.message_id:
-                    return _payload(answer, frame)
+                    return self._read(answer, frame)
                 self._take(answer)
         except TimeoutError:
             await self.close()
             waited = time.monotonic() - started
             raise RequestTimeoutError(f"{frame.message_type} was not answered within {waited:.1f} s") from None
-        except (wire.WireError, packed.PackingError) as error:
-            await self._drop()
-            raise ClientError(f"what the server sent cannot be understood: {error}") from None
-
-    async def _send(self, data: bytes) -> None:
-        await self._transport.send(data)
-
-    async def _receive(self, deadline: float) -> bytes:
-        try:
-            return await self._transport.receive(_left(deadline))
         except ServerFailedError:
             await self._drop()
             raise
+        except (wire.WireError, packed.PackingError) as error:
+            await self._drop()
+            raise ClientError(f"what the server sent cannot be understood: {error}") from None
 
     def _take(self, answer: wire.Frame) -> None:
         """Take in the answer to an update that was sent ahead; others are not ours."""
@@ -483,9 +500,19 @@ class Conversation:
         if update.blocks and self._arena is not None:
             self._arena.answered(update.blocks)
         try:
-            _payload(answer, update.frame)
+            self._read(answer, update.frame)
         except PolicyServerError as error:
             self._late = self._late or error
+
+    def _read(self, answer: wire.Frame, request: wire.Frame) -> dict[str, Any]:
+        """Return the payload of an answer; an error that the server did not count is not counted here either."""
+        try:
+            return _payload(answer, request)
+        except PolicyServerError as error:
+            number = request.payload.get(spec.Payload.SEQUENCE)
+            if error.details.get("reason") in _UNCOUNTED and number == self._sequence - 1:
+                self._sequence -= 1
+            raise
 
     def _raise_late(self) -> None:
         late, self._late = self._late, None

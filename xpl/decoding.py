@@ -28,7 +28,7 @@ def decode_rows(raw: Any, embodiment: Embodiment, action_type: str) -> list[dict
     Raises:
         ActionError: if the width is not the embodiment's, or a value is not finite or beyond repair.
     """
-    rows = np.asarray(raw, dtype=np.float32)
+    rows = np.array(raw, dtype=np.float32)  # a copy: the model may reuse its output
     dim = action_dim(embodiment, action_type)
     if rows.ndim != 2 or rows.shape[1] != dim or not len(rows):
         raise ActionError(
@@ -48,7 +48,7 @@ def decode_rows(raw: Any, embodiment: Embodiment, action_type: str) -> list[dict
             columns[pose] = _unit_poses(columns[pose], pose)
         if arm.gripper == "parallel_gripper":
             columns[effector] = _gripper(columns[effector], effector)
-    return [{key: values[index].copy() for key, values in columns.items()} for index in range(len(rows))]
+    return [dict(zip(columns, step)) for step in zip(*columns.values())]
 
 
 def _unit_poses(poses: np.ndarray, key: str) -> np.ndarray:

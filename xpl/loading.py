@@ -63,10 +63,12 @@ def check_shareable(model_class: type, ambiguous: Sequence[str]) -> None:
     Raises:
         LoadError: if it cannot tell its clients apart.
     """
-    if not callable(getattr(model_class, spec.Method.RESET_ENVS, None)):
+    needed = (spec.Method.UPDATE_OBS_BATCH, spec.Method.GET_ACTION_BATCH, spec.Method.RESET_ENVS)
+    missing = [name for name in needed if not callable(getattr(model_class, name, None))]
+    if missing:
         raise LoadError(
-            f"policy.yml says serving.shared, but {spec.MODEL_CLASS} has no {spec.Method.RESET_ENVS}(env_idx_list): "
-            "derive it from xpl.Policy, or write one"
+            f"policy.yml says serving.shared, but {spec.MODEL_CLASS} has no {', '.join(missing)}: derive it from "
+            "xpl.Policy, or write one that takes a list of environments"
         )
     unclear = [name for name in ambiguous if callable(getattr(model_class, name, None))]
     if unclear:

@@ -1,17 +1,16 @@
 """Values as bytes without msgpack: a JSON header and raw buffers.
 
-The private link between front end and worker speaks this, and so does the wire where both sides announced it:
-arrays are neither wrapped nor copied one by one, and the front end passes on what it need not read. One message is
+What a worker is asked and answers is in this form, and so are payloads on the wire where both sides announced it:
+arrays are neither wrapped nor copied one by one, and the front end passes on what it need not read. One value is
 
     <"XPL1"><header length: u32><body length: u64>   little endian
     <header: JSON, UTF-8, padded with spaces>
-    <body: buffers, each at a multiple of 16 bytes>
+    <body: buffers in the order of the header, each at a multiple of 16 bytes>
 
 In the header an array is `{"@array": [offset, dtype, shape]}`, a numpy scalar the same with shape null, a byte string
-`{"@bytes": [offset, length]}`, and a value that was packed before `{"@packed": [offset, length]}`. An array that lies
-in shared memory is `{"@shared": [block, offset, dtype, shape]}`. A list of maps that hold arrays of equal keys, types
-and shapes, as action chunks do, is `{"@rows": {key: [offset, dtype, shape]}}`, with the length of the list as the first
-size. A text key that starts with `@` has it doubled. No pickle.
+`{"@bytes": [offset, length]}`. An array that lies in shared memory is `{"@shared": [block, offset, dtype, shape]}`. A
+list of maps that hold arrays of equal keys, types and shapes, as action chunks do, is `{"@rows": {key: [offset, dtype,
+shape]}}`, with the length of the list as the first size. A text key that starts with `@` has it doubled. No pickle.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
-from typing import Any, Callable, NamedTuple, Optional
+from typing import Any, Callable, Optional
 
 import numpy as np
 
@@ -30,9 +29,10 @@ _PREFIX = struct.Struct("<4sIQ")
 PREFIX_BYTES = _PREFIX.size
 _MAGIC = b"XPL1"
 _ALIGN = 16
-_ESCAPE, _ARRAY, _BYTES, _PACKED, _SHARED, _ROWS = "@", "@array", "@bytes", "@packed", "@shared", "@rows"
-_MARKS = frozenset((_ARRAY, _BYTES, _PACKED, _SHARED, _ROWS))
+_ESCAPE, _ARRAY, _BYTES, _SHARED, _ROWS = "@", "@array", "@bytes", "@shared", "@rows"
+_MARKS = frozenset((_ARRAY, _BYTES, _SHARED, _ROWS))
 _SMALL = 1 << 12
+_ZEROS = bytes(_ALIGN)
 HEADER_LIMIT = 64 * 1024 * 1024
 BODY_LIMIT = 8 * 1024**3
 """Bytes; more than any frame unpacks to. Only a stream that is out of step asks for more."""
@@ -49,22 +49,11 @@ class PackingError(ValueError):
     """A value cannot be packed, or what arrived is not a packed value."""
 
 
-class Packed(NamedTuple):
-    """A value that is packed already, and travels as it is.
-
-    Attributes:
-        data: the whole message.
-    """
-
-    data: Data
-
-
 def encode(value: Any, place: Place | None = None) -> list[Data]:
     """Return the pieces of one message; arrays are not copied unless they are small or not contiguous.
 
     Args:
-        value: maps, lists, tuples, text, numbers, None, byte strings, numpy arrays and scalars, torch tensors, and
-            `Packed` values.
+        value: maps, lists, tuples, text, numbers, None, byte strings, numpy arrays and scalars, torch tensors.
         place: puts large arrays into shared memory.
 
     Raises:
@@ -103,13 +92,12 @@ def lengths(prefix: Data) -> tuple[int, int]:
     return header, body
 
 
-def decode(message: Data, find: Find | None = None, *, whole: bool = True) -> Any:
+def decode(message: Data, find: Find | None = None) -> Any:
     """Return the value of one message. Arrays are read-only views of it.
 
     Args:
         message: all bytes of it.
         find: finds arrays in shared memory.
-        whole: also decode the `Packed` values inside; they stay as they are otherwise.
 
     Raises:
         PackingError: if the bytes are not exactly one message, or header and body do not fit together.
@@ -120,7 +108,7 @@ def decode(message: Data, find: Find | None = None, *, whole: bool = True) -> An
         raise PackingError(f"a packed value of {PREFIX_BYTES + header + body} bytes was announced, got {len(view)}")
     try:
         tree = json.loads(str(view[PREFIX_BYTES : PREFIX_BYTES + header], "utf-8"))
-        return _Reader(view[PREFIX_BYTES + header :], find, whole=whole).value(tree)
+        return _Reader(view[PREFIX_BYTES + header :], find).value(tree)
     except PackingError:
         raise
     except (ValueError, TypeError, LookupError, RecursionError, OverflowError, AttributeError) as error:
@@ -149,6 +137,14 @@ class _Writer:
         self.size = 0
 
     def tree(self, value: Any) -> Any:  # noqa: PLR0911 - one return for each kind of value
+        kind = type(value)
+        if kind is dict:
+            return {
+                key if type(key) is str and key[:1] != _ESCAPE else _escaped(map_key(key)): self.tree(item)
+                for key, item in value.items()
+            }
+        if kind is np.ndarray:
+            return self._array(value)
         if value is None or isinstance(value, (str, bool, int, float)):
             # Python's text and numbers by another name
             return value.item() if isinstance(value, (np.str_, np.float64)) else value
@@ -156,8 +152,6 @@ class _Writer:
             return self._array(value)
         if isinstance(value, Mapping):
             return {_escaped(map_key(key)): self.tree(item) for key, item in value.items()}
-        if isinstance(value, Packed):
-            return {_PACKED: [self._add(value.data), len(value.data)]}
         if isinstance(value, (list, tuple)):
             return self._rows(value) or [self.tree(item) for item in value]
         if isinstance(value, (bytes, bytearray, memoryview)):
@@ -209,21 +203,23 @@ class _Writer:
 
     def _add(self, data: Data) -> int:
         offset = self.size
+        size = len(data)
+        gap = -size % _ALIGN
         self.pieces.append(data)
-        gap = -len(data) % _ALIGN
         if gap:
-            self.pieces.append(bytes(gap))
-        self.size = offset + len(data) + gap
+            self.pieces.append(_ZEROS[:gap])
+        self.size = offset + size + gap
         return offset
 
 
 class _Reader:
     """Turns a tree and a body back into the value."""
 
-    def __init__(self, body: memoryview, find: Find | None, *, whole: bool) -> None:
+    def __init__(self, body: memoryview, find: Find | None) -> None:
         self._body = body
         self._find = find
-        self._whole = whole
+        self._read_to = 0
+        self._left = spec.LIMITS["elements"]
 
     def value(self, tree: Any) -> Any:
         if isinstance(tree, list):
@@ -251,16 +247,16 @@ class _Reader:
             if self._find is None:
                 raise PackingError("an array lies in shared memory, but none was agreed on")
             return self._find(block, offset, parse_dtype(description), shape)
-        data = self._cut(*given)
-        if mark == _BYTES:
-            return bytes(data)
-        return decode(data, self._find) if self._whole else Packed(data)
+        return bytes(self._cut(*given))
 
     def _rows(self, given: Any) -> list[dict[str, np.ndarray]]:
         columns = {key[1:] if key.startswith(_ESCAPE) else key: self._at(*place) for key, place in given.items()}
         # Without content a few bytes could stand for any number of rows.
         if len({len(column) for column in columns.values()}) != 1 or not all(map(np.size, columns.values())):
             raise PackingError("the columns of a packed list differ in length, or are empty")
+        self._left -= sum(map(len, columns.values()))
+        if self._left < 0:
+            raise PackingError(f"packed lists hold more than {spec.LIMITS['elements']} arrays: send larger ones")
         return [dict(zip(columns, row)) for row in zip(*columns.values())]
 
     def _at(self, offset: Any, description: Any, shape: Any) -> np.ndarray:
@@ -268,8 +264,11 @@ class _Reader:
         return from_data(self._cut(offset, dtype.itemsize * size_of(shape)), dtype, shape)
 
     def _cut(self, offset: Any, length: Any) -> memoryview:
-        if type(offset) is not int or type(length) is not int or not 0 <= offset <= offset + length <= len(self._body):
-            raise PackingError(f"bytes {offset!r:.40} to +{length!r:.40} lie outside a body of {len(self._body)}")
+        # In the order of the header and none twice: what a message makes is in proportion to its bytes.
+        start, end = self._read_to, len(self._body)
+        if type(offset) is not int or type(length) is not int or not start <= offset <= offset + length <= end:
+            raise PackingError(f"bytes {offset!r:.40} to +{length!r:.40} lie outside a body's {start} to {end}")
+        self._read_to = offset + length
         return self._body[offset : offset + length]
 
 

@@ -206,8 +206,15 @@ class Policy:
         if not envs:
             return []
         inputs = [self._inputs(state, env) for state, env in zip(states, envs)]
-        rows = self._checked(self.predict(inputs, envs), envs)
-        return [self._decoded(raw, state, env) for raw, state, env in zip(rows, states, envs)]
+        drawn = [state.rng.bit_generator.state for state in states]
+        try:
+            rows = self._checked(self.predict(inputs, envs), envs)
+            return [self._decoded(raw, state, env) for raw, state, env in zip(rows, states, envs)]
+        except BaseException:
+            # As if it had not been: a batch that one client spoils is tried again without it.
+            for state, before in zip(states, drawn):
+                state.rng.bit_generator.state = before
+            raise
 
     def reset(self) -> None:
         """Start a new episode in every environment. Calling it again changes nothing."""
@@ -274,7 +281,8 @@ class Policy:
 
     def _decoded(self, raw: np.ndarray, state: _Environment, env: int) -> list[ActionStep]:
         steps = self.decode(raw, state.frames[-1].obs, env)
-        check_chunk(steps, self.embodiment, self.action_type)
+        if type(self).decode is not Policy.decode:  # which makes nothing that would not pass
+            check_chunk(steps, self.embodiment, self.action_type)
         if self.chunk is not None and len(steps) != self.chunk:
             raise ActionError(f"the manifest declares chunks of {self.chunk} steps, this one has {len(steps)}")
         return steps if self._ensembling is None else self._ensembled(steps, state, self._ensembling)

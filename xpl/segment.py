@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import mmap
 import os
 import secrets
@@ -73,7 +74,7 @@ class Segment:
             # The lock tells `sweep` that the maker lives; the system drops it with the process.
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.ftruncate(self._file, size)
-            _take(self._file, 0, _DATA + _GRAIN)
+            _take(self._file, 0, min(size, _DATA + _GRAIN))
             os.pwrite(self._file, self.token, 0)
         except OSError as error:
             self.close()
@@ -128,6 +129,9 @@ class Arena:
     """
 
     def __init__(self, path: str, size: int) -> None:
+        # The server may be anyone's: no other file of this user is to be opened because it says so.
+        if Path(path).parent != folder() or not Path(path).name.startswith(_PREFIX):
+            raise SegmentError(f"shared memory must be a file {folder()}/{_PREFIX}*, the server named {path:.200}")
         try:
             self._file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
         except OSError as error:
@@ -142,7 +146,8 @@ class Arena:
             raise SegmentError(str(error)) from None
         self._size = size
         self._taken_to = _DATA
-        self._used: list[tuple[int, int, int]] = []  # offset, end, block; by offset
+        self._used: list[tuple[int, int, int, int]] = []  # offset, end, block, ticket; by offset
+        self._tickets = itertools.count()
         self._written: list[int] = []
         self._spare = list(range(_BLOCKS))
         self.token = self._map[:_TOKEN]
@@ -158,20 +163,24 @@ class Arena:
         target = np.ndarray(array.shape, array.dtype, self._map, offset)
         target[...] = array
         self._map[_STATES + block] = _SENT
-        self._used.append((offset, offset + array.nbytes, block))
+        ticket = next(self._tickets)
+        self._used.append((offset, offset + array.nbytes, block, ticket))
         self._used.sort()
-        self._written.append(block)
+        self._written.append(ticket)
         return block, offset
 
     def written(self) -> list[int]:
-        """Return the blocks placed since the last call: those of one request."""
-        blocks, self._written = self._written, []
-        return blocks
+        """Return the tickets of the arrays placed since the last call: those of one request."""
+        tickets, self._written = self._written, []
+        return tickets
 
-    def answered(self, blocks: list[int]) -> None:
-        """Free the blocks of a request that was answered though the worker never took them."""
-        for block in blocks:
-            if self._map[_STATES + block] == _SENT:
+    def answered(self, tickets: list[int]) -> None:
+        """Free the blocks of a request that was answered though the worker never took them.
+
+        A block that the worker has done with may carry the array of a later request already: hence the tickets.
+        """
+        for _, _, block, ticket in self._used:
+            if ticket in tickets and self._map[_STATES + block] == _SENT:
                 self._map[_STATES + block] = _FREE
 
     def close(self) -> None:
@@ -186,7 +195,7 @@ class Arena:
         states = self._map
         kept, start, found = [], _DATA, None
         for entry in self._used:
-            offset, end, block = entry
+            offset, end, block, _ = entry
             if states[_STATES + block] == _FREE:
                 self._spare.append(block)
                 continue
@@ -248,12 +257,13 @@ class Window:
             raise PackingError(f"block {block!r:.40} at {offset!r:.40} of the shared memory holds no array")
         self._map[_STATES + block] = _TAKEN
         flat = np.ndarray((size,), np.uint8, self._data, offset)
-        weakref.finalize(flat, _free, self._map, block).atexit = False
+        weakref.finalize(flat, _free, self._map, block, os.getpid()).atexit = False
         return flat.view(dtype).reshape(shape)
 
 
-def _free(memory: mmap.mmap, block: int) -> None:
-    memory[_STATES + block] = _FREE
+def _free(memory: mmap.mmap, block: int, process: int) -> None:
+    if os.getpid() == process:  # a child that the adapter forked drops its copies of views that live on here
+        memory[_STATES + block] = _FREE
 
 
 def _check_own(file: int) -> None:

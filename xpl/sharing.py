@@ -15,6 +15,8 @@ from xpl.observation import ObservationError, env_index, env_indices
 from xpl.policy import PolicyStateError
 
 _SPAN = spec.LIMITS["client_envs"]
+_FAILURES = (Exception, SystemExit)
+"""What belongs to the client whose request raised it; libraries that parse the command line end the process."""
 
 
 @dataclass
@@ -66,7 +68,7 @@ class SharedModel:
         for place, request in enumerate(requests):
             try:
                 wanted = self._observe(request)
-            except Exception as error:  # noqa: BLE001 - reported to the client that caused it
+            except _FAILURES as error:  # noqa: PERF203 - each is tried alone
                 results[place] = error
             else:
                 if wanted is not None:
@@ -81,11 +83,14 @@ class SharedModel:
         client = self._clients.setdefault(request.client, _Client(request.client * _SPAN))
         method, argument = request.method, request.argument
         if method == spec.Method.RESET:
-            known, client.order, client.known = sorted(client.known), None, set()
-            self._model.reset_envs(known)
+            client.order = None
+            self._model.reset_envs(sorted(client.known))
+            client.known.clear()  # not before: a reset that failed is tried again for the same environments
             return None
-        if method in (spec.Method.INFER, spec.Method.UPDATE_OBS) or isinstance(argument, Mapping):
-            self._update(client, [argument], [argument.get(spec.Obs.ENV_IDX) or 0])
+        actions = method == spec.Method.GET_ACTION and isinstance(argument, Mapping)
+        if actions or method in (spec.Method.INFER, spec.Method.UPDATE_OBS):
+            index = argument.get(spec.Obs.ENV_IDX)
+            self._update(client, [argument], [0 if index is None else index])
         elif method == spec.Method.UPDATE_OBS_BATCH:
             self._update(client, argument, env_indices(argument))
         if method in (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH):
@@ -109,7 +114,7 @@ class SharedModel:
 
     def _checked(self, client: _Client, numbers: list[int]) -> list[int]:
         envs = [number - client.first for number in numbers]
-        unknown = [env for env, number in zip(envs, numbers) if number not in client.known]
+        unknown = [env for env, number in zip(envs, numbers) if client.order is None or number not in client.known]
         if unknown:
             raise PolicyStateError(f"environments {unknown} have no observation since the last reset")
         if len(set(envs)) != len(envs):
@@ -123,7 +128,7 @@ class SharedModel:
             chunks = list(self._model.get_action_batch(together)) if together else []
             if len(chunks) != len(together):
                 raise ValueError(f"get_action_batch returned {len(chunks)} chunks for {len(together)} environments")
-        except Exception as error:  # noqa: BLE001 - reported to the client that caused it
+        except _FAILURES as error:
             if len(asked) == 1:
                 return dict.fromkeys(asked, error)
             return {place: self._answers({place: numbers})[place] for place, numbers in asked.items()}

@@ -8,6 +8,8 @@ date types are refused both ways. Decoded arrays are read-only. Source: spec/<ve
 from __future__ import annotations
 
 import datetime as dt
+import functools
+import itertools
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +25,7 @@ from xpl.packed import decode as unpack
 _K = spec.ARRAY_KEYS
 _ND, _TYPE, _KIND, _SHAPE, _DATA, _COMPLEX = (_K[name] for name in ("nd", "type", "kind", "shape", "data", "complex"))
 
+_TEXT_MARKS = frozenset((_ND.decode(), _COMPLEX.decode()))
 _EMPTY = b"\xc4\x00"  # msgpack's byte string without bytes
 _NONE = type(None)
 _ENVELOPE: dict[str, tuple[type, ...]] = {
@@ -36,6 +39,8 @@ _ENVELOPE: dict[str, tuple[type, ...]] = {
     spec.Frame.SENT_AT: (str,),
     spec.Frame.PAYLOAD: (dict,),
 }
+# The types of nearly all envelopes: nothing more has to be asked of these.
+_USUAL = frozenset(itertools.product(*_ENVELOPE.values()))
 _IDENTIFIERS = (
     spec.Frame.MESSAGE_ID,
     spec.Frame.EVALUATION_ID,
@@ -63,23 +68,38 @@ class WireError(ValueError):
         return self.identifiers.get(spec.Frame.MESSAGE_ID)
 
 
-@dataclass(frozen=True)
+def _new_id() -> str:
+    return uuid.uuid4().hex
+
+
+def _now() -> str:
+    return dt.datetime.now(dt.timezone.utc).isoformat()
+
+
+@dataclass  # frozen, it would take three times as long to make, and one is made for every message
 class Frame:
-    """One message of the wire; the fields are those of frame.schema.json."""
+    """One message of the wire; the fields are those of frame.schema.json, in the order in which they are written."""
 
     message_type: str
     evaluation_id: str
     payload: dict[str, Any] = field(default_factory=dict)
-    message_id: str = field(default_factory=lambda: uuid.uuid4().hex)
+    message_id: str = field(default_factory=_new_id)
     action_case_id: str | None = None
     trial_id: str | None = None
     repeat_index: int | None = None
     step: int = 0
-    sent_at: str = field(default_factory=lambda: dt.datetime.now(dt.timezone.utc).isoformat())
+    sent_at: str = field(default_factory=_now)
 
     def answer(self, message_type: str, payload: dict[str, Any]) -> Frame:
         """Return an answer that repeats this request's identifiers."""
-        return Frame(message_type=message_type, payload=payload, **{name: getattr(self, name) for name in _IDENTIFIERS})
+        return Frame(
+            **{
+                **vars(self),
+                spec.Frame.MESSAGE_TYPE: message_type,
+                spec.Frame.PAYLOAD: payload,
+                spec.Frame.SENT_AT: _now(),
+            }
+        )
 
 
 def encode(frame: Frame, pieces: Sequence[Data] = ()) -> bytes:
@@ -95,10 +115,10 @@ def encode(frame: Frame, pieces: Sequence[Data] = ()) -> bytes:
     # In this order the identifiers come before the payload, so that they can be read even if the payload cannot.
     fields = {name: getattr(frame, name) for name in _ENVELOPE}
     _check_envelope(fields)
-    if pieces:
-        fields[spec.Frame.PAYLOAD] = {**frame.payload, spec.Payload.PACKED: b""}
+    payload = {**frame.payload, spec.Payload.PACKED: b""} if pieces else frame.payload
     try:
-        packed: bytes = _msgpack().packb(_outgoing(fields, 0), use_bin_type=True)
+        fields[spec.Frame.PAYLOAD] = _outgoing(payload, 1)  # the envelope is level 0
+        packed: bytes = _msgpack().packb(fields, use_bin_type=True)
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError(f"the {frame.message_type} payload cannot be sent: {error}", _identifiers(fields)) from None
     if pieces:  # copied once, whatever their size: the empty byte string at the very end makes room for them
@@ -182,6 +202,8 @@ def depth(value: Any) -> int:
 
 
 def _check_envelope(fields: Mapping[str, Any]) -> None:
+    if tuple(type(fields.get(name)) for name in _ENVELOPE) in _USUAL:
+        return
     for name, allowed in _ENVELOPE.items():
         value = fields.get(name)
         if not _is(value, allowed):
@@ -223,7 +245,7 @@ def _outgoing(value: Any, level: int) -> Any:
     """Return a value in types that msgpack knows: text keys only, arrays as maps."""
     if value is None or isinstance(value, (str, bytes, int, float)):
         return value
-    if level > spec.LIMITS["nesting"]:  # the envelope is level 0, the payload 1
+    if level > spec.LIMITS["nesting"]:
         raise ValueError(f"it is nested deeper than {spec.LIMITS['nesting']} levels")
     if isinstance(value, Mapping):
         return {map_key(key): _outgoing(item, level + 1) for key, item in value.items()}
@@ -260,6 +282,8 @@ class _Reader:
 
     def on_map(self, entries: dict[Any, Any]) -> Any:
         self._count(len(entries))
+        if all(type(key) is str for key in entries) and not (_TEXT_MARKS & entries.keys()):
+            return entries
         by_name = {key.encode() if isinstance(key, str) else key: value for key, value in entries.items()}
         if isinstance(by_name.get(_ND), bool) and _TYPE in by_name and _DATA in by_name:
             return _array(by_name)
@@ -307,6 +331,7 @@ def _refuse_extension(code: int, _: bytes) -> None:
     raise WireError(f"msgpack extension type {code} is not part of the wire")
 
 
+@functools.lru_cache(maxsize=1)
 def _msgpack() -> Any:
     try:
         import msgpack

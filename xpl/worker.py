@@ -1,22 +1,21 @@
 """The worker: runs one adapter in the policy's own interpreter and answers the front end over a private descriptor.
 
-Standard library and numpy only. Messages are packed maps (see `xpl.link`):
+Standard library and numpy only. Messages have a head, in JSON, and buffers (`xpl.link`):
 
     {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods", "shared"}}
-    {"op": "run", "requests": [...]}                    -> {"answers": [one answer for each request]}
-    {"op": "map", "segment", "path", "size"}            -> {"ok": None}; arrays of requests may lie there from now on
-    {"op": "unmap", "segment"}                          -> {"ok": None}
+    {"op": "map", "segment", "path", "size"}            -> {"ok": null}; arrays of requests may lie there from now on
+    {"op": "unmap", "segment"}                          -> {"ok": null}
+    {"op": "run", "requests": [[client, method, segment, optional], ...]}, a packed map (`xpl.packed`) for each request
+                                                        -> {"answers": [null or error, ...]}, a packed map for each null
 
-A request of `run` is `{"client", "method", "payload": packed map, "segment", "optional"}`; its method is `infer` or
-what a client may call. The answer to it is `{"ok": packed map}` of the entries that the wire's answer gets. Whatever
-raises is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused": true` where the request itself was
-wrong and `"unserialisable": true` where the result cannot travel.
+The method of a request is `infer` or what a client may call; its map holds entries of the wire's payload, and so does
+the map of its answer. Whatever raises is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused":
+true` where the request itself was wrong and `"unserialisable": true` where the result cannot travel.
 """
 
 from __future__ import annotations
 
 import faulthandler
-import functools
 import os
 import select
 import signal
@@ -24,18 +23,42 @@ import socket
 import sys
 import threading
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Callable, NoReturn
+from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 
 from xpl import _spec as spec
-from xpl import packed
+from xpl import link, packed
 from xpl.link import Channel
 from xpl.loading import check_shareable, load_model_class
 
 if TYPE_CHECKING:
+    from xpl.arrays import Data
     from xpl.segment import Window
     from xpl.sharing import SharedModel
+
+
+# SystemExit, too: libraries that parse the command line end the process over an argument that is not theirs.
+_FAILURES = (Exception, SystemExit)
+_WANTED: dict[str, type] = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}
+
+
+class Request(NamedTuple):
+    """What one client asks for.
+
+    Attributes:
+        client: its number.
+        method: `infer`, or what is called.
+        segment: number of the shared memory that its arrays may lie in, or None.
+        optional: an adapter without this method answers nothing.
+        payload: a packed map.
+    """
+
+    client: int
+    method: str
+    segment: Optional[int]  # noqa: UP045 - evaluated, in Python 3.9 too
+    optional: bool
+    payload: Any
 
 
 class RefusedError(ValueError):
@@ -51,16 +74,20 @@ class Worker:
         self._shared: SharedModel | None = None
         self._windows: dict[int, Window] = {}
 
-    def handle(self, message: Mapping[str, Any]) -> dict[str, Any]:
+    def handle(self, head: Mapping[str, Any], buffers: Sequence[Data] = ()) -> tuple[dict[str, Any], list[Data]]:
         """Return the answer to one message of the front end; whatever an adapter raises becomes an `error`."""
+        if head["op"] == "run":
+            requests = [Request(*asked, payload) for asked, payload in zip(head["requests"], buffers)]  # type: ignore[call-arg]
+            return self._run(requests)
         operations: dict[str, Callable[[Mapping[str, Any]], Any]] = {
             "load": self._load,
             "map": self._map,
             "unmap": self._unmap,
         }
-        if message["op"] == "run":
-            return {"answers": self._run(message["requests"])}
-        return _attempt(functools.partial(operations[message["op"]], message))
+        try:
+            return {"ok": operations[head["op"]](head)}, []
+        except _FAILURES as error:
+            return {"error": describe(error)}, []
 
     # -- between requests ----------------------------------------------------------------------------------------------
 
@@ -98,30 +125,62 @@ class Worker:
 
     # -- requests ------------------------------------------------------------------------------------------------------
 
-    def _run(self, requests: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        if self._shared is not None:
-            return self._run_shared(self._shared, requests)
-        return [self._answer(request, functools.partial(self._perform, request)) for request in requests]
+    def _run(self, requests: Sequence[Request]) -> tuple[dict[str, Any], list[Data]]:
+        results = self._results(requests) if self._shared is None else self._shared_results(self._shared, requests)
+        answers: list[dict[str, Any] | None] = []
+        buffers: list[Data] = []
+        for request, result in zip(requests, results):
+            if not isinstance(result, BaseException):
+                try:
+                    buffers.append(_packed_answer(request, result))
+                except Exception as error:  # noqa: BLE001 - also what a library's own array type raises while converted
+                    answers.append({**describe(error), "unserialisable": True})
+                else:
+                    answers.append(None)
+            else:
+                refused = isinstance(result, (RefusedError, packed.PackingError))
+                answers.append({**describe(result), **({"refused": True} if refused else {})})
+                # Who keeps the exception would keep all that its frames hold, and the memory that a client shares.
+                result.__traceback__ = None
+        return {"answers": answers}, buffers
 
-    def _run_shared(self, shared: SharedModel, requests: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        from xpl.sharing import Request
+    def _results(self, requests: Sequence[Request]) -> Iterator[Any]:
+        """Yield what each request returns, or the exception that it raises."""
+        for request in requests:
+            try:
+                result = self._perform(request)
+            except _FAILURES as error:
+                result = error
+            yield result
 
-        results = [_tried(functools.partial(self._argument, request)) for request in requests]
-        understood = [place for place, result in enumerate(results) if not isinstance(result, Exception)]
-        asked = [Request(requests[place]["client"], requests[place]["method"], results[place]) for place in understood]
-        for place, result in zip(understood, shared.run(asked)):
+    def _shared_results(self, shared: SharedModel, requests: Sequence[Request]) -> list[Any]:
+        from xpl import sharing
+
+        results: list[Any] = []
+        asked: dict[int, sharing.Request] = {}
+        for place, request in enumerate(requests):
+            try:
+                argument = self._argument(request)
+            except _FAILURES as error:
+                results.append(error)
+                continue
+            results.append(None)  # the answer to an optional method: a model that is shared has no hooks
+            if request.method == spec.Method.INFER or request.method in self._methods:
+                asked[place] = sharing.Request(request.client, request.method, argument)
+        for place, result in zip(asked, shared.run(list(asked.values()))):
             results[place] = result
-        return [self._answer(request, functools.partial(_raised, result)) for request, result in zip(requests, results)]
+        return results
 
-    def _perform(self, request: Mapping[str, Any]) -> Any:
-        method, argument = request["method"], self._argument(request)
-        if method not in self._methods and method != spec.Method.INFER:
-            return None  # an optional one: `_argument` lets no other pass
+    def _perform(self, request: Request) -> Any:
+        method, argument = request.method, self._argument(request)
         if method == spec.Method.INFER or (method == spec.Method.GET_ACTION and isinstance(argument, Mapping)):
             return self._infer(argument)
-        if method in (spec.Method.RESET, spec.Method.GET_ACTION):
-            return getattr(self._model, method)()
-        return getattr(self._model, method)() if argument is None else getattr(self._model, method)(argument)
+        if method not in self._methods:
+            return None  # an optional one: `_argument` lets no other pass
+        operation = getattr(self._model, method)
+        if argument is None or method in (spec.Method.RESET, spec.Method.GET_ACTION):
+            return operation()
+        return operation(argument)
 
     def _infer(self, observation: Any) -> Any:
         if spec.Method.UPDATE_OBS not in self._methods and spec.Method.INFER in self._methods:
@@ -129,82 +188,52 @@ class Worker:
         self._model.update_obs(observation)
         return self._model.get_action()
 
-    def _argument(self, request: Mapping[str, Any]) -> Any:
+    def _argument(self, request: Request) -> Any:
         """Return the argument of a request's method.
 
         Raises:
             RefusedError: if the adapter has no such method, or the argument is of the wrong kind.
             PackingError: if the payload is damaged.
         """
-        method = request["method"]
-        payload = self._payload(request)
+        method = request.method
+        window = self._windows.get(request.segment or 0)
+        payload = packed.decode(request.payload, None if window is None else window.find)
+        if not isinstance(payload, dict):
+            raise RefusedError(f"a packed payload must be a map, got {type(payload).__name__}")
         if method == spec.Method.INFER:
             observation = payload.get(spec.Payload.OBSERVATION)
             if not isinstance(observation, dict):
                 raise RefusedError("infer needs a payload with an observation map")
             return observation
-        if method not in self._methods and not request.get("optional"):
+        if method not in self._methods and not request.optional:
             offered = ", ".join(sorted(self._methods))
             raise RefusedError(f"the adapter has no method {method!r}; it has {offered}")
         if method in spec.HOOKS:
             return payload
         argument = payload.get(spec.Payload.OBS)
-        wanted = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}.get(method)
+        wanted = _WANTED.get(method)
         if wanted is not None and not isinstance(argument, wanted):
             kind = "map" if wanted is dict else "list"
             raise RefusedError(f"{method} needs a payload with obs, a {kind}; got {type(argument).__name__}")
         return argument
 
-    def _payload(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        window = self._windows.get(request.get("segment") or 0)
-        payload = packed.decode(request[spec.Frame.PAYLOAD].data, None if window is None else window.find)
-        if not isinstance(payload, dict):
-            raise RefusedError(f"a packed payload must be a map, got {type(payload).__name__}")
-        return payload
 
-    def _answer(self, request: Mapping[str, Any], action: Callable[[], Any]) -> dict[str, Any]:
-        answer = _attempt(action)
-        if "error" in answer:
-            return answer
-        result = answer["ok"]
-        entries: Any = {}
-        if request["method"] == spec.Method.INFER:
-            passes = isinstance(result, Mapping) and spec.Payload.ACTIONS in result
-            entries = result if passes else {spec.Payload.ACTIONS: result}
-        elif result is not None:
-            entries = {spec.Payload.RESULT: result}
-        try:
-            return {"ok": packed.Packed(b"".join(packed.encode(entries)))}
-        except Exception as error:  # noqa: BLE001 - also what a library's own array type raises while it is converted
-            return {"error": {**describe(error), "unserialisable": True}}
-
-
-def _tried(action: Callable[[], Any]) -> Any:
-    """Return the value of an action, or the exception that it raised."""
-    try:
-        return action()
-    except Exception as error:  # noqa: BLE001 - reported with the request that it belongs to
-        return error
-
-
-def _raised(result: Any) -> Any:
-    if isinstance(result, BaseException):
-        raise result
-    return result
-
-
-def _attempt(action: Callable[[], Any]) -> dict[str, Any]:
-    try:
-        return {"ok": action()}
-    # SystemExit, too: libraries that parse the command line end the process over an argument that is not theirs.
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever an adapter raises is reported, not fatal
-        refused = isinstance(error, (RefusedError, packed.PackingError))
-        return {"error": {**describe(error), **({"refused": True} if refused else {})}}
+def _packed_answer(request: Request, result: Any) -> bytes:
+    """Return the entries of the answer to a request, packed."""
+    entries: Any = {}
+    if request.method == spec.Method.INFER:
+        passes = isinstance(result, Mapping) and spec.Payload.ACTIONS in result
+        entries = result if passes else {spec.Payload.ACTIONS: result}
+    elif result is not None:
+        entries = {spec.Payload.RESULT: result}
+    return b"".join(packed.encode(entries))
 
 
 def describe(error: BaseException) -> dict[str, str]:
     """Return type, message and traceback of an exception, without this module's own frames."""
-    frames = error.__traceback__.tb_next if error.__traceback__ else None
+    frames = error.__traceback__
+    while frames is not None and frames.tb_frame.f_code.co_filename == __file__:
+        frames = frames.tb_next
     text = "".join(traceback.format_exception(type(error), error, frames))
     message = f"the adapter called sys.exit({error.code!r})" if isinstance(error, SystemExit) else str(error)
     return {"type": type(error).__name__, "message": message or type(error).__name__, "traceback": text}
@@ -224,16 +253,16 @@ def main(descriptor: int) -> None:
     channel = socket.socket(fileno=descriptor)
     channel.settimeout(None)
     threading.Thread(target=_watch, args=(descriptor,), daemon=True).start()
-    link, worker = Channel(channel), Worker()
+    stream, worker = Channel(channel), Worker()
     try:
         while True:
-            message = link.receive()
+            message = stream.receive()
             if message is None:
                 _end()
-            answer = worker.handle(packed.decode(message, whole=False))
+            answer = worker.handle(*link.decode(message))
             del message  # what it holds may be large, and the next one may be long in coming
-            link.send(answer)
-    except packed.PackingError as error:
+            stream.send(*answer)
+    except link.LinkError as error:
         sys.stderr.write(f"[worker] {error}\n")
     except OSError:
         pass

@@ -55,4 +55,4 @@ def _run(command: list[str]) -> None:
         raise BuildError(f"{command[0]} took longer than {BUILD_S:g} s") from None
     if done.returncode:
         lines = (done.stderr or done.stdout).strip().splitlines()
-        raise BuildError(lines[-1] if lines else f"{command[0]} failed")
+        raise BuildError(lines[-1].strip() if lines else f"{command[0]} failed")

@@ -47,20 +47,17 @@ def run(
 
     Returns:
         One row per payload and contender. Times in ms; `cpu_ms` is per request, of server and client together;
-        `rounds_p50_ms` is the lowest and the highest median of a round; `ratio` is of the median to raw TCP's.
+        `rounds_p50_ms` is the lowest and the highest median of a round; `shared_memory` tells whether the client has
+        memory in common with another process; `ratio` is of the median to raw TCP's.
     """
     rows = []
     with ExitStack() as stack:
-        ends = {}
+        ends: dict[Contender, tuple[processes.End, processes.End]] = {}
         for contender, python in running:
             try:
-                arguments = (python, contender.module, contender.setting)
-                server = stack.enter_context(processes.server(*arguments))
-                client = stack.enter_context(processes.client(*arguments, server.first["address"]))
+                ends[contender] = _start(stack, contender, python)
             except processes.EndError as error:
                 failed(contender, str(error))
-            else:
-                ends[contender] = server, client
         for payload in payloads:
             times: dict[Contender, list[list[float]]] = {contender: [] for contender in ends}
             cpu_s = dict.fromkeys(ends, 0.0)
@@ -79,7 +76,9 @@ def run(
                     if turn:
                         cpu_s[contender] += sum(end.cpu_s() for end in pair) - before
                         times[contender].append(answer["times_ms"])
-            rows += [_row(payload, contender, times[contender], cpu_s[contender]) for contender in ends]
+            for contender, (_, client) in ends.items():
+                row = _row(payload, contender, times[contender], cpu_s[contender])
+                rows.append(row | {"shared_memory": client.shares_memory()})
     floors = {row["payload"]: row["p50_ms"] for row in rows if row["contender"] == TCP}
     for row in rows:
         row["ratio"] = row["p50_ms"] / floors[row["payload"]] if row["payload"] in floors else None
@@ -90,6 +89,13 @@ def percentile(times: Sequence[float], percent: int) -> float:
     """Return the value that so many percent of the times do not exceed."""
     ordered = sorted(times)
     return ordered[min(len(ordered) - 1, round(len(ordered) * percent / 100))]
+
+
+def _start(stack: ExitStack, contender: Contender, python: str) -> tuple[processes.End, processes.End]:
+    """Return the server and the connected client of a contender."""
+    server = stack.enter_context(processes.server(python, contender.module, contender.setting))
+    address = server.first["address"]
+    return server, stack.enter_context(processes.client(python, contender.module, contender.setting, address))
 
 
 def _row(payload: str, contender: Contender, turns: list[list[float]], cpu_s: float) -> dict[str, Any]:

@@ -73,6 +73,11 @@ class End:
         """Return the processor time that it and the processes below it have used so far, s."""
         return sum(_cpu_s(pid) for pid in _family(self._process.pid))
 
+    def shares_memory(self) -> bool:
+        """Tell whether it writes into memory that another process can read."""
+        maps = Path(f"/proc/{self._process.pid}/maps").read_text(errors="replace").splitlines()
+        return any(line.split()[1] == "rw-s" for line in maps)  # address, permissions, ...
+
     def stop(self) -> None:
         """End it, by force if need be."""
         assert self._process.stdin is not None

@@ -97,6 +97,8 @@ class Admission:
             return _page(HTTPStatus.OK, self.metrics(), {"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
         if self.connections() >= spec.LIMITS["connections"]:
             return _page(HTTPStatus.SERVICE_UNAVAILABLE, f"{self.connections()} connections are enough\n", {})
+        if request.headers.get("Upgrade", "").lower() != "websocket":
+            return _page(HTTPStatus.NOT_FOUND, f"there is {_HEALTH}, and a policy server for WebSocket clients\n", {})
         return None
 
     def _knows(self, header: str) -> bool:

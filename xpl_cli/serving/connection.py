@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 import contextlib
 import socket
 from dataclasses import dataclass
@@ -59,7 +60,9 @@ class Connection(WSListener):
     """A peer.
 
     Attributes:
-        segment: memory shared with it, its number, and whether the peer proved that it sees it.
+        packs: it announced that it reads packed answers.
+        segment: memory shared with it.
+        segment_number: what the workers call that memory, once the peer proved that it sees it.
     """
 
     def __init__(self, owner: Owner, timing: Timing) -> None:
@@ -67,13 +70,17 @@ class Connection(WSListener):
         self._timing = timing
         self._loop = asyncio.get_running_loop()
         self._transport: WSTransport | None = None
-        self._parts: list[bytes] = []
+        self._message: bytearray | None = None
+        self._fragments = 0
+        self._is_text = False
         self._timers: dict[str, asyncio.TimerHandle] = {}
-        self._pending = 0
+        self._pending: collections.deque[int] = collections.deque()
+        self._pending_bytes = 0
         self._choked = False
         self._reading = True
         self._clean = False
         self.is_open = False
+        self.packs = False
         self.segment: Segment | None = None
         self.segment_number: int | None = None
 
@@ -93,7 +100,7 @@ class Connection(WSListener):
         kind = frame.msg_type
         if frame.rsv1 or frame.rsv2 or frame.rsv3:
             self.close(WSCloseCode.PROTOCOL_ERROR.value, "no extension was agreed on")
-        elif kind == WSMsgType.BINARY and frame.fin and not self._parts:
+        elif kind == WSMsgType.BINARY and frame.fin and self._message is None:
             self._whole(frame.get_payload_as_memoryview())
         elif kind in _DATA:
             self._fragment(frame)
@@ -130,14 +137,15 @@ class Connection(WSListener):
         peer = self._raw("peername")
         return isinstance(peer, tuple) and (str(peer[0]).startswith("127.") or peer[0] == "::1")
 
-    def expect_answer(self) -> None:
-        """Count a request; a peer that has too many unanswered is not read."""
-        self._pending += 1
+    def expect_answer(self, size: int) -> None:
+        """Count a request of so many bytes; a peer that has too many unanswered is not read."""
+        self._pending.append(size)
+        self._pending_bytes += size
         self._regulate()
 
     def answer(self, data: bytes) -> None:
         """Send the answer to a request, if the peer is still there."""
-        self._pending -= 1
+        self._pending_bytes -= self._pending.popleft()
         self.send(data)
         self._regulate()
 
@@ -159,26 +167,28 @@ class Connection(WSListener):
     @property
     def is_busy(self) -> bool:
         """Whether requests of it are unanswered."""
-        return self._pending > 0
+        return bool(self._pending)
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
     def _fragment(self, frame: WSFrame) -> None:
         starts = frame.msg_type != WSMsgType.CONTINUATION
-        if starts == bool(self._parts):
+        if starts is (self._message is not None):
             self.close(WSCloseCode.PROTOCOL_ERROR.value, "fragments out of order")
             return
-        if starts:
-            self._parts = [b"T" if frame.msg_type == WSMsgType.TEXT else b"B"]
-        self._parts.append(frame.get_payload_as_bytes())
-        if sum(map(len, self._parts)) > spec.LIMITS["frame_bytes"]:
+        if self._message is None:
+            self._message, self._fragments, self._is_text = bytearray(), 0, frame.msg_type == WSMsgType.TEXT
+        self._message += frame.get_payload_as_memoryview()
+        self._fragments += 1
+        if len(self._message) > spec.LIMITS["frame_bytes"] or self._fragments > spec.LIMITS["fragments"]:
+            self._message = None
             self.close(WSCloseCode.MESSAGE_TOO_BIG.value, "the message is over the limit")
         elif frame.fin:
-            (kind, *parts), self._parts = self._parts, []
-            if kind == b"T":
+            whole, self._message = bytes(self._message), None
+            if self._is_text:
                 log("ignored a text message: the wire is binary")
             else:
-                self._whole(b"".join(parts))
+                self._whole(whole)
 
     def _whole(self, data: bytes | memoryview) -> None:
         hello = self._timers.pop("silence", None)
@@ -187,7 +197,8 @@ class Connection(WSListener):
         self._owner.received(self, data)
 
     def _regulate(self) -> None:
-        reading = not self._choked and self._pending < spec.LIMITS["pending"]
+        few = len(self._pending) < spec.LIMITS["pending"] and self._pending_bytes < spec.LIMITS["pending_bytes"]
+        reading = few and not self._choked
         if reading == self._reading or not self.is_open or self._transport is None:
             return
         self._reading = reading

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
+from xpl_cli.serving.session import is_optional
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
-
+    from xpl.wire import Frame
     from xpl_cli.serving.places import Place
-    from xpl_cli.serving.session import RequestError, Task
+    from xpl_cli.serving.session import Entry
 
 _ACTIONS = frozenset((spec.Method.INFER, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH))
 _TOGETHER = 16
@@ -26,44 +25,63 @@ _MEMORY = 0.3
 """Weight of the newest value in running means."""
 
 
-@dataclass(eq=False)
 class Job:
-    """A task in the line.
+    """A request in the line.
+
+    Args:
+        frame: the request.
+        method: what the worker is to do: `infer`, or the method that is called.
+        place: for whom.
+        payload: entries that go to the worker, as a packed map; None while its images are being decoded.
+        segment: number of the shared memory that its arrays may lie in.
+        entry: where its answer is remembered; None if nobody is told.
+        packs: the client reads packed answers.
+        size: bytes of the request.
 
     Attributes:
-        task: what is to be done.
-        place: for whom.
-        segment: number of the shared memory that its arrays may lie in.
-        done: is told the worker's answer.
-        size: bytes of the request.
-        received: when the request came, s.
+        received: when it came, s.
         arrived: when it was put into the line, s.
         started: when it was sent to the worker, s.
     """
 
-    task: Task
-    place: Place
-    segment: int | None
-    done: Callable[[Job, dict[str, Any] | RequestError], None]
-    size: int = 0
-    received: float = 0.0
-    arrived: float = 0.0
-    started: float = 0.0
+    __slots__ = (
+        *("arrived", "entry", "frame", "method", "packs"),
+        *("payload", "place", "received", "segment", "size", "started"),
+    )
+
+    def __init__(  # noqa: PLR0913 - a record, made once for every request
+        self,
+        frame: Frame,
+        method: str,
+        place: Place,
+        *,
+        payload: bytes | None = None,
+        segment: int | None = None,
+        entry: Entry | None = None,
+        packs: bool = False,
+        size: int = 0,
+        received: float = 0.0,
+    ) -> None:
+        self.frame = frame
+        self.method = method
+        self.place = place
+        self.payload = payload
+        self.segment = segment
+        self.entry = entry
+        self.packs = packs
+        self.size = size
+        self.received = received
+        self.arrived = 0.0
+        self.started = 0.0
 
     @property
     def ready(self) -> bool:
-        """Whether its payload is there; images may still be decoded."""
-        return self.task.payload is not None
+        """Whether its payload is there."""
+        return self.payload is not None
 
-    def request(self) -> dict[str, Any]:
-        """Return what the worker is sent."""
-        return {
-            "client": self.place.client,
-            "method": self.task.method,
-            spec.Frame.PAYLOAD: self.task.payload,
-            "segment": self.segment,
-            "optional": self.task.optional,
-        }
+    def request(self) -> tuple[int, str, int | None, bool]:
+        """Return what the worker is sent besides the payload."""
+        return self.place.client, self.method, self.segment, is_optional(self.frame)
 
 
 @dataclass
@@ -103,7 +121,7 @@ class Line:
         job.arrived = now
         self._jobs.setdefault(job.place, collections.deque()).append(job)
         habit = self._habits.get(job.place)
-        if habit is not None and habit.answered and job.task.method in _ACTIONS:
+        if habit is not None and habit.answered and job.method in _ACTIONS:
             pause = now - habit.answered
             habit.pause = pause if habit.pause is None else _mean(habit.pause, pause)
             habit.answered = 0.0
@@ -119,7 +137,7 @@ class Line:
             return [], 0.0
         if not self.shared:
             return self._run(self._in_a_row(heads[0].place), now), 0.0
-        asking = [job for job in heads if job.task.method in _ACTIONS]
+        asking = [job for job in heads if job.method in _ACTIONS]
         if len(asking) < len(heads):  # what only updates or resets is done at once, so that it is ready for the batch
             return self._run([job for job in heads if job not in asking], now), 0.0
         batch = sorted(asking, key=lambda job: job.arrived)[: self.most]
@@ -129,12 +147,12 @@ class Line:
     def finished(self, jobs: list[Job], now: float) -> None:
         """Learn from what was answered just now how long the model and its clients take."""
         self._idle_since = now
-        if any(job.task.method in _ACTIONS for job in jobs):
+        if any(job.method in _ACTIONS for job in jobs):
             took = now - jobs[0].started
             self._model_s = took if not self._model_s else _mean(self._model_s, took)
         if self.shared:
             for job in jobs:
-                if job.task.method in _ACTIONS:
+                if job.method in _ACTIONS:
                     self._habits.setdefault(job.place, _Habit(now)).answered = now
 
     def forget(self, place: Place) -> None:
@@ -165,7 +183,7 @@ class Line:
             if not job.ready or len(row) == _TOGETHER:
                 break
             row.append(job)
-            if job.task.method not in (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH):
+            if job.method not in (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH):
                 break
         return row
 
@@ -182,11 +200,16 @@ class Line:
         until = max(self._idle_since, min(job.arrived for job in batch)) + _PATIENCE * self._model_s
         asking = {job.place for job in batch}
         due = [
-            habit.answered + _SLACK * habit.pause
+            min(habit.answered + _SLACK * habit.pause, until)
             for place, habit in self._habits.items()
-            if place not in asking and habit.answered and habit.pause is not None
+            if place not in asking and habit.answered and habit.pause and habit.answered + habit.pause <= until
         ]
-        return max((time - now for time in due if time <= until), default=0.0)
+        # Who has asked already, and has its images decoded still.
+        decoding = any(
+            place not in asking and not jobs[0].ready and any(job.method in _ACTIONS for job in jobs)
+            for place, jobs in self._jobs.items()
+        )
+        return max(0.0, *(time - now for time in (*due, until if decoding else now)))
 
 
 def _mean(old: float, new: float) -> float:

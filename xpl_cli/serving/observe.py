@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from xpl import wire
     from xpl_cli.serving.line import Job
 
+_METHODS = frozenset((*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER))
+_OTHER = "other"
+"""What a client made up is counted under this name: each label is kept for as long as the server lives."""
 _SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0)
 
 
@@ -51,12 +54,12 @@ class Observer:
         if self._metrics is not None:
             self._metrics.answered(job, finished, size, outcome)
         if self._trace is not None:
-            frame = job.task.frame
+            frame = job.frame
             started = job.started or finished
             line = {
                 spec.Frame.MESSAGE_ID: frame.message_id,
                 spec.Frame.MESSAGE_TYPE: frame.message_type,
-                "method": job.task.method,
+                "method": job.method,
                 spec.Frame.EVALUATION_ID: frame.evaluation_id,
                 spec.Frame.TRIAL_ID: frame.trial_id,
                 spec.Frame.STEP: frame.step,
@@ -80,7 +83,11 @@ class Observer:
         if self._metrics is not None:
             self._metrics.refused(frame.message_type, code)
         if self._trace is not None:
-            line = {spec.Frame.MESSAGE_ID: frame.message_id, spec.Frame.MESSAGE_TYPE: frame.message_type, "outcome": code}
+            line = {
+                spec.Frame.MESSAGE_ID: frame.message_id,
+                spec.Frame.MESSAGE_TYPE: frame.message_type,
+                "outcome": code,
+            }
             self._trace.write(json.dumps(line) + "\n")
             self._trace.flush()
 
@@ -134,7 +141,8 @@ class _Metrics:
             self._states[name].set_function(source)
 
     def answered(self, job: Job, finished: float, size: int, outcome: str) -> None:
-        method = job.task.method
+        made_up = outcome == spec.ErrorCode.INVALID_FRAME and job.method not in _METHODS
+        method = _OTHER if made_up else job.method
         self._requests.labels(method, outcome).inc()
         if job.started:
             self._wait.labels(method).observe(job.started - job.arrived)
@@ -143,7 +151,7 @@ class _Metrics:
         self._bytes.labels("out").inc(size)
 
     def refused(self, kind: str, code: str) -> None:
-        self._requests.labels(kind if kind.isidentifier() and len(kind) < 32 else "other", code).inc()
+        self._requests.labels(kind if kind in spec.ANSWERS else _OTHER, code).inc()
 
 
 def _ms(start: float, end: float) -> float:

@@ -33,21 +33,21 @@ def without_images(payload: dict[str, Any]) -> dict[str, Any]:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
 
 
-def pack(payload: Mapping[str, Any]) -> packed.Packed:
+def pack(payload: Mapping[str, Any]) -> bytes:
     """Return a payload in the form that a worker reads.
 
     Raises:
         RequestError: `invalid_frame` if it holds what cannot travel.
     """
     try:
-        return packed.Packed(b"".join(packed.encode(payload)))
+        return b"".join(packed.encode(payload))
     except packed.PackingError as error:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
 
 
-def answer_payload(result: packed.Packed) -> dict[str, Any]:
+def answer_payload(result: memoryview) -> dict[str, Any]:
     """Return the entries of an answer that a worker packed."""
-    entries: dict[str, Any] = packed.decode(result.data)
+    entries: dict[str, Any] = packed.decode(result)
     return entries
 
 

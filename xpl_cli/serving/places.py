@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -60,6 +61,7 @@ class Places:
         self._grace = grace
         self._clock = clock
         self._tenancies = 0
+        self._held: dict[Hashable, Place] = {}
 
     def __len__(self) -> int:
         return len(self._places)
@@ -70,7 +72,7 @@ class Places:
 
     def of(self, connection: Hashable) -> Place | None:
         """Return the place of a connection, if it has one."""
-        return next((place for place in self._places if place.holder is connection), None)
+        return self._held.get(connection)
 
     def take(self, connection: Hashable, evaluation: str, session: str | None = None) -> tuple[Place, Hashable | None]:
         """Return a place for a connection, and the lost connection whose place it takes over, if any.
@@ -85,28 +87,33 @@ class Places:
             known = place.session == session and place.evaluation == evaluation and place.tenancy
             if known and (place.holder is None or session is not None):
                 lost, place.holder = place.holder, connection
+                self._held.pop(lost, None)
+                self._held[connection] = place
                 return place, lost
         free = [place for place in self._places if self._is_free(place)]
         if not free:
             raise RequestError(
                 spec.ErrorCode.INTERNAL, "the policy server is in use by another client", spec.ErrorReason.BUSY
             )
-        place = min(free, key=lambda place: place.tenancy)  # the one that was left longest ago
+        busy = collections.Counter(place.worker for place in self._places if not self._is_free(place))
+        # Where the fewest others are, and there the one that was given away longest ago.
+        place = min(free, key=lambda place: (busy[place.worker], place.tenancy))
         self._tenancies += 1
         place.holder, place.evaluation, place.session, place.tenancy = connection, evaluation, session, self._tenancies
         place.stale, place.begun, place.sequence = place.stale or place.begun, False, 0
         place.replay.forget()
+        self._held[connection] = place
         return place, None
 
     def leave(self, connection: Hashable, *, clean: bool) -> Place | None:
         """Take a place back and return it; after a cut its client has the grace period to come back."""
-        place = self.of(connection)
+        place = self._held.pop(connection, None)
         if place is None:
             return None
         place.holder = None
         place.free_at = self._clock() + (0.0 if clean else self._grace)
         if clean:  # whoever comes back after a goodbye begins anew, with new ids
-            place.stale, place.begun = place.stale or place.begun, False
+            place.stale, place.begun, place.sequence = place.stale or place.begun, False, 0
             place.replay.forget()
         return place
 
@@ -114,6 +121,8 @@ class Places:
         """Take all places of a worker away, and return the connections that had them."""
         lost = [place.holder for place in self._places if place.worker == worker and place.holder is not None]
         self._places = [place for place in self._places if place.worker != worker]
+        for connection in lost:
+            del self._held[connection]
         return lost
 
     def _is_free(self, place: Place) -> bool:

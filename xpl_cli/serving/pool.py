@@ -6,24 +6,38 @@ import asyncio
 import collections
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from xpl import _spec as spec
-from xpl.packed import PackingError
+from xpl.link import LinkError
 from xpl_cli.serving.line import Line
 from xpl_cli.serving.session import RequestError
 from xpl_cli.serving.worker_process import WorkerDiedError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from xpl.arrays import Data
     from xpl_cli.serving.line import Job
     from xpl_cli.serving.places import Place
-    from xpl_cli.serving.worker_process import WorkerProcess
+    from xpl_cli.serving.worker_process import Answered, WorkerProcess
 
 _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
+
+
+class Desk(Protocol):
+    """What a worker tells about its jobs."""
+
+    def answered(self, job: Job, result: memoryview) -> None:
+        """Pass on the answer to a job, packed."""
+
+    def raised(self, job: Job, error: dict[str, Any]) -> None:
+        """Say what the adapter raised, or why its result cannot travel."""
+
+    def refused(self, job: Job, error: RequestError) -> None:
+        """Say that a job was not done."""
 
 
 class LoadError(Exception):
@@ -37,17 +51,24 @@ class Worker:
         number: which one, from 0.
         process: its process.
         timeout: longest time for one batch, s; None means no limit.
+        desk: told what becomes of the jobs.
         on_failure: told once if the worker cannot go on, with the reason.
     """
 
     def __init__(
-        self, number: int, process: WorkerProcess, timeout: float | None, on_failure: Callable[[Worker, str], None]
+        self,
+        number: int,
+        process: WorkerProcess,
+        timeout: float | None,
+        desk: Desk,
+        on_failure: Callable[[Worker, str], None],
     ) -> None:
         self.number = number
         self.process = process
         self.line = Line()
         self.failed = False
         self._timeout = timeout
+        self._desk = desk
         self._on_failure = on_failure
         self._loop = asyncio.get_running_loop()
         self._errands: collections.deque[tuple[dict[str, Any], Callable[[dict[str, Any]], None]]] = collections.deque()
@@ -55,8 +76,8 @@ class Worker:
         self._later: list[tuple[Place, Callable[[], None]]] = []
         self._busy = False
         self._started = 0.0
-        self._overdue: asyncio.TimerHandle | None = None
-        self._report: asyncio.TimerHandle | None = None
+        self._watch: asyncio.TimerHandle | None = None
+        self._reported = 0.0
         self._wait: asyncio.TimerHandle | None = None
         process.died.add_done_callback(lambda died: self.fail(died.result()))
 
@@ -70,7 +91,7 @@ class Worker:
         self._busy, self._started = True, time.monotonic()
         try:
             answer = await self.process.ask(op="load", **request)
-        except (WorkerDiedError, PackingError) as error:
+        except (WorkerDiedError, LinkError) as error:
             raise LoadError(f"the model could not be loaded: {error}") from None
         if "error" in answer:
             raised = answer["error"]
@@ -87,7 +108,7 @@ class Worker:
     def submit(self, job: Job) -> None:
         """Put a job into the line."""
         if self.failed:
-            job.done(job, _died("the worker has ended"))
+            self._desk.refused(job, _died("the worker has ended"))
             return
         self.line.add(job, time.monotonic())
         self.pump()
@@ -115,12 +136,13 @@ class Worker:
             self._wait = None
         if self._errands:
             message, on_answer = self._errands.popleft()
-            self._send(message, lambda answer: self._errand_done(answer, on_answer))
+            self._send(message, (), lambda answer, _: self._errand_done(answer, on_answer))
             return
         jobs, wait = self.line.next(time.monotonic())
         if jobs:
             self._running = jobs
-            self._send({"op": "run", "requests": [job.request() for job in jobs]}, self._jobs_done)
+            requests = [job.request() for job in jobs]
+            self._send({"op": "run", "requests": requests}, [job.payload or b"" for job in jobs], self._jobs_done)
         elif wait:
             self._wait = self._loop.call_later(wait, self.pump)
 
@@ -129,60 +151,76 @@ class Worker:
         if self.failed:
             return
         self.failed = True
-        self._clear_timers()
-        refused = RequestError(code, reason, spec.ErrorReason.WORKER_DIED) if code == spec.ErrorCode.TIMEOUT else None
+        for timer in (self._watch, self._wait):
+            if timer is not None:
+                timer.cancel()
+        died = _died(reason)
+        first = RequestError(code, reason, spec.ErrorReason.WORKER_DIED)
         running, self._running = self._running, []
         for job in running:
-            job.done(job, refused or _died(reason))
+            self._desk.refused(job, first)
         for job in self.line.clear():
-            job.done(job, _died(reason))
+            self._desk.refused(job, died)
         self._on_failure(self, reason)
 
-    def _send(self, message: dict[str, Any], on_answer: Callable[[dict[str, Any]], None]) -> None:
+    def _send(self, head: dict[str, Any], buffers: Sequence[Data], on_answer: Answered) -> None:
         self._busy, self._started = True, time.monotonic()
-        if self._timeout is not None:
-            self._overdue = self._loop.call_later(self._timeout, self._hangs)
-        self._report = self._loop.call_later(_REPORT_S, self._tell, _REPORT_S)
+        if self._watch is None:
+            self._look_again(self._started)
         try:
-            self.process.send(message, on_answer)
-        except (WorkerDiedError, PackingError) as error:
+            self.process.send(head, buffers, on_answer)
+        except (WorkerDiedError, LinkError) as error:
             self._loop.call_soon(self.fail, str(error))
 
-    def _jobs_done(self, answer: dict[str, Any]) -> None:
+    def _jobs_done(self, head: dict[str, Any], buffers: list[memoryview]) -> None:
         jobs, self._running = self._running, []
-        self._idle()
+        self._busy = False
         self.line.finished(jobs, time.monotonic())
-        for job, one in zip(jobs, answer["answers"], strict=True):
-            job.done(job, one)
+        results = iter(buffers)
+        for job, error in zip(jobs, head["answers"], strict=True):
+            if error is None:
+                self._desk.answered(job, next(results))
+            else:
+                self._desk.raised(job, error)
         later, self._later = self._later, []
         for place, action in later:
             self.after(place, action)
         self.pump()
 
     def _errand_done(self, answer: dict[str, Any], on_answer: Callable[[dict[str, Any]], None]) -> None:
-        self._idle()
+        self._busy = False
         on_answer(answer)
         self.pump()
 
-    def _idle(self) -> None:
-        self._busy = False
-        self._clear_timers()
+    def _look_again(self, now: float) -> None:
+        """Look after what runs when it should have ended: one timer for all, because most requests take no time."""
+        due = self._reported or _REPORT_S
+        if self._timeout is not None:
+            due = min(due, self._timeout)
+        self._watch = self._loop.call_later(max(0.0, self._started + due - now), self._look)
 
-    def _clear_timers(self) -> None:
-        for timer in (self._overdue, self._report, self._wait):
-            if timer is not None:
-                timer.cancel()
-        self._overdue = self._report = self._wait = None
+    def _look(self) -> None:
+        self._watch = None
+        now = time.monotonic()
+        busy = now - self._started if self._busy else 0.0
+        if not self._busy:
+            self._reported = 0.0
+            return
+        if self._timeout is not None and busy >= self._timeout:
+            self.process.show_stacks()
+            self.fail(f"the model did not answer within {self._timeout:g} s", spec.ErrorCode.TIMEOUT)
+            return
+        if busy < _REPORT_S:
+            self._reported = 0.0
+        elif busy >= (self._reported or _REPORT_S):
+            self._tell(busy)
+            self._reported = 2.0 * busy
+        self._look_again(now)
 
-    def _tell(self, after: float) -> None:
+    def _tell(self, busy: float) -> None:
         limit = "there is no limit" if self._timeout is None else f"it is ended after {self._timeout:g} s"
-        names = ", ".join(sorted({job.task.method for job in self._running})) or "an errand"
-        log(f"the model has been at work for {after:g} s (process {self.process.pid}, {names}); {limit}")
-        self._report = self._loop.call_later(after, self._tell, 2 * after)
-
-    def _hangs(self) -> None:
-        self.process.show_stacks()
-        self.fail(f"the model did not answer within {self._timeout:g} s", spec.ErrorCode.TIMEOUT)
+        names = ", ".join(sorted({job.method for job in self._running})) or "an errand"
+        log(f"the model has been at work for {busy:.0f} s (process {self.process.pid}, {names}); {limit}")
 
 
 def _died(reason: str) -> RequestError:

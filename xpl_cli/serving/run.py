@@ -198,27 +198,37 @@ async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, e
     if asked.done():
         loading.cancel()
         await asyncio.wait({loading})
-        await front_end.dismiss(_GOING_AWAY, "the policy server was stopped")
+        await _dismiss(front_end, ending, _GOING_AWAY, "the policy server was stopped")
         return None
     problem = loading.result()
     if problem is not None:
-        await front_end.dismiss(spec.CLOSE_CODES["server_failed"], problem)
+        await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], problem)
         return problem
     front_end.ready()
     host, port = _address(server, run.settings.host)
     scheme = "ws" if run.settings.tls is None else "wss"
-    ready = {"event": spec.ServerState.READY, "policy": run.package.name, "url": f"{scheme}://{host}:{port}", "port": port}
+    ready = {
+        "event": spec.ServerState.READY,
+        "policy": run.package.name,
+        "url": f"{scheme}://{host}:{port}",
+        "port": port,
+    }
     sys.stdout.write(json.dumps(ready) + "\n")
     sys.stdout.flush()
     await _first(asked, front_end.failed)
     if front_end.failed.done():
         reason = front_end.failed.result()
-        await front_end.dismiss(spec.CLOSE_CODES["server_failed"], reason)
+        await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], reason)
         return reason
     server.close()
     await _first(asyncio.create_task(front_end.drain(run.settings.grace)), asyncio.create_task(ending.insisted.wait()))
-    await front_end.dismiss(_GOING_AWAY, "the policy server was stopped")
+    await _dismiss(front_end, ending, _GOING_AWAY, "the policy server was stopped")
     return None
+
+
+async def _dismiss(front_end: FrontEnd, ending: _Ending, code: int, reason: str) -> None:
+    """Close every connection; who insists does not wait for the other sides to close theirs."""
+    await _first(asyncio.create_task(front_end.dismiss(code, reason)), asyncio.create_task(ending.insisted.wait()))
 
 
 async def _first(*futures: asyncio.Future[Any]) -> None:

@@ -35,58 +35,44 @@ class RequestError(Exception):
         return {spec.Payload.CODE: self.code, spec.Payload.MESSAGE: str(self), spec.Payload.DETAILS: details}
 
 
-_FAILURES = {
-    spec.Message.INFER: spec.ErrorCode.INFER_FAILED,
-    spec.Message.RESET: spec.ErrorCode.RESET_FAILED,
-}
 _HOOKS = {
     spec.Message.PREPARE_CASE: spec.Method.PREPARE_CASE,
     spec.Message.TRIAL_END: spec.Method.ON_TRIAL_END,
 }
+_METHODS = {spec.Message.INFER: spec.Method.INFER, spec.Message.RESET: spec.Method.RESET, **_HOOKS}
+_FAILURES = {
+    spec.Message.INFER: spec.ErrorCode.INFER_FAILED,
+    spec.Message.RESET: spec.ErrorCode.RESET_FAILED,
+}
+_PRIVATE = frozenset((spec.Method.INFER, spec.Method.RESET_ENVS))
 
 
-@dataclass
-class Task:
-    """What a worker is to do for a frame.
-
-    Attributes:
-        frame: the request.
-        method: `infer`, or the method that is called.
-        payload: entries that go to the worker, as a packed map.
-        optional: an adapter without this method answers nothing.
-        failure: the error code if the method raises.
-    """
-
-    frame: wire.Frame
-    method: str
-    payload: packed.Packed | None = None
-    optional: bool = False
-    failure: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.failure = _FAILURES.get(self.frame.message_type, spec.ErrorCode.CALL_FAILED)
-
-
-def task(frame: wire.Frame) -> Task:
-    """Return what a worker does for a reset, infer, call, prepare_case or trial_end frame; its payload is still open.
+def method_of(frame: wire.Frame) -> str:
+    """Return the method that a reset, infer, call, prepare_case or trial_end frame is about.
 
     Raises:
-        RequestError: `invalid_frame` if it names no method that may be called.
+        RequestError: `invalid_frame` if it names none that may be called.
     """
-    kind = frame.message_type
-    if kind == spec.Message.INFER:
-        return Task(frame, spec.Method.INFER)
-    if kind == spec.Message.RESET:
-        return Task(frame, spec.Method.RESET)
-    if kind in _HOOKS:
-        return Task(frame, _HOOKS[kind], optional=True)
+    known = _METHODS.get(frame.message_type)
+    if known is not None:
+        return known
     name = frame.payload.get(spec.Payload.FUNC_NAME)
-    if not isinstance(name, str) or name.startswith("_") or name in (spec.Method.INFER, spec.Method.RESET_ENVS):
+    if not isinstance(name, str) or name.startswith("_") or name in _PRIVATE:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, f"call needs the name of a public method, got {name!r:.80}")
-    return Task(frame, name)
+    return name
 
 
-def packed_payload(frame: wire.Frame) -> packed.Packed | None:
+def is_optional(frame: wire.Frame) -> bool:
+    """Tell whether an adapter without the method of a request answers nothing."""
+    return frame.message_type in _HOOKS
+
+
+def failure_code(frame: wire.Frame) -> str:
+    """Return the error code for a request whose method raised."""
+    return _FAILURES.get(frame.message_type, spec.ErrorCode.CALL_FAILED)
+
+
+def packed_payload(frame: wire.Frame) -> bytes | None:
     """Return the packed entries of a request, or None if it has none; they are read in the worker.
 
     Raises:
@@ -105,7 +91,7 @@ def packed_payload(frame: wire.Frame) -> packed.Packed | None:
             f"packed entries of {len(data)} bytes are damaged, or their header of {header} bytes is over the limit of "
             f"{spec.LIMITS['packed_header']}: send long lists and texts unpacked",
         )
-    return packed.Packed(data)
+    return bytes(data)
 
 
 @dataclass
@@ -155,7 +141,7 @@ class Replay:
         entry.answer = answer
         if self._entries.get(message_id) is entry:  # not forgotten in the meantime
             self.size += len(answer)
-            self._shrink()
+            self._shrink(entry)
         waiting, entry.waiting = entry.waiting, []
         for tell in waiting:
             tell(answer)
@@ -165,12 +151,12 @@ class Replay:
         self._entries.clear()
         self.size = 0
 
-    def _shrink(self) -> None:
-        while len(self._entries) > 1 and (
-            len(self._entries) > spec.LIMITS["replay_entries"] or self.size > spec.LIMITS["replay_bytes"]
-        ):
-            oldest, entry = next(iter(self._entries.items()))
-            if entry.answer is None:
-                return
-            del self._entries[oldest]
-            self.size -= len(entry.answer)
+    def _shrink(self, newest: Entry) -> None:
+        """Forget the oldest answers beyond the limits, but neither the newest nor what still runs."""
+        for message_id, entry in list(self._entries.items()) if self._is_full() else ():
+            if entry.answer is not None and entry is not newest and self._is_full():
+                del self._entries[message_id]
+                self.size -= len(entry.answer)
+
+    def _is_full(self) -> bool:
+        return len(self._entries) > spec.LIMITS["replay_entries"] or self.size > spec.LIMITS["replay_bytes"]

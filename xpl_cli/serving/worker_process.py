@@ -14,13 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import xpl
-from xpl import packed
+from xpl import link
 from xpl.link import Inbox
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from xpl.arrays import Data
+
+    Answered = Callable[[dict[str, Any], list[memoryview]], None]
 
 # Makes `import xpl` work in any interpreter without putting a folder on its path: nothing but the SDK becomes
 # importable. Python 3.9, standard library.
@@ -57,7 +59,7 @@ class WorkerProcess:
         self._label = label
         self._inbox = Inbox()
         self._unsent: collections.deque[memoryview] = collections.deque()
-        self._on_answer: Callable[[dict[str, Any]], None] | None = None
+        self._on_answer: Answered | None = None
         self._output = asyncio.create_task(self._copy_output())
         self._end = asyncio.create_task(self._notice_end())
         self._writing = False
@@ -105,14 +107,14 @@ class WorkerProcess:
             )
         return cls(process, ours, label)
 
-    def send(self, message: dict[str, Any], on_answer: Callable[[dict[str, Any]], None]) -> None:
+    def send(self, head: dict[str, Any], buffers: Sequence[Data], on_answer: Answered) -> None:
         """Send a message; the answer arrives later, or never if the worker dies.
 
         Raises:
-            PackingError: if the message cannot travel; nothing was sent then.
+            LinkError: if the message cannot travel; nothing was sent then.
             WorkerDiedError: if the link is broken already.
         """
-        pieces = [memoryview(piece) for piece in packed.encode(message)]
+        pieces = [memoryview(piece) for piece in link.encode(head, buffers)]
         if self.died.done():
             raise WorkerDiedError(self.died.result())
         if self._on_answer is not None:
@@ -125,11 +127,11 @@ class WorkerProcess:
         """Send a message and return the answer.
 
         Raises:
-            PackingError: if the message cannot travel.
+            LinkError: if the message cannot travel.
             WorkerDiedError: if the worker dies first.
         """
         answer: asyncio.Future[dict[str, Any]] = self._loop.create_future()
-        self.send(message, answer.set_result)
+        self.send(message, (), lambda head, _: answer.set_result(head))
         either: list[asyncio.Future[Any]] = [answer, self.died]
         await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
         if not answer.done():
@@ -196,7 +198,7 @@ class WorkerProcess:
             messages = self._inbox.take(count) if count else None
         except BlockingIOError:
             return
-        except (OSError, packed.PackingError) as error:
+        except (OSError, link.LinkError) as error:
             self._break(f"the link to the worker broke: {error}")
             return
         if messages is None:
@@ -207,14 +209,14 @@ class WorkerProcess:
     def _answered(self, message: Data) -> None:
         on_answer, self._on_answer = self._on_answer, None
         try:
-            answer = packed.decode(message, whole=False)
-        except packed.PackingError as error:
+            head, buffers = link.decode(message)
+        except link.LinkError as error:
             self._break(f"the link to the worker broke: {error}")
             return
         if on_answer is None:
             self._break("the link to the worker is out of step")
         else:
-            on_answer(answer)
+            on_answer(head, buffers)
 
     async def _notice_end(self) -> None:
         """Notice the end of the process, which its children may hide: they hold the link, too."""

@@ -1,0 +1,214 @@
+"""What becomes of a request: it joins a worker's line, gets the answer that was given before, or is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import traceback
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as spec
+from xpl import packed, wire
+from xpl_cli.serving.line import Job
+from xpl_cli.serving.payloads import answer_payload, has_images, pack, without_images
+from xpl_cli.serving.pool import log
+from xpl_cli.serving.session import RequestError, failure_code, method_of, packed_payload
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from xpl_cli.serving.connection import Connection
+    from xpl_cli.serving.observe import Observer
+    from xpl_cli.serving.places import Place
+    from xpl_cli.serving.pool import Worker
+    from xpl_cli.serving.session import Entry
+
+_BEFORE_AN_EPISODE = frozenset((spec.Method.RESET, *spec.HOOKS))
+_TIMED = frozenset((spec.Message.INFER, spec.Message.CALL))
+_NOTHING = pack({})
+
+
+class Desk:
+    """Takes requests in and gives answers out.
+
+    Args:
+        debug: show tracebacks to clients.
+        observer: told about every request, or None.
+        on_change: told whenever an answer was given.
+    """
+
+    def __init__(self, *, debug: bool, observer: Observer | None, on_change: Callable[[], None]) -> None:
+        self._debug = debug
+        self._observer = observer
+        self._on_change = on_change
+
+    # -- in ------------------------------------------------------------------------------------------------------------
+
+    def take(self, connection: Connection, place: Place, worker: Worker, frame: wire.Frame, size: int) -> None:
+        """Decide at once what becomes of a request, so that requests run in the order in which they came.
+
+        Args:
+            connection: who asks.
+            place: where it sits.
+            worker: who serves that place.
+            frame: the request.
+            size: its bytes.
+        """
+        entry: Entry | None = None
+        try:
+            entry = place.replay.find(frame)
+            if entry is None:
+                _count(place, frame)
+                entry = place.replay.begin(frame)
+                entry.waiting.append(connection.answer)
+                self._begin(
+                    worker,
+                    Job(
+                        frame,
+                        method_of(frame),
+                        place,
+                        payload=packed_payload(frame),
+                        segment=connection.segment_number,
+                        entry=entry,
+                        packs=connection.packs,
+                        size=size,
+                        received=time.monotonic(),
+                    ),
+                )
+            elif entry.answer is None:
+                entry.waiting.append(connection.answer)
+            else:
+                connection.answer(entry.answer)
+        except RequestError as error:
+            self.refuse(connection, place, frame, entry, error)
+        except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
+            self.refuse(connection, place, frame, entry, fault(error))
+
+    def refuse(
+        self, connection: Connection, place: Place | None, frame: wire.Frame, entry: Entry | None, error: RequestError
+    ) -> None:
+        """Answer a request that no worker was asked."""
+        data = refusal(frame, error)
+        if self._observer is not None:
+            self._observer.refused(frame, error.code)
+        if entry is not None and entry.answer is None and place is not None:
+            place.replay.finish(frame.message_id, entry, data)
+        else:
+            connection.answer(data)
+
+    def _begin(self, worker: Worker, job: Job) -> None:
+        place, frame = job.place, job.frame
+        if job.method not in _BEFORE_AN_EPISODE and not place.begun and frame.step > 0:
+            raise RequestError(
+                failure_code(frame),
+                f"{job.method} at step {frame.step}, but this server has seen no reset of this client: the episode's "
+                "state is elsewhere; reset and begin anew",
+                spec.ErrorReason.NO_EPISODE,
+            )
+        if place.stale and job.method != spec.Method.RESET:
+            # The client that had this place before left its episode there.
+            worker.submit(Job(wire.Frame(spec.Message.RESET, ""), spec.Method.RESET, place, payload=_NOTHING))
+        place.stale = False
+        place.begun = place.begun or job.method not in spec.HOOKS
+        if job.payload is None and has_images(frame.payload):
+            worker.submit(job)  # holds its place in the line while the images are decoded
+            decoding = asyncio.get_running_loop().run_in_executor(None, without_images, frame.payload)
+            decoding.add_done_callback(lambda done: self._decoded(worker, job, done))
+            return
+        if job.payload is None:
+            job.payload = pack(frame.payload)
+        worker.submit(job)
+
+    def _decoded(self, worker: Worker, job: Job, done: asyncio.Future[dict[str, Any]]) -> None:
+        """Go on with a request whose images were decoded, or refuse one whose images are damaged."""
+        try:
+            job.payload = pack(done.result())
+        except RequestError as error:
+            worker.line.remove(job)
+            self.refused(job, error)
+        except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
+            worker.line.remove(job)
+            self.refused(job, fault(error))
+        worker.pump()
+
+    # -- out: what a worker tells --------------------------------------------------------------------------------------
+
+    def answered(self, job: Job, result: memoryview) -> None:
+        """Send what the worker answered."""
+        finished = time.monotonic()
+        try:
+            data = _encoded(job, result, finished)
+        except wire.WireError as error:
+            self.refused(job, RequestError(spec.ErrorCode.INTERNAL, str(error)))
+        except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
+            self.refused(job, fault(error))
+        else:
+            self._finish(job, data, "ok", finished)
+
+    def raised(self, job: Job, error: dict[str, Any]) -> None:
+        """Send what the adapter raised: one sentence, and the traceback only to the log."""
+        text = error["message"]
+        if error.get("unserialisable"):
+            log(text)
+            refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {text}")
+        elif error.get("refused"):
+            refused = RequestError(spec.ErrorCode.INVALID_FRAME, text)
+        else:
+            log(error["traceback"].rstrip())
+            shown = error["traceback"] if self._debug else f"{error['type']}: {text}"
+            refused = RequestError(failure_code(job.frame), shown)
+        self.refused(job, refused)
+
+    def refused(self, job: Job, error: RequestError) -> None:
+        """Send why a request was not done."""
+        if job.entry is None:
+            log(f"reset for a new client failed: {error}")
+        self._finish(job, refusal(job.frame, error), error.code, time.monotonic())
+
+    def _finish(self, job: Job, data: bytes, outcome: str, finished: float) -> None:
+        if job.entry is None:
+            return
+        job.place.replay.finish(job.frame.message_id, job.entry, data)
+        self._on_change()
+        if self._observer is not None:
+            self._observer.answered(job, finished, len(data), outcome)
+
+
+def acknowledged(frame: wire.Frame, payload: dict[str, Any]) -> bytes:
+    """Return the frame that answers a request."""
+    return wire.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload))
+
+
+def refusal(frame: wire.Frame, error: RequestError) -> bytes:
+    """Return the error frame that answers a request."""
+    return wire.encode(frame.answer(spec.Message.ERROR, error.payload()))
+
+
+def fault(error: Exception) -> RequestError:
+    """Return the error answer for a fault of the server itself."""
+    log("".join(traceback.format_exception(error)).rstrip())
+    return RequestError(spec.ErrorCode.INTERNAL, f"fault of the server: {type(error).__name__}: {error}")
+
+
+def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
+    frame = job.frame
+    payload: dict[str, Any] = {} if frame.message_type == spec.Message.INFER else {spec.Payload.OK: True}
+    if frame.message_type in _TIMED:
+        payload[spec.Payload.LATENCY_MS] = 1000.0 * (finished - job.arrived)
+    if job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]:
+        return wire.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload), [result])
+    return acknowledged(frame, {**payload, **answer_payload(result)})
+
+
+def _count(place: Place, frame: wire.Frame) -> None:
+    """Check that no request is missing, or came a second time under another id."""
+    number = frame.payload.get(spec.Payload.SEQUENCE)
+    if number is None:
+        return
+    if number != place.sequence:
+        raise RequestError(
+            spec.ErrorCode.INTERNAL,
+            f"expected request {place.sequence}, got {number!r:.40}: one is missing, or came under two ids",
+            spec.ErrorReason.OUT_OF_ORDER,
+        )
+    place.sequence += 1

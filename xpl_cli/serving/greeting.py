@@ -1,0 +1,106 @@
+"""What the server says of itself in answer to hello, and how it comes to share memory with a client."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as spec
+from xpl import agreement
+from xpl.segment import Segment, SegmentError
+from xpl_cli import __version__
+from xpl_cli.serving.pool import log
+from xpl_cli.serving.session import RequestError
+
+if TYPE_CHECKING:
+    from xpl import wire
+    from xpl_cli.serving.connection import Connection
+    from xpl_cli.serving.pool import Worker
+
+_segments = itertools.count(1)
+
+Tell = Callable[["dict[str, Any] | None"], None]
+"""Is told what to announce about shared memory, or None."""
+
+
+def capabilities(frame: wire.Frame) -> Mapping[str, Any]:
+    """Return what a client announced in hello."""
+    given = frame.payload.get(spec.Payload.CAPABILITIES)
+    return given if isinstance(given, dict) else {}
+
+
+def greeting(policy: dict[str, Any], state: str, frame: wire.Frame) -> dict[str, Any]:
+    """Return the answer to hello, but for what depends on the client's place.
+
+    Raises:
+        RequestError: `mismatch` if policy and environment do not fit.
+    """
+    offered = frame.payload.get(spec.Payload.ENVIRONMENT)
+    found = agreement.differences(policy, offered) if isinstance(offered, dict) else []
+    if found:
+        raise RequestError(
+            spec.ErrorCode.INVALID_FRAME, agreement.sentence(found), spec.ErrorReason.MISMATCH, differences=found
+        )
+    return {
+        spec.Payload.OK: True,
+        spec.Payload.SERVER: f"xpl {__version__}",
+        spec.Payload.STATE: state,
+        spec.Payload.POLICY: policy,
+        spec.Payload.CAPABILITIES: {
+            spec.Capability.WIRE_VERSION: spec.WIRE_VERSION,
+            spec.Capability.JPEG_MARKER: True,
+            spec.Capability.LOADING: True,
+            spec.Capability.PACKED: 1,
+            spec.Capability.SEQUENCE: True,
+        },
+    }
+
+
+def share_memory(connection: Connection, worker: Worker, asked: Any, tell: Tell) -> None:
+    """Offer memory to a client on this host; when it has proved that it sees it, have the worker map it.
+
+    Args:
+        connection: the client.
+        worker: who serves it.
+        asked: what it announced about shared memory; `{"proof": token}` is the second step.
+        tell: told what to answer, perhaps later.
+    """
+    if not asked or not connection.is_local:
+        tell(None)
+    elif connection.segment is None:
+        tell(_offer(connection))
+    elif connection.segment_number is None and isinstance(asked, dict):
+        _prove(connection, connection.segment, worker, asked.get("proof"), tell)
+    else:
+        tell(None)
+
+
+def _offer(connection: Connection) -> dict[str, Any] | None:
+    try:
+        connection.segment = Segment()
+    except SegmentError as error:
+        log(str(error))
+        return None
+    return {"path": str(connection.segment.path), "size": connection.segment.size}
+
+
+def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any, tell: Tell) -> None:
+    if proof != segment.token.hex():
+        segment.close()
+        tell(None)
+        return
+    number = next(_segments)
+
+    def mapped(answer: dict[str, Any]) -> None:
+        if "error" in answer:  # another mount namespace, for example
+            log(f"the worker cannot share memory: {answer['error']['message']}")
+            segment.close()
+            tell(None)
+            return
+        connection.segment_number = number
+        shown = segment.answer().hex()
+        segment.close()  # unlinked: whoever dies from now on, the system clears up
+        tell({"proof": shown})
+
+    worker.errand({"op": "map", "segment": number, "path": str(segment.path), "size": segment.size}, mapped)
