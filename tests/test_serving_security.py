@@ -24,7 +24,7 @@ from xpl import _spec as spec
 from xpl.aio import AsyncClient
 from xpl.client import PolicyServerError, ServerConnectionError
 from xpl_cli.errors import ExitCode, UserError
-from xpl_cli.serving.admission import read_token, tls_context
+from xpl_cli.secrets import read_token, server_tls_context
 from xpl_cli.serving.launch import RunningServer, serving
 
 # Remembers which methods ran, so that a refused one shows.
@@ -89,10 +89,11 @@ def peer(shared: RunningServer) -> Iterator[Peer]:
 
 
 @contextlib.contextmanager
-def greeted(url: str) -> Iterator[Peer]:
+def greeted(url: str, **capabilities: Any) -> Iterator[Peer]:
     """Yield a connection that has said hello, and say goodbye in the end."""
     connection = Peer(url)
-    wait_until(lambda: connection.ask("hello").message_type == "hello_ack", "the server is free")
+    hello = {"capabilities": capabilities}
+    wait_until(lambda: connection.ask("hello", hello).message_type == "hello_ack", "the server is free")
     try:
         yield connection
     finally:
@@ -293,10 +294,10 @@ def test_files_that_make_no_pair_are_refused(certificate: tuple[Path, Path], tmp
     subprocess.run(command, check=True, capture_output=True)
     for pair in ((cert, cert), (key, key), (cert, tmp_path / "missing"), (cert, locked), (cert, None)):
         with pytest.raises(UserError, match=f"TLS: {cert.parent}.* cannot be used"):
-            tls_context(*pair)
+            server_tls_context(*pair)
     with pytest.raises(UserError, match="--tls-key needs --tls-cert"):
-        tls_context(None, key)
-    assert tls_context(None, None) is None
+        server_tls_context(None, key)
+    assert server_tls_context(None, None) is None
 
 
 # -- how much one may ask for ------------------------------------------------------------------------------------------
@@ -605,7 +606,10 @@ def test_what_the_header_may_hold_is_limited_for_clients_too(shared: RunningServ
             client.call("undeclared", {"text": "x" * (spec.LIMITS["packed_header"] + 1)})
 
 
-def test_packed_and_plain_say_the_same(peer: Peer) -> None:
-    """What was refused above is refused for its content: the form itself is taken."""
+def test_packed_and_plain_say_the_same(shared: RunningServer) -> None:
+    """What was refused above is refused for its content: the form itself is taken, and given to who announced it."""
     pieces = b"".join(map(bytes, packed.encode({"observation": {"x": np.arange(5)}})))
-    assert packed.decode(peer.ask("infer", {"packed": pieces}).payload["packed"]) == {"actions": [1]}
+    with greeted(shared.url) as peer:
+        assert peer.ask("infer", {"packed": pieces}).payload["actions"] == [1]
+    with greeted(shared.url, packed=1) as peer:
+        assert packed.decode(peer.ask("infer", {"packed": pieces}).payload["packed"]) == {"actions": [1]}

@@ -327,7 +327,7 @@ def test_a_client_that_leaves_or_resets_disturbs_nobody(sharing: RunningServer) 
 @pytest.mark.parametrize(
     ("model", "problem"),
     [
-        ("class Model:\n    def __init__(self, config): pass", r"has no reset_envs\(env_idx_list\)"),
+        ("class Model:\n    def __init__(self, config): pass", "has no .*reset_envs: derive it from xpl.Policy"),
         (SHARED + "\n        def prepare_case(self, case): pass", "prepare_case cannot tell one client from another"),
     ],
 )

@@ -36,6 +36,17 @@ def needs(manifest: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, A
     }
 
 
+def offered_inputs(obs: Mapping[str, Any]) -> list[str]:
+    """Return the inputs that an observation holds, by their names in policy.yml: `state.ee_pose`, `vision.cam_head`."""
+    state = obs.get(spec.Obs.STATE) or {}
+    prefixes = {prefix for names in spec.ARM_PREFIXES.values() for prefix in names if prefix}
+    bare = [next((key[len(prefix) :] for prefix in prefixes if key.startswith(prefix)), key) for key in state]
+    found = [f"{spec.Obs.STATE}.{key}" for key in dict.fromkeys(bare)]
+    found += [f"{spec.Obs.VISION}.{camera}" for camera in obs.get(spec.Obs.VISION) or {}]
+    found += [name for name in (spec.Obs.INSTRUCTION, spec.Obs.PRIVILEGED) if obs.get(name) is not None]
+    return found
+
+
 def differences(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return where policy and environment do not fit: maps with `field`, `policy`, `environment` and a `message`."""
     found = []

@@ -136,8 +136,11 @@ class AsyncClient:
         await self.close()
 
     async def _run(self, talk: Coroutine[Any, Any, _Value]) -> _Value:
-        async with self._turn:
-            return await talk
+        try:
+            async with self._turn:
+                return await talk
+        finally:
+            talk.close()  # one that never began: the task was cancelled while it waited for its turn
 
 
 class _Suspending:

@@ -147,6 +147,7 @@ class Conversation:
         self._evaluation_id = evaluation_id or uuid.uuid4().hex
         self._trial_id = trial_id
         self._session = uuid.uuid4().hex
+        self._numbers = itertools.count()
         self._step = 0
         self._is_open = False
         self._is_lost = False
@@ -406,7 +407,10 @@ class Conversation:
             await self._reconnect(error, deadline)
 
     def _frame(self, message_type: str, payload: dict[str, Any]) -> wire.Frame:
-        return wire.Frame(message_type, self._evaluation_id, payload, trial_id=self._trial_id, step=self._step)
+        identity = f"{self._session}-{next(self._numbers)}"
+        return wire.Frame(
+            message_type, self._evaluation_id, payload, identity, trial_id=self._trial_id, step=self._step
+        )
 
     def _numbered(self, message_type: str, payload: dict[str, Any]) -> tuple[wire.Frame, bytes, list[int]]:
         """Return a request with its number, where the server counts, too; its bytes and its blocks."""
@@ -423,6 +427,9 @@ class Conversation:
         deadline = self._request_deadline()
         try:
             answer = await self._exchange(frame, data, deadline)
+        except PolicyServerError:
+            self._raise_late()  # what failed before it is the cause
+            raise
         except OSError as error:
             await self._reconnect(error, deadline)
             data, blocks = self._encoded(frame)  # what lay in the memory of the lost connection lies elsewhere now
@@ -491,6 +498,10 @@ class Conversation:
         except (wire.WireError, packed.PackingError) as error:
             await self._drop()
             raise ClientError(f"what the server sent cannot be understood: {error}") from None
+        except BaseException as error:
+            if not isinstance(error, Exception):  # cancelled, or interrupted: nobody knows what became of the request
+                await self.close()
+            raise
 
     def _take(self, answer: wire.Frame) -> None:
         """Take in the answer to an update that was sent ahead; others are not ours."""

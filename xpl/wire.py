@@ -25,6 +25,7 @@ from xpl.packed import decode as unpack
 _K = spec.ARRAY_KEYS
 _ND, _TYPE, _KIND, _SHAPE, _DATA, _COMPLEX = (_K[name] for name in ("nd", "type", "kind", "shape", "data", "complex"))
 
+_TEXT = frozenset((str,))
 _TEXT_MARKS = frozenset((_ND.decode(), _COMPLEX.decode()))
 _EMPTY = b"\xc4\x00"  # msgpack's byte string without bytes
 _NONE = type(None)
@@ -202,7 +203,7 @@ def depth(value: Any) -> int:
 
 
 def _check_envelope(fields: Mapping[str, Any]) -> None:
-    if tuple(type(fields.get(name)) for name in _ENVELOPE) in _USUAL:
+    if tuple(map(type, map(fields.get, _ENVELOPE))) in _USUAL:
         return
     for name, allowed in _ENVELOPE.items():
         value = fields.get(name)
@@ -282,7 +283,7 @@ class _Reader:
 
     def on_map(self, entries: dict[Any, Any]) -> Any:
         self._count(len(entries))
-        if all(type(key) is str for key in entries) and not (_TEXT_MARKS & entries.keys()):
+        if set(map(type, entries)) <= _TEXT and not (_TEXT_MARKS & entries.keys()):
             return entries
         by_name = {key.encode() if isinstance(key, str) else key: value for key, value in entries.items()}
         if isinstance(by_name.get(_ND), bool) and _TYPE in by_name and _DATA in by_name:

@@ -16,6 +16,7 @@ true` where the request itself was wrong and `"unserialisable": true` where the 
 from __future__ import annotations
 
 import faulthandler
+import gc
 import os
 import select
 import signal
@@ -109,6 +110,8 @@ class Worker:
         self._methods = frozenset(
             name for name in offered if not name.startswith("_") and callable(getattr(self._model, name, None))
         )
+        gc.collect()
+        gc.freeze()  # what was loaded stays: looking through it again and again would make some steps slow
         if shared:
             from xpl.sharing import SharedModel
 

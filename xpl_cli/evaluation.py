@@ -8,19 +8,25 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from xpl import Client, get_embodiment
+from xpl import Client, agreement, get_embodiment
 from xpl import _spec as sdk
-from xpl.client import ClientError
+from xpl.client import ClientError, EnvironmentMismatchError, RequestTimeoutError, ServerConnectionError
 from xpl_cli import content, environments, spec
 from xpl_cli.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.serving.launch import serving
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    import ssl
+    from collections.abc import Callable, Mapping
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from xpl_cli.package import Package
     from xpl_cli.progress import Progress
+    from xpl_cli.serving.launch import RunningServer
+
+ATTEMPTS = 3
+INFRASTRUCTURE = "infrastructure"
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,7 @@ class Request:
         num_envs: environments that run at once, in one batch.
         overrides: keys of deploy.yml.
         connect: address of a server that already runs; one is started otherwise.
+        token, ssl_context: what a server that already runs asks for.
         python, env, gpu: interpreter and device of the adapter.
     """
 
@@ -45,6 +52,8 @@ class Request:
     num_envs: int = 1
     overrides: Mapping[str, Any] = field(default_factory=dict)
     connect: str | None = None
+    token: str | None = None
+    ssl_context: ssl.SSLContext | None = None
     python: str | None = None
     env: str | None = None
     gpu: str | None = None
@@ -70,27 +79,62 @@ def environment_for(variable: str | None = None) -> str:
 def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
     """Run the episodes and return the report `xpl.eval/1`.
 
+    A trial that the infrastructure spoils (the server is gone, was restarted or does not answer) says nothing about the
+    policy: it is played again, and where that fails, too, it is reported apart and counts neither way.
+
     Raises:
-        UserError: if the environment does not know the task or embodiment, or the policy fails in an episode.
+        UserError: if the environment does not know the task or embodiment, policy and environment do not fit, or the
+            policy fails in an episode.
     """
     config = request.package.config(request.overrides)
     settings = environment_settings(request, config)
     loop = load_loop(request.package.path, batch=request.num_envs > 1)
+    offer = _offer(request, settings)
     first_seed = int(config[sdk.Deploy.SEED])
     episodes: list[dict[str, Any]] = []
     started = time.perf_counter()
     task_env = environments.make(request.environment, settings)
-    with contextlib.closing(task_env), _connected(request, config) as client:
+    with contextlib.closing(task_env), contextlib.closing(_Session(request, config, progress)) as session:
         while len(episodes) < request.episodes:
             seeds = [first_seed + len(episodes) + place for place in range(request.num_envs)]
-            task_env.reset(seed=seeds)
-            try:
-                loop(task_env, client)
-            except ClientError as error:
-                raise UserError(f"episode with seed {seeds[0]}: {error}", code=ExitCode.FINDINGS) from None
-            episodes += [dict(result) for result in task_env.results()]
+            episodes += _trial(task_env, seeds, loop, session, offer)
             progress.step(_line(episodes, request.episodes))
     return _report(request, settings, episodes[: request.episodes], time.perf_counter() - started)
+
+
+def _trial(
+    task_env: Any,
+    seeds: list[int],
+    loop: Callable[[Any, Any], None],
+    session: _Session,
+    offer: Mapping[str, Any],
+) -> list[dict[str, Any]]:
+    """Play one trial of every environment, again if the infrastructure spoils it, and return the results."""
+    problem: ClientError | None = None
+    for _ in range(ATTEMPTS):
+        task_env.reset(seed=seeds)
+        try:
+            inputs = agreement.offered_inputs(task_env.get_obs())
+            loop(task_env, session.client({**offer, "inputs": inputs}))
+        except (ServerConnectionError, RequestTimeoutError) as error:
+            problem = error
+            session.drop(f"episode with seed {seeds[0]}: {error}")
+        except ClientError as error:
+            raise UserError(f"episode with seed {seeds[0]}: {error}", code=ExitCode.FINDINGS) from None
+        else:
+            return [dict(result) for result in task_env.results()]
+    spoilt = {"success": None, "score": None, "end_reason": INFRASTRUCTURE, "error": str(problem)}
+    return [{sdk.Obs.ENV_IDX: env, sdk.Deploy.SEED: seed, **spoilt} for env, seed in enumerate(seeds)]
+
+
+def _offer(request: Request, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the environment announces to a policy, but for the inputs, which its observations show."""
+    manifest = environments.manifest(environments.find(request.environment))
+    return {
+        "embodiment": settings["embodiment"],
+        sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
+        "control_frequency": manifest["control_frequency"],
+    }
 
 
 def environment_settings(request: Request, config: Mapping[str, Any]) -> dict[str, Any]:
@@ -141,25 +185,63 @@ def load_loop(policy_dir: Path, *, batch: bool) -> Callable[[Any, Any], None]:
     return found
 
 
-@contextlib.contextmanager
-def _connected(request: Request, config: Mapping[str, Any]) -> Iterator[Client]:
-    with contextlib.ExitStack() as stack:
-        url = request.connect
-        if url is None:
-            server = serving(
-                request.package.path,
-                request.overrides,
-                python=request.python,
-                env=request.env,
-                gpu=request.gpu,
-                echo=True,
-            )
-            url = stack.enter_context(server).url
-        try:
-            client = Client(url, config=config)
-        except ClientError as error:
-            raise UserError(str(error), code=ExitCode.NOT_RUN) from None
-        yield stack.enter_context(client)
+class _Session:
+    """A client, and the server it talks to where that is ours; both are made anew after they were dropped."""
+
+    def __init__(self, request: Request, config: Mapping[str, Any], progress: Progress) -> None:
+        self._request = request
+        self._config = config
+        self._progress = progress
+        self._stack = contextlib.ExitStack()
+        self._client: Client | None = None
+
+    def client(self, environment: Mapping[str, Any]) -> Client:
+        """Return the client; connects, and starts a server, if there is none.
+
+        Raises:
+            UserError: if there is no server, or policy and environment do not fit.
+        """
+        if self._client is None:
+            request = self._request
+            try:
+                url = request.connect or self._stack.enter_context(self._serving()).url
+                client = Client(
+                    url,
+                    config=self._config,
+                    token=request.token,
+                    ssl_context=request.ssl_context,
+                    environment=environment,
+                    on_loading=lambda told: self._progress.step(
+                        f"the model is loading: {told.get('seconds', 0):.0f} s"
+                    ),
+                )
+            except EnvironmentMismatchError as error:
+                raise UserError(str(error), code=ExitCode.USAGE) from None
+            except ClientError as error:
+                raise UserError(str(error), code=ExitCode.NOT_RUN) from None
+            self._client = self._stack.enter_context(client)
+        return self._client
+
+    def _serving(self) -> AbstractContextManager[RunningServer]:
+        request = self._request
+        return serving(
+            request.package.path,
+            request.overrides,
+            python=request.python,
+            env=request.env,
+            gpu=request.gpu,
+            echo=True,
+        )
+
+    def drop(self, reason: str) -> None:
+        """Let go of a client that cannot go on, and of its server."""
+        self._progress.step(f"{reason}; the trial does not count")
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection, and end the server where it is ours."""
+        self._client = None
+        self._stack.close()
 
 
 def _tally(episodes: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], int]:
@@ -188,6 +270,7 @@ def _report(
         "episodes": episodes,
         "successes": won if judged else None,
         "success_rate": won / len(judged) if judged else None,
+        "infrastructure_failures": sum(episode.get("end_reason") == INFRASTRUCTURE for episode in episodes),
         "mean_score": sum(float(episode["score"]) for episode in judged) / len(judged) if judged else None,
         "seconds": round(seconds, 3),
     }

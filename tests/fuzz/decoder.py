@@ -1,6 +1,6 @@
-"""What reads bytes of strangers, as targets of fuzzers: each takes any bytes, and may refuse them in one way only.
+"""What reads bytes, as targets of fuzzers: each takes any bytes, and may refuse them in one way only.
 
-As a script it runs under atheris, which is guided by coverage: `python tests/fuzz/decoder.py -max_total_time=20 CORPUS`.
+As a script it runs under atheris, guided by coverage: `python tests/fuzz/decoder.py -max_total_time=20 CORPUS`.
 """
 
 from __future__ import annotations
@@ -34,30 +34,32 @@ def read_packed(data: bytes) -> None:
 
 
 def read_stream(data: bytes) -> None:
-    """Cut a stream into messages, as it arrives in pieces; the first byte gives their size.
+    """Cut the stream of a worker into messages, and read them; it arrives in pieces of the first byte's size.
 
-    Between our own processes an announced size is believed up to a limit, which is lowered here.
+    Our own processes take memory for what they announce to each other, up to limits that are lowered here.
     """
-    from xpl import link, packed
+    from xpl import link
 
     inbox, size, position = link.Inbox(), 1 + (data[0] if data else 0), 1
-    with contextlib.suppress(packed.PackingError), mock.patch.multiple(packed, HEADER_LIMIT=1 << 16, BODY_LIMIT=1 << 18):
+    lower = mock.patch.multiple(link, HEADER_LIMIT=1 << 16, BODY_LIMIT=1 << 18)
+    with contextlib.suppress(link.LinkError), lower:
         while position < len(data):
             space = inbox.space()
             piece = data[position : position + min(size, len(space))]
             space[: len(piece)] = piece
-            inbox.take(len(piece))
             position += len(piece)
+            for message in inbox.take(len(piece)):
+                link.decode(message)
 
 
 TARGETS: tuple[Callable[[bytes], None], ...] = (read_frame, read_packed, read_stream)
 
 
 def seeds() -> Iterator[tuple[int, bytes]]:
-    """Yield the number of a target and bytes for it: the golden vectors, and packed values."""
+    """Yield the number of a target and bytes for it: the golden vectors, packed values, messages to a worker."""
     import numpy as np
 
-    from xpl import packed, wire
+    from xpl import link, packed, wire
 
     empty = wire.encode(wire.Frame("call", "e", {}))
     for name in ("frames", "refused", "values", "lenient"):
@@ -66,13 +68,11 @@ def seeds() -> Iterator[tuple[int, bytes]]:
             data = b"".join(bytes.fromhex(piece) for piece, _ in vector["bytes"])
             yield 0, data if name in ("frames", "refused") else empty[:-1] + b"\x81\xa1v" + data
     step = {"arm_joint_state": np.zeros(7, np.float32), "ee_joint_state": np.ones(1, np.float32)}
-    inner = packed.Packed(b"".join(packed.encode({"@array": [b"xy", 1.5, None]})))
-    values = [step, [step, step], {"a": inner}, [np.float32(1), 2j, "é", {"@": True}], np.zeros(2, [("f", "<i4")])]
-    for value in values:
-        pieces = packed.encode(value)
-        yield 0, wire.encode(wire.Frame("call", "e"), packed.encode({"obs": value}))
+    for value in (step, [step, step], [np.float32(1), 2j, "é", {"@": b"xy"}], np.zeros(2, [("f", "<i4")])):
+        pieces = packed.encode({"obs": value})
+        yield 0, wire.encode(wire.Frame("call", "e"), pieces)
         yield 1, b"".join(pieces)
-        yield 2, b"\x07" + 2 * b"".join(pieces)
+        yield 2, b"\x07" + 2 * b"".join(link.encode({"op": "run"}, [b"".join(pieces), b"", b"x"]))
 
 
 def one_input(data: bytes) -> None:

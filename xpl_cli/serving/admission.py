@@ -1,21 +1,17 @@
-"""Who may speak to the server at all: bearer token, TLS, number of connections; and its two plain HTTP pages."""
+"""Who may speak to the server at all: bearer token and number of connections; and its two plain HTTP pages."""
 
 from __future__ import annotations
 
 import hmac
 import json
 import os
-import ssl
-import stat
 from dataclasses import dataclass
 from http import HTTPStatus
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from picows import WSUpgradeResponse, WSUpgradeResponseWithListener
 
 from xpl import _spec as spec
-from xpl_cli.errors import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,48 +19,6 @@ if TYPE_CHECKING:
     from picows import WSUpgradeRequest
 
 _HEALTH, _METRICS = "/healthz", "/metrics"
-_TOKEN_BYTES = 16
-
-
-def read_token(path: Path) -> str:
-    """Return the token in a file.
-
-    Raises:
-        UserError: if the file cannot be read, others may read it, or the token is too short to be a secret.
-    """
-    try:
-        mode = path.stat().st_mode
-        token = path.read_text(encoding="ascii").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"the token file {path} cannot be read: {error}") from None
-    if stat.S_ISREG(mode) and mode & 0o077:
-        raise UserError(f"others may read the token file {path}", hint=f"chmod 600 {path}")
-    if len(token) < _TOKEN_BYTES or not token.isprintable() or " " in token:
-        raise UserError(
-            f"the token in {path} must be one word of at least {_TOKEN_BYTES} characters, got {len(token)}",
-            hint=f"(umask 077; openssl rand -hex 32 > {path})",
-        )
-    return token
-
-
-def tls_context(certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:
-    """Return the TLS context of a server, or None without a certificate.
-
-    Raises:
-        UserError: if only one of the files is given, or they do not make a pair.
-    """
-    if certificate is None and key is None:
-        return None
-    if certificate is None:
-        raise UserError("--tls-key needs --tls-cert")
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    try:
-        # A key with a password would have the server wait for someone to type it.
-        context.load_cert_chain(certificate, key, password=lambda: "")
-    except (OSError, ssl.SSLError) as error:
-        raise UserError(f"TLS: {certificate} and {key or certificate} cannot be used: {error}") from None
-    return context
 
 
 @dataclass(frozen=True)

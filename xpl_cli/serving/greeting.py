@@ -90,7 +90,7 @@ def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any,
         segment.close()
         tell(None)
         return
-    number = next(_segments)
+    number, shown = next(_segments), segment.answer().hex()
 
     def mapped(answer: dict[str, Any]) -> None:
         if "error" in answer:  # another mount namespace, for example
@@ -98,9 +98,11 @@ def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any,
             segment.close()
             tell(None)
             return
-        connection.segment_number = number
-        shown = segment.answer().hex()
         segment.close()  # unlinked: whoever dies from now on, the system clears up
+        if not connection.is_open:
+            worker.errand({"op": "unmap", "segment": number}, lambda _: None)
+            return
+        connection.segment_number = number
         tell({"proof": shown})
 
     worker.errand({"op": "map", "segment": number, "path": str(segment.path), "size": segment.size}, mapped)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -17,7 +18,7 @@ from xpl import agreement, segment
 from xpl_cli import interpreter
 from xpl_cli.errors import ExitCode, UserError
 from xpl_cli.progress import progress
-from xpl_cli.serving.admission import read_token, tls_context
+from xpl_cli.secrets import read_token, server_tls_context
 from xpl_cli.serving.connection import Timing
 from xpl_cli.serving.observe import Observer
 from xpl_cli.serving.pool import LoadError
@@ -112,7 +113,7 @@ def _settings(package: Package, config: Mapping[str, Any], options: Options) -> 
         grace=spec.DEPLOY_DEFAULTS[spec.Deploy.CLOSE_TIMEOUT_S] if close is None else close,
         policy=agreement.needs(package.manifest, config),
         token=token,
-        tls=tls_context(options.tls_cert, options.tls_key),
+        tls=server_tls_context(options.tls_cert, options.tls_key),
         debug=options.debug,
     )
 
@@ -204,6 +205,8 @@ async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, e
     if problem is not None:
         await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], problem)
         return problem
+    gc.collect()
+    gc.freeze()  # what there is now stays: looking through it again and again would make some requests slow
     front_end.ready()
     host, port = _address(server, run.settings.host)
     scheme = "ws" if run.settings.tls is None else "wss"

@@ -153,10 +153,14 @@ class Replay:
 
     def _shrink(self, newest: Entry) -> None:
         """Forget the oldest answers beyond the limits, but neither the newest nor what still runs."""
-        for message_id, entry in list(self._entries.items()) if self._is_full() else ():
-            if entry.answer is not None and entry is not newest and self._is_full():
-                del self._entries[message_id]
-                self.size -= len(entry.answer)
+        while self._is_full():
+            finished = (
+                name for name, entry in self._entries.items() if entry.answer is not None and entry is not newest
+            )
+            oldest = next(finished, None)
+            if oldest is None:
+                return
+            self.size -= len(self._entries.pop(oldest).answer or b"")
 
     def _is_full(self) -> bool:
         return len(self._entries) > spec.LIMITS["replay_entries"] or self.size > spec.LIMITS["replay_bytes"]
