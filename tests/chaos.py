@@ -236,9 +236,6 @@ def deck(
 ) -> Iterator[Fault]:
     """Yield faults without end: all pairs of kind and direction in random order, then again; equal for equal seeds.
 
-    After a damaged request the next answer passes: if the damage is in its id and the answer to it is lost, nobody can
-    know that what is asked again has run.
-
     Args:
         seed: of the order, places and amounts.
         pairs: kinds and directions.
@@ -247,7 +244,6 @@ def deck(
         every: see `rare`.
     """
     rng, cards, rare_cards = dice(seed), list(pairs), itertools.cycle(rare)
-    least = 0
     for number in itertools.count(1):
         if number % len(cards) == 1:
             rng.shuffle(cards)
@@ -255,8 +251,7 @@ def deck(
         if number % every == 0:
             dealt += itertools.islice(rare_cards, 1)
         for kind, direction in dealt:
-            yield Fault(kind, direction, least + int(rng.expovariate(1 / gap)), rng.random())
-            least = int((kind, direction) == ("bad_envelope", REQUEST))
+            yield Fault(kind, direction, int(rng.expovariate(1 / gap)), rng.random())
 
 
 # -- the proxy ---------------------------------------------------------------------------------------------------------

@@ -72,15 +72,21 @@ class Model:
     """Keeps a ledger for each environment; actions are its summary.
 
     Attributes:
+        ledgers: by environment.
         newest: environments of the newest observations.
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         self.reset()
 
+    def reset_envs(self, env_idx_list: Sequence[int]) -> None:
+        """Begin an episode in some environments, where several clients share the model."""
+        for env in env_idx_list:
+            self.ledgers.pop(env, None)
+
     def reset(self) -> None:
         """Begin an episode."""
-        self._ledgers: dict[int, Ledger] = {}
+        self.ledgers: dict[int, Ledger] = {}
         self.newest: list[int] = []
         self._fifo: str | None = None
 
@@ -92,7 +98,7 @@ class Model:
         """Enter one observation for each environment."""
         self.newest = [int(obs["env_idx"]) for obs in obs_list]
         for obs in obs_list:
-            self._ledgers.setdefault(int(obs["env_idx"]), Ledger()).observe(obs)
+            self.ledgers.setdefault(int(obs["env_idx"]), Ledger()).observe(obs)
             self._fifo = obs.get("fifo")
 
     def get_action(self) -> list[dict[str, Any]]:
@@ -106,17 +112,13 @@ class Model:
                 pipe.read()
         wanted = self.newest if env_idx_list is None else env_idx_list
         for env in wanted:
-            self._ledgers[env].ask()
-        return [[{"summary": self._ledgers[env].summary()}] for env in wanted]
+            self.ledgers[env].ask()
+        return [[{"summary": self.ledgers[env].summary()}] for env in wanted]
 
     def infer(self, obs: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Enter an observation and return the summary, as one unit."""
         self.update_obs(obs)
         return self.get_action()
-
-    def journal(self) -> dict[str, list[int]]:
-        """Return the summary of every environment seen in this episode."""
-        return {str(env): ledger.summary() for env, ledger in self._ledgers.items()}
 
     def large(self, size: int) -> np.ndarray:
         """Return an array of `size` bytes."""

@@ -26,7 +26,13 @@ from tests.stand_in import standing_in
 from xpl import Client, images, segment
 from xpl import _spec as spec
 from xpl.aio import AsyncClient
-from xpl.client import ClientError, PolicyServerError, ServerConnectionError, ServerFailedError
+from xpl.client import (
+    ClientError,
+    PolicyServerError,
+    RequestTimeoutError,
+    ServerConnectionError,
+    ServerFailedError,
+)
 from xpl.wire import WireError
 from xpl_cli.serving.launch import RunningServer, serving
 
@@ -139,6 +145,12 @@ def mapped(pid: int) -> int:
     return len(re.findall(rf"{segment.folder()}/xpl-", maps))
 
 
+def touched(pid: int) -> int:
+    """Return how many bytes of shared memory a process has used."""
+    maps = Path(f"/proc/{pid}/smaps").read_text(encoding="utf-8")
+    return 1024 * sum(map(int, re.findall(rf"{segment.folder()}/xpl-.*\nSize:.*\n(?:.*\n)*?Rss: +(\d+) kB", maps)))
+
+
 # -- shared memory -----------------------------------------------------------------------------------------------------
 
 
@@ -179,9 +191,7 @@ def test_what_a_history_holds_stays_as_it_was(shared: RunningServer) -> None:
                 client.update_obs(seen(seed))
                 client.call("echo", {"x": picture(99)})  # used for a moment only
             assert client.call("sums") == expected
-        arena = client._talk._arena
-        assert arena is not None
-        assert arena._taken_to < 90 * SIZE  # 120 pictures came, 30 are held
+        assert 30 * SIZE < touched(os.getpid()) < 90 * SIZE  # 120 pictures were sent, 30 are held
 
 
 def test_every_kind_of_large_array_crosses(shared: RunningServer) -> None:
@@ -441,6 +451,21 @@ def test_an_update_that_failed_is_reported_by_what_comes_next(shared: RunningSer
         client.reset()
         client.update_obs({"n": 2})
         assert client.get_action() == [2]
+
+
+@pytest.mark.parametrize("following", ["get_action", "update_obs", "settle"])
+def test_an_update_that_is_not_answered_in_time_ends_the_trial(
+    shared: RunningServer, fifo: Path, following: str
+) -> None:
+    """Whatever waits for it; it is not taken for a lost connection and sent again."""
+    client = Client(shared.url, pipelined=True, config={**HASTE, "request_timeout_s": 0.3})
+    client.reset()
+    client.update_obs({"fifo": str(fifo)})
+    with fifo.open("w"):
+        with pytest.raises(RequestTimeoutError, match="not answered"):
+            follow(client, following)
+        with pytest.raises(ServerConnectionError, match="the client is closed"):
+            client.get_action()
 
 
 def test_an_update_that_cannot_be_sent_leaves_no_gap(shared: RunningServer) -> None:

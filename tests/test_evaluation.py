@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,7 +16,9 @@ from tests.peer import xpl
 from xpl_cli.errors import ExitCode
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
@@ -87,3 +91,59 @@ def test_what_cannot_be_evaluated_is_refused_in_one_sentence(
     assert (done.returncode, done.stdout) == (code, "")
     assert said in done.stderr
     assert "Traceback" not in done.stderr
+
+
+BREAKS_ONCE = """
+    import os, signal
+    from pathlib import Path
+    import numpy as np
+
+    class Model:
+        def __init__(self, config):
+            self.config = config
+            self.calls = 0
+
+        def reset(self): pass
+        def update_obs(self, obs): self.state = obs["state"]
+        def update_obs_batch(self, obs_list): self.update_obs(obs_list[-1])
+
+        def get_action(self):
+            self.calls += 1
+            left = int(Path(self.config["marks"]).read_text())
+            if self.calls == 3 and left:
+                Path(self.config["marks"]).write_text(str(left - 1))
+                os.kill(os.getpid(), signal.SIGKILL)
+            keys = ("arm_joint_state", "ee_joint_state")
+            return [{key: np.asarray(self.state[key], np.float32) for key in keys}]
+"""
+
+
+@pytest.mark.parametrize(("deaths", "code", "failed"), [(1, ExitCode.CLEAN, 0), (9, ExitCode.NOT_RUN, 2)])
+def test_a_trial_that_the_infrastructure_spoils_counts_neither_way(
+    write_adapter: Callable[..., Path], tmp_path: Path, deaths: int, code: ExitCode, failed: int
+) -> None:
+    """It is played again with a new server; what fails for good is reported apart, and never as a failed task."""
+    adapter = write_adapter(BREAKS_ONCE)
+    deploy = {"env_cfg_type": "franka_single", "marks": str(tmp_path / "marks")}
+    (adapter / "deploy.yml").write_text(json.dumps(deploy), encoding="utf-8")
+    shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
+    (tmp_path / "marks").write_text(str(deaths), encoding="utf-8")
+    done = xpl("eval", str(adapter), "--env", "offline", "--episodes", "2", "--json", cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    report = json.loads(done.stdout)
+    assert len(report["episodes"]) == 2
+    assert report["infrastructure_failures"] == failed
+    assert [episode["end_reason"] for episode in report["episodes"]].count("infrastructure") == failed
+    assert "SIGKILL" in done.stderr
+
+
+def test_a_policy_that_does_not_fit_is_refused_before_the_first_step(
+    write_adapter: Callable[..., Path], tmp_path: Path
+) -> None:
+    """The manifest asks for another rate than the environment has."""
+    adapter = write_adapter(BREAKS_ONCE, control_frequency=50, inputs={"required": ["state.mobile"]})
+    shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
+    done = xpl("eval", str(adapter), "--env", "offline", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
+    assert "50 Hz" in done.stderr
+    assert "state.mobile" in done.stderr

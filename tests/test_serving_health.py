@@ -111,6 +111,7 @@ def start(subject: Path) -> Iterator[Callable[..., Started]]:
             assert process.stderr is not None
             reader = threading.Thread(target=read_lines, args=(process.stderr, started.log))
             reader.start()
+            stack.callback(lambda: sys.stdout.write("\n".join(started.log)))  # shown if the test fails
             stack.callback(end, process, reader)
             return started
 

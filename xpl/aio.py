@@ -17,7 +17,8 @@ from typing import Any, Callable, TypeVar
 
 from xpl import _spec as spec
 from xpl.blocking import refused_handshake, wrong_address
-from xpl.conversation import Conversation, ServerConnectionError, ServerFailedError, Wishes
+from xpl.client_errors import ServerConnectionError, ServerFailedError
+from xpl.conversation import Conversation, Wishes
 
 _Value = TypeVar("_Value")
 _GOODBYE_S = 0.2

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from xpl import _spec as spec
-from xpl.conversation import ServerConnectionError, ServerFailedError
+from xpl.client_errors import ServerConnectionError, ServerFailedError
 
 _CHUNK = 1 << 18
 _LOOK_S = 0.5

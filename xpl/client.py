@@ -20,17 +20,16 @@ from typing import Any, Callable, TypeVar
 
 from xpl import _spec as spec
 from xpl.blocking import BlockingTransport
-from xpl.conversation import (
+from xpl.client_errors import (
     ClientError,
-    Conversation,
     EnvironmentMismatchError,
     PolicyServerError,
     RequestTimeoutError,
     ServerConnectionError,
     ServerFailedError,
     ServerRestartedError,
-    Wishes,
 )
+from xpl.conversation import Conversation, Wishes
 
 __all__ = [
     "Client",

@@ -17,8 +17,18 @@ from dataclasses import dataclass, field
 from typing import Any, Callable, Protocol
 
 from xpl import _spec as spec
-from xpl import agreement, images, packed, wire
-from xpl.observation import color_of, env_indices, is_encoded
+from xpl import agreement, packed, wire
+from xpl.client_errors import (
+    ClientError,
+    EnvironmentMismatchError,
+    PolicyServerError,
+    RequestTimeoutError,
+    ServerConnectionError,
+    ServerFailedError,
+    ServerRestartedError,
+)
+from xpl.encoding import Encoder
+from xpl.observation import env_indices
 
 _CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
 _AGAIN = (spec.ErrorReason.BUSY, spec.ErrorReason.LOADING)
@@ -27,44 +37,6 @@ _UNCOUNTED = (spec.ErrorReason.UNREADABLE, spec.ErrorReason.SHUTTING_DOWN, *_AGA
 _BETWEEN_EPISODES = (spec.Message.RESET, spec.Message.HEARTBEAT, spec.Message.PREPARE_CASE, spec.Message.TRIAL_END)
 _LOADING_POLL_S = 0.5
 _GOODBYE_S = 0.2
-
-
-class ClientError(RuntimeError):
-    """Base class of what can go wrong between an environment and a policy server."""
-
-
-class PolicyServerError(ClientError):
-    """The server answered with an error; the policy raised, or refused the request.
-
-    Attributes:
-        code: one of the wire's error codes.
-        details: map with, for example, a finer `reason`.
-    """
-
-    def __init__(self, code: str, message: str, details: Mapping[str, Any] | None = None) -> None:
-        super().__init__(f"{code}: {message}")
-        self.code = code
-        self.details = dict(details or {})
-
-
-class EnvironmentMismatchError(PolicyServerError):
-    """Policy and environment do not fit; `details["differences"]` says where."""
-
-
-class ServerConnectionError(ClientError):
-    """The server cannot be reached, or a connection was lost and the trial cannot go on."""
-
-
-class ServerRestartedError(ServerConnectionError):
-    """Another server instance answers now: the episode's state is gone, the trial must be aborted."""
-
-
-class RequestTimeoutError(ClientError):
-    """A request was not answered in time; the trial must be aborted."""
-
-
-class ServerFailedError(ServerConnectionError):
-    """The server closed the connection because its policy cannot go on."""
 
 
 class Transport(Protocol):
@@ -152,7 +124,7 @@ class Conversation:
         self._is_open = False
         self._is_lost = False
         self._held: list[Mapping[str, Any]] = []
-        self._arena: Any = None
+        self._encoder = Encoder(packed=wishes.packed, jpeg=wishes.jpeg)
         self._ahead: OrderedDict[str, _Ahead] = OrderedDict()
         self._late: PolicyServerError | None = None
         self._sequence = 0
@@ -296,7 +268,7 @@ class Conversation:
             if instance != self.server_instance_id:
                 self._sequence = 0
             self.server_instance_id = instance
-            self.capabilities = _map(greeting.get(spec.Payload.CAPABILITIES))
+            self.capabilities = self._encoder.capabilities = _map(greeting.get(spec.Payload.CAPABILITIES))
             self.policy = _map(greeting.get(spec.Payload.POLICY))
             self._check_fit()
             await self._share(self.capabilities.get(spec.Capability.SHARED_MEMORY))
@@ -348,19 +320,11 @@ class Conversation:
 
     async def _share(self, offer: Any) -> None:
         """Use the memory that the server offers, once both sides have read there what the other one wrote."""
-        if not isinstance(offer, Mapping) or not self._wishes.shared_memory:
-            return
-        try:
-            from xpl.segment import Arena
-
-            arena = Arena(str(offer["path"]), int(offer["size"]))
-        except (ImportError, OSError, LookupError, TypeError, ValueError):
-            return  # another machine, another user, another system: arrays travel in the message
-        self._arena = arena
-        greeting = await self._hello({"proof": arena.token.hex()})
-        answer = _map(_map(greeting.get(spec.Payload.CAPABILITIES)).get(spec.Capability.SHARED_MEMORY))
-        if answer.get("proof") != arena.answer.hex():
-            self._forget_arena()
+        proof = self._encoder.share(offer) if isinstance(offer, Mapping) and self._wishes.shared_memory else None
+        if proof is not None:
+            greeting = await self._hello({"proof": proof})
+            announced = _map(greeting.get(spec.Payload.CAPABILITIES)).get(spec.Capability.SHARED_MEMORY)
+            self._encoder.confirm(_map(announced).get("proof"))
 
     # -- requests ------------------------------------------------------------------------------------------------------
 
@@ -405,6 +369,9 @@ class Conversation:
             raise RequestTimeoutError("an update that was sent ahead was not answered in time") from None
         except OSError as error:
             await self._reconnect(error, deadline)
+        except wire.WireError as error:
+            await self._drop()
+            raise ClientError(f"what the server sent cannot be understood: {error}") from None
 
     def _frame(self, message_type: str, payload: dict[str, Any]) -> wire.Frame:
         identity = f"{self._session}-{next(self._numbers)}"
@@ -416,7 +383,7 @@ class Conversation:
         """Return a request with its number, where the server counts, too; its bytes and its blocks."""
         counts = message_type != spec.Message.HEARTBEAT and bool(self.capabilities.get(spec.Capability.SEQUENCE))
         frame = self._frame(message_type, {**payload, spec.Payload.SEQUENCE: self._sequence} if counts else payload)
-        data, blocks = self._encoded(frame)
+        data, blocks = self._encoder.encode(frame)
         self._sequence += counts  # not before: what cannot be sent has no number
         return frame, data, blocks
 
@@ -432,7 +399,9 @@ class Conversation:
             raise
         except OSError as error:
             await self._reconnect(error, deadline)
-            data, blocks = self._encoded(frame)  # what lay in the memory of the lost connection lies elsewhere now
+            data, blocks = self._encoder.encode(
+                frame
+            )  # what lay in the memory of the lost connection lies elsewhere now
             try:
                 # The same id: the server answers from its memory if the model ran already.
                 answer = await self._exchange(frame, data, deadline)
@@ -440,8 +409,7 @@ class Conversation:
                 await self._drop()
                 raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
         finally:
-            if blocks and self._arena is not None:
-                self._arena.answered(blocks)
+            self._encoder.answered(blocks)
         self._raise_late()
         return answer
 
@@ -508,8 +476,7 @@ class Conversation:
         update = self._ahead.pop(answer.message_id, None)
         if update is None:
             return
-        if update.blocks and self._arena is not None:
-            self._arena.answered(update.blocks)
+        self._encoder.answered(update.blocks)
         try:
             self._read(answer, update.frame)
         except PolicyServerError as error:
@@ -535,62 +502,10 @@ class Conversation:
 
     # -- encoding ------------------------------------------------------------------------------------------------------
 
-    def _encoded(self, frame: wire.Frame) -> tuple[bytes, list[int]]:
-        """Return the bytes of a request, and the blocks of shared memory that it uses."""
-        payload = frame.payload
-        key = spec.Payload.OBSERVATION if spec.Payload.OBSERVATION in payload else spec.Payload.OBS
-        value = payload.get(key)
-        if value is None:
-            return wire.encode(frame), []
-        if self._wishes.jpeg and self.capabilities.get(spec.Capability.JPEG_MARKER):
-            value = _each(value, self._compressed)
-        if not self._may_pack(frame, value):
-            return wire.encode(_with(frame, {**payload, key: value})), []
-        place = None if self._arena is None else self._arena.place
-        try:
-            pieces = packed.encode({key: value}, place)
-        except packed.PackingError as error:
-            raise wire.WireError(f"the {frame.message_type} payload cannot be sent: {error}") from None
-        finally:
-            blocks = [] if self._arena is None else self._arena.written()
-        if len(pieces[0]) > spec.LIMITS["packed_header"]:
-            if self._arena is not None:
-                self._arena.answered(blocks)
-            return wire.encode(frame), []
-        rest = {name: item for name, item in payload.items() if name != key}
-        return wire.encode(_with(frame, rest), pieces), blocks
-
-    def _may_pack(self, frame: wire.Frame, value: Any) -> bool:
-        """Tell whether a payload may travel packed: encoded images may not, the server has to decode them."""
-        return (
-            bool(self._wishes.packed and self.capabilities.get(spec.Capability.PACKED))
-            and frame.message_type in (spec.Message.INFER, spec.Message.CALL)
-            and not any(_has_images(item) for item in (value if isinstance(value, list) else [value]))
-        )
-
-    def _compressed(self, obs: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return an observation with the colour of the chosen cameras as marked JPEG."""
-        vision = obs.get(spec.Obs.VISION)
-        if not isinstance(vision, Mapping):
-            return obs
-        smaller = dict(vision)
-        for name, quality in self._wishes.jpeg.items():
-            color = color_of(vision[name]) if name in vision else None
-            if color is not None and not is_encoded(color):
-                jpeg = images.encode_jpeg(color, quality)
-                camera = vision[name]
-                smaller[name] = {**camera, spec.Camera.COLOR: jpeg} if isinstance(camera, Mapping) else jpeg
-        return {**obs, spec.Obs.VISION: smaller}
-
-    def _forget_arena(self) -> None:
-        arena, self._arena = self._arena, None
-        if arena is not None:
-            arena.close()
-
     async def _drop(self) -> None:
         """Close the connection, if there is one, without a goodbye."""
         self._is_open = False
-        self._forget_arena()
+        self._encoder.forget()
         await self._transport.close()
 
 
@@ -604,23 +519,6 @@ def _left(deadline: float) -> float | None:
 
 def _map(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
-
-
-def _with(frame: wire.Frame, payload: dict[str, Any]) -> wire.Frame:
-    """Return the same request with another payload."""
-    return wire.Frame(**{**vars(frame), spec.Frame.PAYLOAD: payload})
-
-
-def _each(value: Any, change: Callable[[Mapping[str, Any]], Any]) -> Any:
-    """Return an observation, or each of a list of them, changed; anything else stays as it is."""
-    if isinstance(value, list):
-        return [_each(item, change) for item in value]
-    return change(value) if isinstance(value, Mapping) else value
-
-
-def _has_images(obs: Any) -> bool:
-    vision = obs.get(spec.Obs.VISION) if isinstance(obs, Mapping) else None
-    return isinstance(vision, Mapping) and any(is_encoded(color_of(camera)) for camera in vision.values())
 
 
 def _payload(answer: wire.Frame, request: wire.Frame) -> dict[str, Any]:

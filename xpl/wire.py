@@ -21,6 +21,7 @@ from xpl import _spec as spec
 from xpl.arrays import ArrayError, Data, as_array, data_of, describe_dtype, from_data, parse_dtype
 from xpl.packed import PackingError, map_key
 from xpl.packed import decode as unpack
+from xpl.packed import lengths as packed_lengths
 
 _K = spec.ARRAY_KEYS
 _ND, _TYPE, _KIND, _SHAPE, _DATA, _COMPLEX = (_K[name] for name in ("nd", "type", "kind", "shape", "data", "complex"))
@@ -141,6 +142,8 @@ def unpacked(payload: dict[str, Any]) -> dict[str, Any]:
         return payload
     if not isinstance(data, bytes):
         raise PackingError(f"packed entries must be bytes, got {type(data).__name__}")
+    if packed_lengths(data)[0] > spec.LIMITS["packed_header"]:
+        raise PackingError(f"packed entries have a header over the limit of {spec.LIMITS['packed_header']} bytes")
     entries = unpack(data)
     if not isinstance(entries, dict):
         raise PackingError(f"packed entries must be a map, got {type(entries).__name__}")

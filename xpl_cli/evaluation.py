@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import Client, agreement, get_embodiment
 from xpl import _spec as sdk
-from xpl.client import ClientError, EnvironmentMismatchError, RequestTimeoutError, ServerConnectionError
+from xpl.client import ClientError, EnvironmentMismatchError
 from xpl_cli import content, environments, spec
 from xpl_cli.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.serving.launch import serving
@@ -114,13 +114,13 @@ def _trial(
     for _ in range(ATTEMPTS):
         task_env.reset(seed=seeds)
         try:
-            inputs = agreement.offered_inputs(task_env.get_obs())
-            loop(task_env, session.client({**offer, "inputs": inputs}))
-        except (ServerConnectionError, RequestTimeoutError) as error:
-            problem = error
-            session.drop(f"episode with seed {seeds[0]}: {error}")
+            loop(task_env, session.client(task_env, offer))
         except ClientError as error:
-            raise UserError(f"episode with seed {seeds[0]}: {error}", code=ExitCode.FINDINGS) from None
+            text = f"episode with seed {seeds[0]}: {error}"
+            if not error.spoils_trial:
+                raise UserError(text, code=ExitCode.FINDINGS) from None
+            problem = error
+            session.drop(text)
         else:
             return [dict(result) for result in task_env.results()]
     spoilt = {"success": None, "score": None, "end_reason": INFRASTRUCTURE, "error": str(problem)}
@@ -195,8 +195,12 @@ class _Session:
         self._stack = contextlib.ExitStack()
         self._client: Client | None = None
 
-    def client(self, environment: Mapping[str, Any]) -> Client:
+    def client(self, task_env: Any, offer: Mapping[str, Any]) -> Client:
         """Return the client; connects, and starts a server, if there is none.
+
+        Args:
+            task_env: environment whose observations show which inputs it offers.
+            offer: what it announces besides.
 
         Raises:
             UserError: if there is no server, or policy and environment do not fit.
@@ -210,7 +214,7 @@ class _Session:
                     config=self._config,
                     token=request.token,
                     ssl_context=request.ssl_context,
-                    environment=environment,
+                    environment={**offer, "inputs": agreement.offered_inputs(task_env.get_obs_batch([0])[0])},
                     on_loading=lambda told: self._progress.step(
                         f"the model is loading: {told.get('seconds', 0):.0f} s"
                     ),

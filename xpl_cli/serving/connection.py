@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from picows import WSFrame, WSTransport
 
     from xpl.segment import Segment
+    from xpl_cli.serving.places import Place
 
 _CLEAN = (1000, 1001)
 _REASON_BYTES = 123  # RFC 6455, section 5.5
@@ -61,6 +62,8 @@ class Connection(WSListener):
 
     Attributes:
         packs: it announced that it reads packed answers.
+        counts: it announced that it numbers its requests.
+        place: the place that it has, or had last.
         segment: memory shared with it.
         segment_number: what the workers call that memory, once the peer proved that it sees it.
     """
@@ -81,6 +84,8 @@ class Connection(WSListener):
         self._clean = False
         self.is_open = False
         self.packs = False
+        self.counts = False
+        self.place: Place | None = None
         self.segment: Segment | None = None
         self.segment_number: int | None = None
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from xpl_cli.serving.places import Place
     from xpl_cli.serving.worker_process import Answered, WorkerProcess
 
+_STACKS_S = 0.2
+"""What a worker that hangs gets to print where it is."""
 _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
 
@@ -208,7 +210,7 @@ class Worker:
             return
         if self._timeout is not None and busy >= self._timeout:
             self.process.show_stacks()
-            self.fail(f"the model did not answer within {self._timeout:g} s", spec.ErrorCode.TIMEOUT)
+            self._watch = self._loop.call_later(_STACKS_S, self._give_up, self._started)
             return
         if busy < _REPORT_S:
             self._reported = 0.0
@@ -216,6 +218,14 @@ class Worker:
             self._tell(busy)
             self._reported = 2.0 * busy
         self._look_again(now)
+
+    def _give_up(self, started: float) -> None:
+        """End a worker that hangs, if it has not answered at the last moment."""
+        self._watch = None
+        if self._busy and self._started == started:
+            self.fail(f"the model did not answer within {self._timeout:g} s", spec.ErrorCode.TIMEOUT)
+        elif self._busy:
+            self._look_again(time.monotonic())
 
     def _tell(self, busy: float) -> None:
         limit = "there is no limit" if self._timeout is None else f"it is ended after {self._timeout:g} s"

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _PROGRESS_S = 5.0
+_STACKS_S = 0.2
 _GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
 
@@ -263,6 +264,7 @@ async def _load(run: _Run, front_end: FrontEnd) -> str | None:
     if running:
         for worker in front_end.workers.values():
             worker.process.show_stacks()
+        await asyncio.sleep(_STACKS_S)
         return f"the model could not be loaded within {limit:g} s (max_connect_seconds)"
     return None
 

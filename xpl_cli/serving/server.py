@@ -187,16 +187,16 @@ class FrontEnd:
         self._connections.discard(connection)
         self._changed.set()
         self._leave(connection, clean=clean)
+        place, number = connection.place, connection.segment_number
+        worker = None if place is None else self.workers.get(place.worker)
+        if place is not None and number is not None and worker is not None:
+            # What still waits for the worker may lie there.
+            worker.after(place, lambda: worker.errand({"op": "unmap", "segment": number}, lambda _: None))
 
     def _leave(self, connection: Connection, *, clean: bool) -> None:
         place = self._places.leave(connection, clean=clean)
-        if place is None or place.worker not in self.workers:
-            return
-        worker = self.workers[place.worker]
-        worker.line.forget(place)
-        if connection.segment_number is not None:
-            number = connection.segment_number
-            worker.after(place, lambda: worker.errand({"op": "unmap", "segment": number}, lambda _: None))
+        if place is not None and place.worker in self.workers:
+            self.workers[place.worker].line.forget(place)
 
     def received(self, connection: Connection, data: bytes | memoryview) -> None:
         """Answer a message, now or when a worker has."""
@@ -237,6 +237,7 @@ class FrontEnd:
         """Greet a client, at once or when the memory that it shares is mapped."""
         asked = capabilities(frame)
         connection.packs = bool(asked.get(spec.Capability.PACKED))
+        connection.counts = bool(asked.get(spec.Capability.SEQUENCE))
         try:
             answer = greeting(self._settings.policy, self.state, frame)
             if self.state == spec.ServerState.LOADING:
@@ -292,6 +293,7 @@ class FrontEnd:
             return place
         session = capabilities(frame).get(spec.Capability.SESSION) if frame.message_type == spec.Message.HELLO else None
         place, lost = self._places.take(connection, frame.evaluation_id, session if isinstance(session, str) else None)
+        connection.place = place
         if isinstance(lost, Connection):
             lost.close(spec.CLOSE_CODES["replaced"], "the same client came back over another connection")
         return place
@@ -299,14 +301,14 @@ class FrontEnd:
     def _worker_failed(self, worker: Worker, reason: str) -> None:
         """Go on with the others; the clients of this one are told, and no longer served."""
         self.workers.pop(worker.number, None)
+        for connection in self._places.close(worker.number):
+            if isinstance(connection, Connection):
+                connection.close(spec.CLOSE_CODES["server_failed"], reason)
         if not self.workers or self.state == spec.ServerState.LOADING:
             if not self.failed.done():
                 self.failed.set_result(reason)
             return
         log(f"{reason}; {len(self.workers)} of the workers go on")
-        for connection in self._places.close(worker.number):
-            if isinstance(connection, Connection):
-                connection.close(spec.CLOSE_CODES["server_failed"], reason)
         self._loop.create_task(worker.process.stop(grace=1.0))
 
 

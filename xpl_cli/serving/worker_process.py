@@ -183,7 +183,7 @@ class WorkerProcess:
         except BlockingIOError:
             waiting = True
         except OSError:
-            self._break("the link to the worker broke")
+            self._break(None)
             return
         if waiting != self._writing:
             self._writing = waiting
@@ -198,7 +198,10 @@ class WorkerProcess:
             messages = self._inbox.take(count) if count else None
         except BlockingIOError:
             return
-        except (OSError, link.LinkError) as error:
+        except OSError:  # what was unread when the worker died
+            self._break(None)
+            return
+        except link.LinkError as error:
             self._break(f"the link to the worker broke: {error}")
             return
         if messages is None:

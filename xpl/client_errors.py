@@ -1,0 +1,65 @@
+"""What can go wrong between an environment and a policy server."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from xpl import _spec as spec
+
+_SPOILING = (
+    spec.ErrorReason.WORKER_DIED,
+    spec.ErrorReason.SHUTTING_DOWN,
+    spec.ErrorReason.NO_EPISODE,
+    spec.ErrorReason.OUT_OF_ORDER,
+    spec.ErrorReason.DUPLICATE_ID,
+)
+
+
+class ClientError(RuntimeError):
+    """Base class of what can go wrong between an environment and a policy server.
+
+    Attributes:
+        spoils_trial: the infrastructure failed, and the trial says nothing about the policy.
+    """
+
+    spoils_trial = False
+
+
+class PolicyServerError(ClientError):
+    """The server answered with an error; the policy raised, or refused the request.
+
+    Attributes:
+        code: one of the wire's error codes.
+        details: map with, for example, a finer `reason`.
+    """
+
+    def __init__(self, code: str, message: str, details: Mapping[str, Any] | None = None) -> None:
+        super().__init__(f"{code}: {message}")
+        self.code = code
+        self.details = dict(details or {})
+        self.spoils_trial = self.details.get("reason") in _SPOILING
+
+
+class EnvironmentMismatchError(PolicyServerError):
+    """Policy and environment do not fit; `details["differences"]` says where."""
+
+
+class ServerConnectionError(ClientError):
+    """The server cannot be reached, or a connection was lost and the trial cannot go on."""
+
+    spoils_trial = True
+
+
+class ServerRestartedError(ServerConnectionError):
+    """Another server instance answers now: the episode's state is gone, the trial must be aborted."""
+
+
+class RequestTimeoutError(ClientError):
+    """A request was not answered in time; the trial must be aborted."""
+
+    spoils_trial = True
+
+
+class ServerFailedError(ServerConnectionError):
+    """The server closed the connection because its policy cannot go on."""
