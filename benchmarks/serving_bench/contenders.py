@@ -35,7 +35,7 @@ class Contender:
 
 
 TCP, WEBSOCKETS, XPL = "tcp", "websockets", "xpl"
-XPL_WEBSOCKET = "xpl/websocket"
+XPL_SAME, XPL_WEBSOCKET = "xpl/same", "xpl/websocket"
 PEERS = ("openpi-client", "policy-websocket", "vla-eval")
 """Families that speak WebSocket and that ours is to beat."""
 
@@ -70,6 +70,7 @@ CONTENDERS = (
         "vla-eval",
         concurrent="batch{clients}",
     ),
-    Contender(XPL, "xpl_serve", "default", "shared memory", concurrent="default+shared"),
-    Contender(XPL_WEBSOCKET, "xpl_serve", "websocket", "shared memory declined", concurrent="websocket+shared"),
+    Contender(XPL, "xpl_serve", "default", "shared memory; the standard's chunk", concurrent="default+shared"),
+    Contender(XPL_SAME, "xpl_serve", "same", "shared memory; one array, as the peers answer"),
+    Contender(XPL_WEBSOCKET, "xpl_serve", "same+websocket", "shared memory declined; one array"),
 )

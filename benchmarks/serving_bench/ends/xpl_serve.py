@@ -1,7 +1,8 @@
 """Ours: `xpl serve` of an adapter, and `xpl.Client`, an ordinary one with all its checks.
 
-Setting `default` uses shared memory on one host, `websocket` declines it; both may be `+shared`, which lets several
-clients share one model.
+The answer is the standard's chunk, maps of arrays, which the base class makes and checks. Setting `same` has an
+adapter that answers with one array, as the peers do: the same bytes on every wire. `default` and `same` use shared memory
+on one host, `websocket` declines it; `+shared` lets several clients share one model.
 """
 
 from __future__ import annotations
@@ -50,6 +51,34 @@ _ADAPTER = f"""
             return [self.row] * len(envs)
 """
 
+_SAME = f"""
+    import numpy as np
+
+
+    class Model:
+        def __init__(self, config):
+            values = np.linspace(0, 1, {CHUNK} * {ACTION_DIM}, dtype=np.float32)
+            self.row = values.reshape({CHUNK}, {ACTION_DIM})
+
+        def reset(self):
+            pass
+
+        def update_obs(self, obs):
+            self.update_obs_batch([obs])
+
+        def update_obs_batch(self, observations):
+            for obs in observations:
+                for camera in (obs.get("vision") or {{}}).values():
+                    camera["color"].flat[0]
+            self.batch = len(observations)
+
+        def get_action(self):
+            return self.row
+
+        def get_action_batch(self, env_idx_list=None):
+            return np.stack([self.row] * self.batch)
+"""
+
 
 def serve(model: Model, setting: str, ready: Ready) -> None:
     """Serve an adapter that is written for this until the process is interrupted."""
@@ -65,7 +94,7 @@ def serve(model: Model, setting: str, ready: Ready) -> None:
     with tempfile.TemporaryDirectory(prefix="xpl-bench-") as parent:
         folder = Path(parent) / "Fixed"
         folder.mkdir()
-        (folder / "model.py").write_text(textwrap.dedent(_ADAPTER), encoding="utf-8")
+        (folder / "model.py").write_text(textwrap.dedent(_SAME if setting.startswith("same") else _ADAPTER), encoding="utf-8")
         # JSON is YAML.
         (folder / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
         (folder / "deploy.yml").write_text(json.dumps({"env_cfg_type": EMBODIMENT}), encoding="utf-8")
@@ -101,7 +130,7 @@ async def connect(address: str, setting: str) -> XplConnection:
     """Connect and start an episode."""
     options: dict[str, Any] = {"config": {spec.Deploy.MAX_CONNECT_SECONDS: CONNECT_S}}
     if "shared_memory" in inspect.signature(Client).parameters:
-        options["shared_memory"] = not setting.startswith("websocket")
+        options["shared_memory"] = "websocket" not in setting
     client = Client(address, **options)
     client.reset()
     return XplConnection(client)
