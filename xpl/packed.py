@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
+from operator import attrgetter, itemgetter
 from typing import Any, Callable, Optional
 
 import numpy as np
@@ -37,6 +38,7 @@ HEADER_LIMIT = 64 * 1024 * 1024
 BODY_LIMIT = 8 * 1024**3
 """Bytes; more than any frame unpacks to. Only a stream that is out of step asks for more."""
 
+_dtype_of, _shape_of = attrgetter("dtype"), attrgetter("shape")
 _to_json = json.JSONEncoder(separators=(",", ":")).encode
 
 Place = Callable[[np.ndarray], Optional[tuple[int, int]]]
@@ -174,30 +176,21 @@ class _Writer:
     def _rows(self, items: Any) -> Any:
         """Return the tree of a list of maps that differ in the arrays' values only, or None."""
         first = items[0] if len(items) > 1 else None
-        if not isinstance(first, dict) or not first:
+        if type(first) is not dict or not first or set(map(type, items)) != {dict}:
             return None
-        kinds = {}
-        for key, value in first.items():
-            if type(key) is not str or type(value) is not np.ndarray or not 0 < value.nbytes <= _SMALL:
-                return None
-            kinds[key] = (value.dtype, value.shape)
-        columns: dict[str, list[bytes]] = {key: [] for key in kinds}
-        for item in items:
-            if type(item) is not dict or item.keys() != kinds.keys():
-                return None
-            for key, (dtype, shape) in kinds.items():
-                value = item[key]
-                if type(value) is not np.ndarray or value.dtype != dtype or value.shape != shape or not value.shape:
-                    return None
-                columns[key].append(value.tobytes())
-        for dtype, _ in kinds.values():
-            check_dtype(dtype)
-            if dtype.names is not None:
-                return None
+        if set(map(len, items)) != {len(first)} or set(map(type, first)) != {str}:
+            return None
+        try:
+            columns = [list(map(itemgetter(key), items)) for key in first]
+        except KeyError:
+            return None
+        joined = [_joined(values) for values in columns]
+        if None in joined:
+            return None
         return {
             _ROWS: {
-                _escaped(key): [self._add(b"".join(columns[key])), describe_dtype(dtype), (len(items), *shape)]
-                for key, (dtype, shape) in kinds.items()
+                _escaped(key): [self._add(data or b""), describe_dtype(values[0].dtype), (len(items), *values[0].shape)]
+                for key, data, values in zip(first, joined, columns)
             }
         }
 
@@ -270,6 +263,22 @@ class _Reader:
             raise PackingError(f"bytes {offset!r:.40} to +{length!r:.40} lie outside a body's {start} to {end}")
         self._read_to = offset + length
         return self._body[offset : offset + length]
+
+
+def _joined(values: list[Any]) -> bytes | None:
+    """Return the bytes of small arrays in a row, or None if they are no arrays of one type and shape."""
+    first = values[0]
+    if set(map(type, values)) != {np.ndarray} or not first.shape or not 0 < first.nbytes <= _SMALL:
+        return None
+    if set(map(_dtype_of, values)) != {first.dtype} or set(map(_shape_of, values)) != {first.shape}:
+        return None
+    check_dtype(first.dtype)
+    if first.dtype.names is not None:
+        return None
+    try:
+        return b"".join(values)
+    except (BufferError, ValueError, TypeError):  # not contiguous, or of a type that buffers have no name for
+        return b"".join([value.tobytes() for value in values])
 
 
 def size_of(shape: Any) -> int:

@@ -110,8 +110,11 @@ class Worker:
         self._methods = frozenset(
             name for name in offered if not name.startswith("_") and callable(getattr(self._model, name, None))
         )
+        # What was loaded stays: looking through it again and again would make some steps slow. And one chunk of actions
+        # makes more objects than Python lets come together by default before it looks through them.
         gc.collect()
-        gc.freeze()  # what was loaded stays: looking through it again and again would make some steps slow
+        gc.freeze()
+        gc.set_threshold(10_000, 10, 10)
         if shared:
             from xpl.sharing import SharedModel
 

@@ -158,15 +158,18 @@ class Probe:
         Raises:
             NotRun: if it does not start.
         """
-        try:
-            with (
-                self._serving({**self.options.overrides, **overrides}) as server,
-                self._connected(server.url) as session,
-            ):
-                yield session
-        except ServerStartError as error:
-            values = ", ".join(f"{key}={value}" for key, value in overrides.items())
-            raise NotRun(f"the server did not start with {values or 'the same configuration'}: {error}") from None
+        with self._fresh_server(overrides) as server, self._connected(server.url) as session:
+            yield session
+
+    @contextlib.contextmanager
+    def fresh_sessions(self, count: int) -> Iterator[list[Session]]:
+        """Connect several clients to one server of their own, in a new process, where the adapter may be shared.
+
+        Raises:
+            NotRun: if it does not start, or refuses one of them.
+        """
+        with self._fresh_server({}) as server, contextlib.ExitStack() as clients:
+            yield [clients.enter_context(self._connected(server.url)) for _ in range(count)]
 
     @property
     def required(self) -> tuple[str, ...]:
@@ -287,6 +290,15 @@ class Probe:
                 self._answered = policy.act(self.observation())
         if isinstance(self._answered, PolicyServerError):
             raise NotRun(f"the adapter does not answer a plain observation: {self._answered}")
+
+    @contextlib.contextmanager
+    def _fresh_server(self, overrides: dict[str, Any]) -> Iterator[RunningServer]:
+        try:
+            with self._serving({**self.options.overrides, **overrides}) as server:
+                yield server
+        except ServerStartError as error:
+            values = ", ".join(f"{key}={value}" for key, value in overrides.items())
+            raise NotRun(f"the server did not start with {values or 'the same configuration'}: {error}") from None
 
     def _serving(self, overrides: dict[str, Any]) -> contextlib.AbstractContextManager[RunningServer]:
         return serving(self.package.path, overrides, python=self.options.python, env=self.options.env)

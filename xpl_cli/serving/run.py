@@ -206,8 +206,10 @@ async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, e
     if problem is not None:
         await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], problem)
         return problem
+    # What there is now stays: looking through it again and again would make some requests slow.
     gc.collect()
-    gc.freeze()  # what there is now stays: looking through it again and again would make some requests slow
+    gc.freeze()
+    gc.set_threshold(10_000, 10, 10)
     front_end.ready()
     host, port = _address(server, run.settings.host)
     scheme = "ws" if run.settings.tls is None else "wss"

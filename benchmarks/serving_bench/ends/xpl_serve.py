@@ -52,6 +52,8 @@ _ADAPTER = f"""
 """
 
 _SAME = f"""
+    import time
+
     import numpy as np
 
 
@@ -59,8 +61,12 @@ _SAME = f"""
         def __init__(self, config):
             values = np.linspace(0, 1, {CHUNK} * {ACTION_DIM}, dtype=np.float32)
             self.row = values.reshape({CHUNK}, {ACTION_DIM})
+            self.fixed_ms, self.sample_ms = config["fixed_ms"], config["sample_ms"]
 
         def reset(self):
+            pass
+
+        def reset_envs(self, env_idx_list):
             pass
 
         def update_obs(self, obs):
@@ -70,13 +76,17 @@ _SAME = f"""
             for obs in observations:
                 for camera in (obs.get("vision") or {{}}).values():
                     camera["color"].flat[0]
-            self.batch = len(observations)
+            self.envs = [obs["env_idx"] for obs in observations]
 
         def get_action(self):
-            return self.row
+            return self.get_action_batch([0])[0]
 
         def get_action_batch(self, env_idx_list=None):
-            return np.stack([self.row] * self.batch)
+            batch = len(self.envs if env_idx_list is None else env_idx_list)
+            cost = self.fixed_ms + batch * self.sample_ms
+            if cost:
+                time.sleep(cost / 1000)
+            return [self.row] * batch
 """
 
 
