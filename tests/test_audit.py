@@ -120,7 +120,9 @@ def test_an_adapter_whose_libraries_are_missing_is_incomplete_not_green(workspac
     assert done.returncode == ExitCode.NOT_RUN
     report = json.loads(done.stdout)
     assert report["targets"][0]["verdict"] == "incomplete"
-    reasons = {result["reason"] for result in report["targets"][0]["gates"][0]["results"]}
+    results = report["targets"][0]["gates"][0]["results"]
+    assert {result["outcome"] for result in results} == {Outcome.NOT_RUN, Outcome.NOT_APPLICABLE}
+    reasons = {result["reason"] for result in results if result["outcome"] == Outcome.NOT_RUN}
     assert all("a_library_that_is_not_here" in reason for reason in reasons)
 
 

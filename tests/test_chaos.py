@@ -459,14 +459,14 @@ def run_chaos(server: Server, steps: int, options: dict[str, Any], every: int) -
     sys.stdout.write(f"\n{figures}\n")
     missing = {*pairs, *kills} - proxy.happened.keys()
     assert not missing, f"{figures}: {missing} did not happen"
-    assert ends["whole"] > 0.2 * ends.total(), f"{figures}: hardly a trial was whole"
+    assert ends["whole"] > 0.1 * ends.total(), f"{figures}: hardly a trial was whole"
 
 
 @main_variants
 def test_every_step_is_applied_once_or_the_trial_ends_loudly(adapter: Path, options: dict[str, Any]) -> None:
-    """Five hundred steps under every kind of fault; the seed is in the message of a failure."""
+    """Some hundred steps under every kind of fault; the seed is in the message of a failure."""
     with Server(adapter) as server:
-        run_chaos(server, 500, options, every=20)
+        run_chaos(server, 400, options, every=20)
 
 
 @pytest.mark.slow

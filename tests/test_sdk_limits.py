@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULES = sorted((ROOT / "xpl").rglob("*.py"))
 
 LAZY = {
-    "msgpack": {"client", "wire"},
-    "websockets": {"client"},
+    "msgpack": {"wire"},
+    "websockets": {"aio", "blocking"},
     "PIL": {"images"},
 }
 """Third-party imports allowed inside functions, and the SDK modules (or packages) that may hold them."""
@@ -76,6 +76,15 @@ class _RuntimeOnly(ast.NodeTransformer):
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
         return self.generic_visit(ast.Assign([node.target], node.value)) if node.value else ast.Pass()
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        # Flags of the operating system, `os.O_RDWR | os.O_CLOEXEC`, are numbers and no types.
+        flags = isinstance(node.op, ast.BitOr) and all(
+            isinstance(part, ast.Attribute) and part.attr.isupper()
+            for part in ast.walk(node)
+            if isinstance(part, ast.Attribute)
+        )
+        return ast.Constant(0) if flags else self.generic_visit(node)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.AST:
         values = [part.value for part in node.values if isinstance(part, ast.FormattedValue)]

@@ -71,8 +71,6 @@ CONTENDERS = (
         concurrent="batch{clients}",
     ),
     Contender(XPL, "xpl_serve", "default", "shared memory; the standard's chunk", concurrent="default+shared"),
-    Contender(
-        XPL_SAME, "xpl_serve", "same", "shared memory; one array, as the peers answer", concurrent="same+shared"
-    ),
+    Contender(XPL_SAME, "xpl_serve", "same", "shared memory; one array, as the peers answer", concurrent="same+shared"),
     Contender(XPL_WEBSOCKET, "xpl_serve", "same+websocket", "shared memory declined; one array"),
 )

@@ -9,7 +9,7 @@ from typing import Any
 
 from xpl import _spec as spec
 from xpl.client import PolicyServerError
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, rule
 from xpl_cli.audit.compare import answers, brief, difference, first_step, same
 from xpl_cli.audit.probe import Probe, Session, blame
 
@@ -17,8 +17,8 @@ _ENVS = ([0, 1], [1, 0])  # of each client: the same numbers, which only the ser
 _SCENES = ([0, 1], [2, 3])  # what each of these environments shows
 _EPISODES, _STEPS = 2, 3
 _BEHIND = 3
-"""Turns that the second client lags by. Each resets once between an observation and an action of the other, in the
-middle of its episode, and each acts on an observation after which the other was observed."""
+"""Turns that the second client lags by. An odd number: then each resets between an observation of the other and its
+action, and each acts on an observation after which the other was observed."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,17 @@ def shared_clients(probe: Probe) -> Iterator[Finding]:
     """Clients that share the model influence each other.
 
     ## What it does
-    Serves an adapter that declares `serving: {shared: true}` to two clients in turns, so that each is observed and
-    resets in the middle of the other's episodes. Then each client plays the same two episodes alone on a server of its
-    own, and every answer is compared.
+    For an adapter that declares `serving: {shared: true}`: lets two clients play two episodes each, first alone on a
+    server of its own, then together on one server in turns, so that each is observed and resets in the middle of the
+    other's episodes. Every answer is compared.
 
     ## Why it matters
     Clients that share a model belong to different evaluations. If one's reset or observation reaches another, results
     depend on what else ran on the server at the time, and nobody can repeat them.
 
     ## Example
-    `reset_envs(env_idx_list)` that clears the history of every environment, or `self.batch = obs_list`, which the next
-    client overwrites before the first one asks for its action.
+    `reset_envs(env_idx_list)` that forgets every environment, or `self.batch = obs_list`, which the next client
+    overwrites before the first one asks for its action.
 
     ## Use instead
     `xpl.Policy` keeps observations, history and generators per environment, and no two clients have an environment
@@ -62,17 +62,20 @@ def shared_clients(probe: Probe) -> Iterator[Finding]:
     if not (probe.package.manifest.get("serving") or {}).get("shared"):
         raise NotApplicable("the manifest does not declare serving.shared: a model has one client at a time")
     probe.require_deterministic()
-    probe.ready()
-    with probe.fresh_sessions(len(_ENVS)) as policies:
-        turns = list(_in_turns(*(_play(probe, policy, client) for client, policy in enumerate(policies))))
     alone = []
     for client in range(len(_ENVS)):
         # A new process each: where random numbers are drawn, clients have to be the first of their servers.
         with probe.fresh_session() as policy:
-            alone.append(iter(list(_play(probe, policy, client))))
+            alone.append(list(_play(probe, policy, client)))
+    errors = [turn for turn in itertools.chain(*alone) if isinstance(turn.answer, PolicyServerError)]
+    if errors:
+        raise NotRun(f"{errors[0]} fails with one client already: {errors[0].answer}")
+    with probe.fresh_sessions(len(_ENVS)) as policies:
+        turns = list(_in_turns(*(_play(probe, policy, client) for client, policy in enumerate(policies))))
+    expected = [iter(played) for played in alone]
     last: dict[int, _Turn] = {}
     for client, beside in turns:
-        undisturbed = next(alone[client])
+        undisturbed = next(expected[client])
         found = difference(undisturbed.answer, beside.answer)
         if found is not None:
             yield _finding(client, undisturbed, beside, found, last.get(1 - client))

@@ -44,11 +44,6 @@ class Job:
         started: when it was sent to the worker, s.
     """
 
-    __slots__ = (
-        *("arrived", "entry", "frame", "method", "packs"),
-        *("payload", "place", "received", "segment", "size", "started"),
-    )
-
     def __init__(  # noqa: PLR0913 - a record, made once for every request
         self,
         frame: Frame,

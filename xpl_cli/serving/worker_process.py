@@ -244,7 +244,7 @@ class WorkerProcess:
         stream = self._process.stdout
         text = codecs.getincrementaldecoder("utf-8")(errors="replace")  # a chunk may end inside a character
         at_start = True
-        while stream is not None and (chunk := await stream.read(65536)):
+        while stream is not None and (chunk := await stream.read(1 << 15)):
             shown = text.decode(chunk)
             lines = shown.splitlines()
             self.last_line = next((line.strip() for line in reversed(lines) if line.strip()), self.last_line)

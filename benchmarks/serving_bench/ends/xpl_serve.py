@@ -1,8 +1,8 @@
 """Ours: `xpl serve` of an adapter, and `xpl.Client`, an ordinary one with all its checks.
 
-The answer is the standard's chunk, maps of arrays, which the base class makes and checks. Setting `same` has an
-adapter that answers with one array, as the peers do: the same bytes on every wire. `default` and `same` use shared memory
-on one host, `websocket` declines it; `+shared` lets several clients share one model.
+The answer is the standard's chunk, maps of arrays, which the base class makes and checks. Setting `same` has an adapter
+that answers with one array, as the peers do: the same bytes on every wire. `default` and `same` use shared memory on one
+host, `websocket` declines it; `+shared` lets several clients share one model.
 """
 
 from __future__ import annotations
@@ -104,7 +104,8 @@ def serve(model: Model, setting: str, ready: Ready) -> None:
     with tempfile.TemporaryDirectory(prefix="xpl-bench-") as parent:
         folder = Path(parent) / "Fixed"
         folder.mkdir()
-        (folder / "model.py").write_text(textwrap.dedent(_SAME if setting.startswith("same") else _ADAPTER), encoding="utf-8")
+        adapter = _SAME if setting.startswith("same") else _ADAPTER
+        (folder / "model.py").write_text(textwrap.dedent(adapter), encoding="utf-8")
         # JSON is YAML.
         (folder / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
         (folder / "deploy.yml").write_text(json.dumps({"env_cfg_type": EMBODIMENT}), encoding="utf-8")
