@@ -140,7 +140,8 @@ class Connection(WSListener):
     def is_local(self) -> bool:
         """Whether the peer speaks from a loopback address."""
         peer = self._raw("peername")
-        return isinstance(peer, tuple) and (str(peer[0]).startswith("127.") or peer[0] == "::1")
+        address = str(peer[0]).removeprefix("::ffff:") if isinstance(peer, tuple) else ""
+        return address.startswith("127.") or address == "::1"
 
     def expect_answer(self, size: int) -> None:
         """Count a request of so many bytes; a peer that has too many unanswered is not read."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from xpl_cli.serving.pool import Worker
 
 _segments = itertools.count(1)
+_TRY_AGAIN = 1012  # service restart; registered in the WebSocket close code registry
 
 Tell = Callable[["dict[str, Any] | None"], None]
 """Is told what to announce about shared memory, or None."""
@@ -64,9 +65,9 @@ def share_memory(connection: Connection, worker: Worker, asked: Any, tell: Tell)
         connection: the client.
         worker: who serves it.
         asked: what it announced about shared memory; `{"proof": token}` is the second step.
-        tell: told what to answer, perhaps later.
+        tell: told what to answer.
     """
-    if not asked or not connection.is_local:
+    if not asked or not connection.is_local or not worker.shares_memory:
         tell(None)
     elif connection.segment is None:
         tell(_offer(connection))
@@ -90,19 +91,17 @@ def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any,
         segment.close()
         tell(None)
         return
-    number, shown = next(_segments), segment.answer().hex()
+    number = connection.segment_number = next(_segments)
 
     def mapped(answer: dict[str, Any]) -> None:
-        if "error" in answer:  # another mount namespace, for example
-            log(f"the worker cannot share memory: {answer['error']['message']}")
-            segment.close()
-            tell(None)
-            return
         segment.close()  # unlinked: whoever dies from now on, the system clears up
-        if not connection.is_open:
+        if "error" in answer:  # no descriptors left, for example
+            log(f"the worker cannot share memory: {answer['error']['message']}")
+            worker.shares_memory = False
+            connection.close(_TRY_AGAIN, "the worker cannot share memory")
+        elif not connection.is_open:
             worker.errand({"op": "unmap", "segment": number}, lambda _: None)
-            return
-        connection.segment_number = number
-        tell({"proof": shown})
 
+    # An errand: done before anything that this client asks for, but not waited for, because the model may be at work.
     worker.errand({"op": "map", "segment": number, "path": str(segment.path), "size": segment.size}, mapped)
+    tell({"proof": segment.answer().hex()})

@@ -84,7 +84,7 @@ class Places:
             RequestError: `busy` if there is none.
         """
         for place in self._places:
-            known = place.session == session and place.evaluation == evaluation and place.tenancy
+            known = place.evaluation == evaluation and place.session == session
             if known and (place.holder is None or session is not None):
                 lost, place.holder = place.holder, connection
                 self._held.pop(lost, None)
@@ -112,9 +112,8 @@ class Places:
             return None
         place.holder = None
         place.free_at = self._clock() + (0.0 if clean else self._grace)
-        if clean:  # whoever comes back after a goodbye begins anew, with new ids
-            place.stale, place.begun, place.sequence = place.stale or place.begun, False, 0
-            place.replay.forget()
+        if clean:  # whoever comes back after a goodbye begins anew
+            place.evaluation = place.session = None
         return place
 
     def close(self, worker: int) -> list[Hashable]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from xpl_cli.serving.worker_process import Answered, WorkerProcess
 
 _STACKS_S = 0.2
-"""What a worker that hangs gets to print where it is."""
+"""What a worker that hangs gets to print where it is, before its time is up."""
 _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
 
@@ -69,7 +69,9 @@ class Worker:
         self.process = process
         self.line = Line()
         self.failed = False
+        self.shares_memory = True
         self._timeout = timeout
+        self._stacks_after = max(0.0, 0.5 * (timeout or 0.0), (timeout or 0.0) - _STACKS_S)
         self._desk = desk
         self._on_failure = on_failure
         self._loop = asyncio.get_running_loop()
@@ -198,7 +200,7 @@ class Worker:
         """Look after what runs when it should have ended: one timer for all, because most requests take no time."""
         due = self._reported or _REPORT_S
         if self._timeout is not None:
-            due = min(due, self._timeout)
+            due = min(due, self._stacks_after)
         self._watch = self._loop.call_later(max(0.0, self._started + due - now), self._look)
 
     def _look(self) -> None:
@@ -208,9 +210,9 @@ class Worker:
         if not self._busy:
             self._reported = 0.0
             return
-        if self._timeout is not None and busy >= self._timeout:
+        if self._timeout is not None and busy >= self._stacks_after:
             self.process.show_stacks()
-            self._watch = self._loop.call_later(_STACKS_S, self._give_up, self._started)
+            self._watch = self._loop.call_later(self._timeout - self._stacks_after, self._give_up, self._started)
             return
         if busy < _REPORT_S:
             self._reported = 0.0
