@@ -15,15 +15,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from xpl import _spec as spec
-from xpl import wire
+from xpl import packed, wire
 from xpl.wire import Frame, WireError
 
 VECTORS = Path(__file__).parents[1] / "conformance" / "vectors"
 
 
-def vectors(name: str) -> list[Any]:
+def vectors(name: str, key: str = "vectors") -> list[Any]:
     """Return the golden vectors of one file as test parameters."""
-    entries = json.loads((VECTORS / f"{name}.json").read_text(encoding="utf-8"))["vectors"]
+    entries = json.loads((VECTORS / f"{name}.json").read_text(encoding="utf-8"))[key]
     return [pytest.param(entry, id=entry["name"]) for entry in entries]
 
 
@@ -125,6 +125,20 @@ def test_bad_frames_are_refused_with_the_id_that_can_be_read(entry: dict[str, An
     with pytest.raises(WireError) as refusal:
         wire.decode(data_of(entry))
     assert refusal.value.message_id == entry["message_id"]
+
+
+@pytest.mark.parametrize("entry", vectors("packed"))
+def test_packed_values_are_written_and_read_as_documented(entry: dict[str, Any]) -> None:
+    """Bytes to value and value to bytes."""
+    assert same(meant(entry["value"]), packed.decode(data_of(entry)))
+    assert b"".join(packed.encode(meant(entry["value"]))) == data_of(entry)
+
+
+@pytest.mark.parametrize("entry", vectors("packed", "refused"))
+def test_bad_packed_values_are_refused(entry: dict[str, Any]) -> None:
+    """Before they cost anything."""
+    with pytest.raises(packed.PackingError):
+        packed.decode(data_of(entry))
 
 
 # -- the envelope ------------------------------------------------------------------------------------------------------
