@@ -655,3 +655,15 @@ def test_a_server_that_ends_says_so(subject: Path, serve: Callable[..., RunningS
         wait_until(lambda: any("error: " in line for line in server.log), "the server has ended")
         with pytest.raises(ServerFailedError, match="ended by signal SIGKILL"):
             client.get_action()
+
+
+def test_a_client_that_leaves_at_once_costs_others_nothing(subject: Path, serve: Callable[..., RunningServer]) -> None:
+    """It is gone before the worker has opened the memory that it shares; the next one shares all the same."""
+    server = serve(subject)
+    for _ in range(20):
+        Client(server.url).close()
+    with Client(server.url) as client:
+        assert spec.Capability.SHARED_MEMORY in client.capabilities
+        client.reset()
+        client.update_obs({"n": 1, "image": np.zeros((200, 200, 3), np.uint8)})
+    assert not [line for line in server.log if "share memory" in line]

@@ -120,7 +120,7 @@ class Connection(WSListener):
         self.is_open = False
         for timer in self._timers.values():
             timer.cancel()
-        if self.segment is not None:
+        if self.segment is not None and self.segment_number is None:  # otherwise the worker is about to open it
             self.segment.close()
         self._owner.disconnected(self, clean=self._clean)
 

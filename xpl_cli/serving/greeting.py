@@ -95,6 +95,8 @@ def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any,
 
     def mapped(answer: dict[str, Any]) -> None:
         segment.close()  # unlinked: whoever dies from now on, the system clears up
+        if worker.failed:
+            return
         if "error" in answer:  # no descriptors left, for example
             log(f"the worker cannot share memory: {answer['error']['message']}")
             worker.shares_memory = False

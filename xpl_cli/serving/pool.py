@@ -139,8 +139,7 @@ class Worker:
             self._wait.cancel()
             self._wait = None
         if self._errands:
-            message, on_answer = self._errands.popleft()
-            self._send(message, (), lambda answer, _: self._errand_done(answer, on_answer))
+            self._send(self._errands[0][0], (), lambda answer, _: self._errand_done(answer))
             return
         jobs, wait = self.line.next(time.monotonic())
         if jobs:
@@ -163,6 +162,8 @@ class Worker:
         running, self._running = self._running, []
         for job in running:
             self._desk.refused(job, first)
+        while self._errands:
+            self._errands.popleft()[1]({"error": {"message": reason}})
         for job in self.line.clear():
             self._desk.refused(job, died)
         self._on_failure(self, reason)
@@ -191,8 +192,9 @@ class Worker:
             self.after(place, action)
         self.pump()
 
-    def _errand_done(self, answer: dict[str, Any], on_answer: Callable[[dict[str, Any]], None]) -> None:
+    def _errand_done(self, answer: dict[str, Any]) -> None:
         self._busy = False
+        _, on_answer = self._errands.popleft()
         on_answer(answer)
         self.pump()
 
