@@ -78,13 +78,12 @@ class _RuntimeOnly(ast.NodeTransformer):
         return self.generic_visit(ast.Assign([node.target], node.value)) if node.value else ast.Pass()
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        self.generic_visit(node)
         # Flags of the operating system, `os.O_RDWR | os.O_CLOEXEC`, are numbers and no types.
-        flags = isinstance(node.op, ast.BitOr) and all(
-            isinstance(part, ast.Attribute) and part.attr.isupper()
-            for part in ast.walk(node)
-            if isinstance(part, ast.Attribute)
-        )
-        return ast.Constant(0) if flags else self.generic_visit(node)
+        flags = (isinstance(part, ast.Attribute) and part.attr.isupper() for part in (node.left, node.right))
+        numbers = (isinstance(part, ast.Constant) and part.value == 0 for part in (node.left, node.right))
+        either = [flag or number for flag, number in zip(flags, numbers, strict=True)]
+        return ast.Constant(0) if isinstance(node.op, ast.BitOr) and all(either) else node
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.AST:
         values = [part.value for part in node.values if isinstance(part, ast.FormattedValue)]

@@ -18,7 +18,9 @@ from typing import Any, Callable, TypeVar
 from xpl import _spec as spec
 from xpl.blocking import refused_handshake, wrong_address
 from xpl.client_errors import ServerConnectionError, ServerFailedError
-from xpl.conversation import Conversation, Wishes
+from xpl.conversation import Conversation
+from xpl.exchange import Exchange
+from xpl.transport import Wishes
 
 _Value = TypeVar("_Value")
 _GOODBYE_S = 0.2
@@ -55,27 +57,28 @@ class AsyncClient:
             on_loading=on_loading,
         )
         transport = _Suspending(url, {**spec.DEPLOY_DEFAULTS, **(config or {})}, token, ssl_context)
-        self._talk = Conversation(transport, url, config, wishes, evaluation_id, trial_id)
+        self._exchange = Exchange(transport, url, config, wishes, evaluation_id, trial_id)
+        self._talk = Conversation(self._exchange, trial_id)
         self._turn = asyncio.Lock()
 
     @property
     def server_instance_id(self) -> str | None:
         """What the server calls itself; None for one of the first generation."""
-        return self._talk.server_instance_id
+        return self._exchange.server_instance_id
 
     @property
     def capabilities(self) -> Mapping[str, Any]:
         """What the server announced that it can do."""
-        return self._talk.capabilities
+        return self._exchange.capabilities
 
     @property
     def policy(self) -> Mapping[str, Any]:
         """What the policy needs, where the server said so."""
-        return self._talk.policy
+        return self._exchange.policy
 
     async def connect(self) -> None:
         """Connect and exchange hellos."""
-        await self._run(self._talk.connect())
+        await self._run(self._exchange.connect())
 
     async def reset(self) -> None:
         """Start a new episode."""
@@ -123,11 +126,11 @@ class AsyncClient:
 
     async def settle(self) -> None:
         """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
-        await self._run(self._talk.settle())
+        await self._run(self._exchange.settle())
 
     async def close(self) -> None:
         """Say goodbye and close the connection; closing twice is fine."""
-        await self._run(self._talk.close())
+        await self._run(self._exchange.close())
 
     async def __aenter__(self) -> AsyncClient:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
         await self.connect()

@@ -29,7 +29,9 @@ from xpl.client_errors import (
     ServerFailedError,
     ServerRestartedError,
 )
-from xpl.conversation import Conversation, Wishes
+from xpl.conversation import Conversation
+from xpl.exchange import Exchange
+from xpl.transport import Wishes
 
 __all__ = [
     "Client",
@@ -97,23 +99,24 @@ class Client:
         self._turn = threading.Lock()
         timing = {**spec.DEPLOY_DEFAULTS, **(config or {})}
         transport = BlockingTransport(url, timing, token, ssl_context, self._turn)
-        self._talk = Conversation(transport, url, config, wishes, evaluation_id, trial_id)
-        self._run(self._talk.connect())
+        self._exchange = Exchange(transport, url, config, wishes, evaluation_id, trial_id)
+        self._talk = Conversation(self._exchange, trial_id)
+        self._run(self._exchange.connect())
 
     @property
     def server_instance_id(self) -> str | None:
         """What the server calls itself; None for one of the first generation."""
-        return self._talk.server_instance_id
+        return self._exchange.server_instance_id
 
     @property
     def capabilities(self) -> Mapping[str, Any]:
         """What the server announced that it can do."""
-        return self._talk.capabilities
+        return self._exchange.capabilities
 
     @property
     def policy(self) -> Mapping[str, Any]:
         """What the policy needs, where the server said so."""
-        return self._talk.policy
+        return self._exchange.policy
 
     def reset(self) -> None:
         """Start a new episode."""
@@ -161,11 +164,11 @@ class Client:
 
     def settle(self) -> None:
         """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
-        self._run(self._talk.settle())
+        self._run(self._exchange.settle())
 
     def close(self) -> None:
         """Say goodbye and close the connection; closing twice is fine."""
-        self._run(self._talk.close())
+        self._run(self._exchange.close())
 
     def __enter__(self) -> Client:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
         return self

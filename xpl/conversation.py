@@ -1,163 +1,58 @@
-"""What an environment says to a policy server, and how it reads the answers: the part of a client that does no I/O.
-
-Written with `async`, and driven by two clients: `xpl.client.Client` gives it a transport whose methods block and so
-never suspend, `xpl.aio.AsyncClient` one that does.
-"""
+"""What an environment says to a policy server: the operations of the contract, for servers of any generation."""
 
 from __future__ import annotations
 
-import contextlib
-import itertools
-import math
-import time
-import uuid
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Callable, Protocol
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl import agreement, packed, wire
-from xpl.client_errors import (
-    ClientError,
-    EnvironmentMismatchError,
-    PolicyServerError,
-    RequestTimeoutError,
-    ServerConnectionError,
-    ServerFailedError,
-    ServerRestartedError,
-)
-from xpl.encoding import Encoder
+from xpl.client_errors import ClientError
 from xpl.observation import env_indices
 
-_CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
-_AGAIN = (spec.ErrorReason.BUSY, spec.ErrorReason.LOADING)
+if TYPE_CHECKING:
+    from xpl.exchange import Exchange
+
 _ACTING = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
-_UNCOUNTED = (spec.ErrorReason.UNREADABLE, spec.ErrorReason.SHUTTING_DOWN, *_AGAIN)
-_BETWEEN_EPISODES = (spec.Message.RESET, spec.Message.HEARTBEAT, spec.Message.PREPARE_CASE, spec.Message.TRIAL_END)
-_LOADING_POLL_S = 0.5
-_GOODBYE_S = 0.2
-
-
-class Transport(Protocol):
-    """A WebSocket connection. A lost one is an OSError, a missed deadline a TimeoutError."""
-
-    async def open(self, timeout: float | None) -> None:
-        """Connect within `timeout` seconds."""
-
-    async def send(self, data: bytes, timeout: float | None) -> None:
-        """Send a binary message within `timeout` seconds."""
-
-    async def receive(self, timeout: float | None) -> bytes:
-        """Return the next binary message."""
-
-    async def close(self) -> None:
-        """Close the connection, if there is one."""
-
-    async def pause(self, seconds: float) -> None:
-        """Let time pass."""
-
-
-@dataclass(frozen=True)
-class Wishes:
-    """What a client would like to have; what the server does not offer is done without.
-
-    Attributes:
-        packed: send payloads packed.
-        shared_memory: share memory with a server on this host.
-        pipelined: send updates without waiting for their answers; their errors are raised by what is asked next.
-        jpeg: quality, 1..100, of the cameras whose colour is sent as JPEG; the others are lossless.
-        environment: what the environment offers (`xpl.agreement`); the server refuses what does not fit.
-        on_loading: told how far loading is while the model loads.
-    """
-
-    packed: bool = True
-    shared_memory: bool = True
-    pipelined: bool = False
-    jpeg: Mapping[str, int] = field(default_factory=dict)
-    environment: Mapping[str, Any] | None = None
-    on_loading: Callable[[Mapping[str, Any]], None] | None = None
-
-
-@dataclass
-class _Ahead:
-    """An update that was sent ahead: its answer is still to come.
-
-    Attributes:
-        frame: the request.
-        data: its bytes, if they do not point into memory that was shared over a lost connection.
-        blocks: blocks of shared memory that it uses.
-    """
-
-    frame: wire.Frame
-    data: bytes | None
-    blocks: list[int]
 
 
 class Conversation:
-    """A client's side of the wire.
+    """The operations of the contract over an exchange of requests.
 
-    Attributes:
-        server_instance_id: what the server called itself, None for one of the first generation.
-        capabilities: what it announced.
-        policy: what its policy needs (`xpl.agreement`).
+    Args:
+        exchange: the connection.
+        trial_id: name of the trial, where the benchmark has one.
     """
 
-    def __init__(  # noqa: PLR0913, PLR0917 - made by the two clients only
-        self,
-        transport: Transport,
-        address: str,
-        config: Mapping[str, Any] | None,
-        wishes: Wishes,
-        evaluation_id: str | None,
-        trial_id: str | None,
-    ) -> None:
-        self._transport = transport
-        self._address = address
-        self._config = {**spec.DEPLOY_DEFAULTS, **(config or {})}
-        self._wishes = wishes
-        self._evaluation_id = evaluation_id or uuid.uuid4().hex
+    def __init__(self, exchange: Exchange, trial_id: str | None) -> None:
+        self._exchange = exchange
         self._trial_id = trial_id
-        self._session = uuid.uuid4().hex
-        self._numbers = itertools.count()
-        self._step = 0
-        self._is_open = False
-        self._is_lost = False
         self._held: list[Mapping[str, Any]] = []
-        self._encoder = Encoder(packed=wishes.packed, jpeg=wishes.jpeg)
-        self._ahead: OrderedDict[str, _Ahead] = OrderedDict()
-        self._late: PolicyServerError | None = None
-        self._sequence = 0
-        self.server_instance_id: str | None = None
-        self.capabilities: Mapping[str, Any] = {}
-        self.policy: Mapping[str, Any] = {}
 
     # -- the operations of the contract --------------------------------------------------------------------------------
 
     async def reset(self) -> None:
         """Start a new episode."""
-        self._step = 0
         self._held = []
-        self._is_lost = False
-        await self._request(spec.Message.RESET, {spec.Payload.TRIAL_ID: self._trial_id})
+        self._exchange.begin_episode()
+        await self._exchange.request(spec.Message.RESET, {spec.Payload.TRIAL_ID: self._trial_id})
 
     async def update_obs(self, obs: Mapping[str, Any]) -> None:
         """Show the policy the newest observation of one environment."""
         self._held = [obs]
-        if not self._first_generation:
+        if not self._exchange.is_first_generation:
             await self._update(spec.Method.UPDATE_OBS, obs)
 
     async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
         """Show the policy the newest observation of several environments."""
         self._held = list(obs_list)
-        if not self._first_generation:
+        if not self._exchange.is_first_generation:
             await self._update(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
 
     async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
         """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
         if obs is not None:
             return await self.infer(obs)
-        if self._first_generation:
+        if self._exchange.is_first_generation:
             if len(self._held) != 1:
                 raise ClientError("get_action needs exactly one observation since the last reset")
             return await self.infer(self._held[0])
@@ -165,7 +60,7 @@ class Conversation:
 
     async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
         """Return one action chunk per environment of the list; None means the last batch."""
-        if not self._first_generation:
+        if not self._exchange.is_first_generation:
             return await self._call(spec.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
         held = dict(zip(env_indices(self._held), self._held))
         wanted = list(held) if env_idx_list is None else list(env_idx_list)
@@ -177,12 +72,12 @@ class Conversation:
 
     async def infer(self, obs: Mapping[str, Any]) -> Any:
         """Return the action chunk for one observation: update_obs and get_action as one unit."""
-        answer = await self._request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
+        answer = await self._exchange.request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
         if spec.Payload.ACTIONS not in answer:
             raise ClientError(
                 f"the server's answer to infer has no {spec.Payload.ACTIONS!r}; it has {', '.join(answer)}"
             )
-        self._step += 1
+        self._exchange.step += 1
         return answer[spec.Payload.ACTIONS]
 
     # -- the other requests --------------------------------------------------------------------------------------------
@@ -190,16 +85,16 @@ class Conversation:
     async def prepare_case(self, action_case_id: str, meta: Mapping[str, Any]) -> Any:
         """Announce a case to the adapter's hook."""
         payload = {spec.Payload.ACTION_CASE_ID: action_case_id, **meta}
-        return (await self._request(spec.Message.PREPARE_CASE, payload)).get(spec.Payload.RESULT)
+        return (await self._exchange.request(spec.Message.PREPARE_CASE, payload)).get(spec.Payload.RESULT)
 
     async def trial_end(self, result: Mapping[str, Any] | None) -> Any:
         """Tell the adapter's hook how the trial ended."""
         payload = {spec.Payload.TRIAL_ID: self._trial_id, **(result or {})}
-        return (await self._request(spec.Message.TRIAL_END, payload)).get(spec.Payload.RESULT)
+        return (await self._exchange.request(spec.Message.TRIAL_END, payload)).get(spec.Payload.RESULT)
 
     async def health(self) -> dict[str, Any]:
         """Return the server's state; answered while the model loads or thinks, too."""
-        return await self._request(spec.Message.HEARTBEAT, {})
+        return await self._exchange.request(spec.Message.HEARTBEAT, {})
 
     async def call(self, func_name: str, obs: Any = None) -> Any:
         """Call an operation by name, as benchmarks do; further names are methods the adapter declares."""
@@ -213,323 +108,20 @@ class Conversation:
             return await self.get_action(obs)
         if func_name == spec.Method.GET_ACTION_BATCH:
             return await self.get_action_batch(obs)
-        if self._first_generation:
+        if self._exchange.is_first_generation:
             raise ClientError(f"this server offers no {func_name!r}: it is of the first generation, without `call`")
         return await self._call(func_name, obs)
 
-    async def settle(self) -> None:
-        """Wait for the answers to all updates that were sent ahead, and raise what went wrong with them."""
-        while self._ahead:
-            await self._receive_ahead()
-        self._raise_late()
-
-    async def close(self) -> None:
-        """Say goodbye and close the connection; closing twice is fine."""
-        if not self._is_open:
-            return
-        with contextlib.suppress(Exception):  # the connection may be gone already, which is what was wanted
-            await self._transport.send(wire.encode(self._frame(spec.Message.CLOSE, {})), _GOODBYE_S)
-        await self._drop()
-
-    # -- connecting ----------------------------------------------------------------------------------------------------
-
-    async def connect(self, deadline: float = math.inf) -> None:
-        """Connect and exchange hellos, trying again while nobody listens, the model loads or the server is busy."""
-        config = self._config
-        deadline = min(deadline, _deadline(config[spec.Deploy.MAX_CONNECT_SECONDS] or None))
-        most = config[spec.Deploy.MAX_CONNECT_ATTEMPTS] or math.inf
-        delay = config[spec.Deploy.CONNECT_RETRY_DELAY_S] or 0.0
-        for attempt in itertools.count(1):
-            try:
-                await self._connect_once(deadline)
-            except ServerFailedError:
-                raise
-            except (OSError, RequestTimeoutError) as error:
-                problem: Exception = error
-            except PolicyServerError as error:
-                if error.details.get("reason") not in _AGAIN:
-                    raise
-                problem = error
-            else:
-                return
-            if attempt >= most or time.monotonic() + delay > deadline:
-                raise ServerConnectionError(f"no policy server at {self._address} after {attempt} attempts: {problem}")
-            await self._transport.pause(delay)
-
-    async def _connect_once(self, deadline: float) -> None:
-        timeout = _left(min(deadline, _deadline(self._config[spec.Deploy.CONNECT_TIMEOUT_S])))
-        await self._transport.open(timeout)
-        self._is_open = True
-        try:
-            greeting = await self._hello({})
-            while greeting.get(spec.Payload.STATE) == spec.ServerState.LOADING:
-                greeting = await self._wait_for_the_model(greeting, deadline)
-            instance = greeting.get(spec.Payload.SERVER_INSTANCE_ID)
-            if instance != self.server_instance_id:
-                self._sequence = 0
-            self.server_instance_id = instance
-            self.capabilities = self._encoder.capabilities = _map(greeting.get(spec.Payload.CAPABILITIES))
-            self.policy = _map(greeting.get(spec.Payload.POLICY))
-            self._check_fit()
-            await self._share(self.capabilities.get(spec.Capability.SHARED_MEMORY))
-        except BaseException:
-            await self.close()
-            raise
-
-    async def _hello(self, shared_memory: Mapping[str, Any]) -> dict[str, Any]:
-        wishes = self._wishes
-        capabilities: dict[str, Any] = {
-            spec.Capability.WIRE_VERSION: spec.WIRE_VERSION,
-            spec.Capability.LOADING: True,
-            spec.Capability.SEQUENCE: True,
-            spec.Capability.SESSION: self._session,
-        }
-        if wishes.packed:
-            capabilities[spec.Capability.PACKED] = 1
-            if wishes.shared_memory:
-                capabilities[spec.Capability.SHARED_MEMORY] = shared_memory or {"wanted": True}
-        if wishes.jpeg:
-            capabilities[spec.Capability.JPEG] = dict(wishes.jpeg)
-        payload: dict[str, Any] = {spec.Payload.CAPABILITIES: capabilities}
-        if wishes.environment is not None:
-            payload[spec.Payload.ENVIRONMENT] = dict(wishes.environment)
-        hello = self._frame(spec.Message.HELLO, payload)
-        limit = _deadline(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
-        return await self._exchange(hello, wire.encode(hello), limit)
-
-    async def _wait_for_the_model(self, greeting: Mapping[str, Any], deadline: float) -> dict[str, Any]:
-        """Ask how far the model is until it is loaded, and return the answer to another hello."""
-        state: Mapping[str, Any] = greeting
-        while state.get(spec.Payload.STATE) == spec.ServerState.LOADING:
-            if self._wishes.on_loading is not None:
-                self._wishes.on_loading(_map(state.get(spec.Payload.PROGRESS)))
-            if time.monotonic() > deadline:
-                raise ServerConnectionError(f"the model at {self._address} was still loading when time was up")
-            await self._transport.pause(_LOADING_POLL_S)
-            beat = self._frame(spec.Message.HEARTBEAT, {})
-            limit = _deadline(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
-            state = await self._exchange(beat, wire.encode(beat), limit)
-        return await self._hello({})
-
-    def _check_fit(self) -> None:
-        """Compare what both sides announced: a server of another make may not have done so."""
-        found = agreement.differences(self.policy, self._wishes.environment or {})
-        if found:
-            details = {"reason": spec.ErrorReason.MISMATCH, "differences": found}
-            raise EnvironmentMismatchError(spec.ErrorCode.INVALID_FRAME, agreement.sentence(found), details)
-
-    async def _share(self, offer: Any) -> None:
-        """Use the memory that the server offers, once both sides have read there what the other one wrote."""
-        proof = self._encoder.share(offer) if isinstance(offer, Mapping) and self._wishes.shared_memory else None
-        if proof is not None:
-            greeting = await self._hello({"proof": proof})
-            announced = _map(greeting.get(spec.Payload.CAPABILITIES)).get(spec.Capability.SHARED_MEMORY)
-            self._encoder.confirm(_map(announced).get("proof"))
-
-    # -- requests ------------------------------------------------------------------------------------------------------
-
-    @property
-    def _first_generation(self) -> bool:
-        return self.server_instance_id is None
+    async def _update(self, name: str, obs: Any) -> None:
+        if self._exchange.goes_ahead:
+            await self._exchange.send_ahead({spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs})
+        else:
+            await self._call(name, obs)
 
     async def _call(self, name: str, obs: Any = None) -> Any:
         payload = {spec.Payload.FUNC_NAME: name}
         if obs is not None:
             payload[spec.Payload.OBS] = obs
-        result = (await self._request(spec.Message.CALL, payload)).get(spec.Payload.RESULT)
-        self._step += name in _ACTING
+        result = (await self._exchange.request(spec.Message.CALL, payload)).get(spec.Payload.RESULT)
+        self._exchange.step += name in _ACTING
         return result
-
-    async def _update(self, name: str, obs: Any) -> None:
-        if not (self._wishes.pipelined and self.capabilities.get(spec.Capability.SEQUENCE)):
-            await self._call(name, obs)
-            return
-        self._check_open(spec.Message.CALL)
-        while len(self._ahead) >= spec.LIMITS["pipelined"]:
-            await self._receive_ahead()
-        self._raise_late()
-        frame, data, blocks = self._numbered(spec.Message.CALL, {spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs})
-        deadline = self._request_deadline()
-        self._ahead[frame.message_id] = _Ahead(frame, None if blocks else data, blocks)
-        try:
-            await self._transport.send(data, _left(deadline))
-        except OSError as error:
-            await self._reconnect(error, deadline)
-
-    async def _receive_ahead(self) -> None:
-        """Take in one more answer to what was sent ahead."""
-        deadline = self._request_deadline()
-        try:
-            self._take(wire.decode(await self._transport.receive(_left(deadline))))
-        except ServerFailedError:
-            await self._drop()
-            raise
-        except TimeoutError:
-            await self.close()
-            raise RequestTimeoutError("an update that was sent ahead was not answered in time") from None
-        except OSError as error:
-            await self._reconnect(error, deadline)
-        except wire.WireError as error:
-            await self._drop()
-            raise ClientError(f"what the server sent cannot be understood: {error}") from None
-
-    def _frame(self, message_type: str, payload: dict[str, Any]) -> wire.Frame:
-        identity = f"{self._session}-{next(self._numbers)}"
-        return wire.Frame(
-            message_type, self._evaluation_id, payload, identity, trial_id=self._trial_id, step=self._step
-        )
-
-    def _numbered(self, message_type: str, payload: dict[str, Any]) -> tuple[wire.Frame, bytes, list[int]]:
-        """Return a request with its number, where the server counts, too; its bytes and its blocks."""
-        counts = message_type != spec.Message.HEARTBEAT and bool(self.capabilities.get(spec.Capability.SEQUENCE))
-        frame = self._frame(message_type, {**payload, spec.Payload.SEQUENCE: self._sequence} if counts else payload)
-        data, blocks = self._encoder.encode(frame)
-        self._sequence += counts  # not before: what cannot be sent has no number
-        return frame, data, blocks
-
-    async def _request(self, message_type: str, payload: dict[str, Any]) -> dict[str, Any]:
-        """Return the payload of the answer; reconnects once after a cut, all within the request's timeout."""
-        self._check_open(message_type)
-        frame, data, blocks = self._numbered(message_type, payload)
-        deadline = self._request_deadline()
-        try:
-            answer = await self._exchange(frame, data, deadline)
-        except PolicyServerError:
-            self._raise_late()  # what failed before it is the cause
-            raise
-        except OSError as error:
-            await self._reconnect(error, deadline)
-            data, blocks = self._encoder.encode(
-                frame
-            )  # what lay in the memory of the lost connection lies elsewhere now
-            try:
-                # The same id: the server answers from its memory if the model ran already.
-                answer = await self._exchange(frame, data, deadline)
-            except OSError as again:
-                await self._drop()
-                raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
-        finally:
-            self._encoder.answered(blocks)
-        self._raise_late()
-        return answer
-
-    def _check_open(self, message_type: str) -> None:
-        """Refuse what cannot be asked: the client is closed, or the episode's state was lost and not yet reset."""
-        if not self._is_open:
-            raise ServerConnectionError("the client is closed")
-        if self._is_lost and message_type not in _BETWEEN_EPISODES:
-            raise ServerRestartedError("the policy server was restarted: the episode's state is gone; reset") from None
-
-    async def _reconnect(self, error: OSError, deadline: float) -> None:
-        """Come back to the same server after a cut, and send again what was sent ahead and not answered."""
-        await self._drop()
-        if self._first_generation:
-            raise ServerConnectionError(
-                f"the connection was cut ({error}), and a server of the first generation must not be asked twice"
-            ) from None
-        ahead = list(self._ahead.values())
-        if any(update.data is None for update in ahead):
-            self._ahead.clear()
-            raise ServerConnectionError(
-                f"the connection was cut ({error}) while updates were sent ahead through shared memory"
-            ) from None
-        instance = self.server_instance_id
-        await self.connect(deadline)
-        if self.server_instance_id != instance:
-            self._is_lost = True
-            self._ahead.clear()
-            self._check_open(spec.Message.CALL)
-        try:
-            for update in ahead:
-                await self._transport.send(update.data or b"", _left(deadline))
-        except OSError as again:
-            await self._drop()
-            raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
-
-    async def _exchange(self, frame: wire.Frame, data: bytes, deadline: float) -> dict[str, Any]:
-        """Send a request and return the payload of its answer; a lost connection is an OSError."""
-        started = time.monotonic()
-        try:
-            await self._transport.send(data, _left(deadline))
-            while True:
-                answer = wire.decode(await self._transport.receive(_left(deadline)))
-                if answer.message_id == frame.message_id:
-                    return self._read(answer, frame)
-                self._take(answer)
-        except TimeoutError:
-            await self.close()
-            waited = time.monotonic() - started
-            raise RequestTimeoutError(f"{frame.message_type} was not answered within {waited:.1f} s") from None
-        except ServerFailedError:
-            await self._drop()
-            raise
-        except (wire.WireError, packed.PackingError) as error:
-            await self._drop()
-            raise ClientError(f"what the server sent cannot be understood: {error}") from None
-        except BaseException as error:
-            if not isinstance(error, Exception):  # cancelled, or interrupted: nobody knows what became of the request
-                await self.close()
-            raise
-
-    def _take(self, answer: wire.Frame) -> None:
-        """Take in the answer to an update that was sent ahead; others are not ours."""
-        update = self._ahead.pop(answer.message_id, None)
-        if update is None:
-            return
-        self._encoder.answered(update.blocks)
-        try:
-            self._read(answer, update.frame)
-        except PolicyServerError as error:
-            self._late = self._late or error
-
-    def _read(self, answer: wire.Frame, request: wire.Frame) -> dict[str, Any]:
-        """Return the payload of an answer; an error that the server did not count is not counted here either."""
-        try:
-            return _payload(answer, request)
-        except PolicyServerError as error:
-            number = request.payload.get(spec.Payload.SEQUENCE)
-            if error.details.get("reason") in _UNCOUNTED and number == self._sequence - 1:
-                self._sequence -= 1
-            raise
-
-    def _raise_late(self) -> None:
-        late, self._late = self._late, None
-        if late is not None:
-            raise late
-
-    def _request_deadline(self) -> float:
-        return _deadline(self._config[spec.Deploy.REQUEST_TIMEOUT_S])
-
-    # -- encoding ------------------------------------------------------------------------------------------------------
-
-    async def _drop(self) -> None:
-        """Close the connection, if there is one, without a goodbye."""
-        self._is_open = False
-        self._encoder.forget()
-        await self._transport.close()
-
-
-def _deadline(seconds: float | None) -> float:
-    return math.inf if seconds is None else time.monotonic() + seconds
-
-
-def _left(deadline: float) -> float | None:
-    return None if deadline == math.inf else max(0.0, deadline - time.monotonic())
-
-
-def _map(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, Mapping) else {}
-
-
-def _payload(answer: wire.Frame, request: wire.Frame) -> dict[str, Any]:
-    payload = answer.payload
-    if answer.message_type == spec.Message.ERROR:
-        code, message = payload.get(spec.Payload.CODE), str(payload.get(spec.Payload.MESSAGE))
-        known = str(code) if code in _CODES else spec.ErrorCode.INTERNAL
-        details = payload.get(spec.Payload.DETAILS)
-        details = details if isinstance(details, Mapping) else {}
-        kind = EnvironmentMismatchError if details.get("reason") == spec.ErrorReason.MISMATCH else PolicyServerError
-        raise kind(known, message, details)
-    if answer.message_type != spec.ANSWERS[request.message_type]:
-        raise ClientError(f"{request.message_type} was answered by {answer.message_type}")
-    return wire.unpacked(payload)
