@@ -1,6 +1,7 @@
 """SDK of the XPolicyLab standard: what adapters and environment clients import.
 
-Imports nothing but the standard library and numpy; `Client` brings in websockets and msgpack when it is first used.
+Imports nothing but the standard library and numpy; `Client` and `AsyncClient` bring in websockets and msgpack when they
+are first used.
 """
 
 from __future__ import annotations
@@ -9,17 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from xpl.action import ActionError
+    from xpl.aio import AsyncClient
     from xpl.client import Client
     from xpl.embodiment import Embodiment, get_embodiment
     from xpl.observation import ObservationError
     from xpl.policy import Policy
 
-__all__ = ["ActionError", "Client", "Embodiment", "ObservationError", "Policy", "get_embodiment"]
+__all__ = ["ActionError", "AsyncClient", "Client", "Embodiment", "ObservationError", "Policy", "get_embodiment"]
 
 __version__ = "0.1.0"
 
 _HOME = {
     "ActionError": "xpl.action",
+    "AsyncClient": "xpl.aio",
     "Client": "xpl.client",
     "Embodiment": "xpl.embodiment",
     "ObservationError": "xpl.observation",
