@@ -13,7 +13,7 @@ from tests.peer import MARK, processes, wait_until
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICK = ["benchmarks/serving.py", "--quick", "--only", "tcp,websockets,xpl"]
-NAMES = {"tcp", "websockets", "websockets/async", "xpl", "xpl/websocket"}
+NAMES = {"tcp", "websockets", "websockets/async", "xpl", "xpl/same", "xpl/websocket"}
 
 
 @pytest.mark.slow
@@ -45,10 +45,10 @@ def test_the_serving_benchmark_measures_every_phase_and_leaves_no_process(tmp_pa
         assert 0 < row["p50_ms"] <= row["p99_ms"]
         assert row["cpu_ms"] > 0
         assert row["ratio"] > 0
-        assert row["shared_memory"] == (row["contender"] == "xpl")
+        assert row["shared_memory"] == (row["contender"] in {"xpl", "xpl/same"})
     assert all(row["ratio"] == 1 for row in figures["latency"] if row["contender"] == "tcp")
 
-    assert {(row["contender"], row["clients"]) for row in figures["throughput"]} == {("xpl", 1), ("xpl/websocket", 1)}
+    assert {(row["contender"], row["clients"]) for row in figures["throughput"]} == {("xpl", 1), ("xpl/same", 1)}
     assert all(row["per_s"] > 0 for row in figures["throughput"])
     assert {row["contender"] for row in figures["responsiveness"]} == {"websockets", "xpl"}
     assert all(row[what]["count"] > 0 for row in figures["responsiveness"] for what in ("handshake", "heartbeat"))

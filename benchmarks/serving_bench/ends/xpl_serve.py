@@ -1,8 +1,8 @@
 """Ours: `xpl serve` of an adapter, and `xpl.Client`, an ordinary one with all its checks.
 
 The answer is the standard's chunk, maps of arrays, which the base class makes and checks. Setting `same` has an adapter
-that answers with one array, as the peers do: the same bytes on every wire. `default` and `same` use shared memory on one
-host, `websocket` declines it; `+shared` lets several clients share one model.
+that answers with one array, as the peers do: the same bytes on every wire. `default` and `same` use shared memory on
+one host, `websocket` declines it; `+shared` lets several clients share one model.
 """
 
 from __future__ import annotations
