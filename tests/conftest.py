@@ -19,6 +19,14 @@ from tests.peer import MARK, processes, wait_until
 from xpl_cli.serving.launch import RunningServer, serving
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what audits remember out of the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.fixture(scope="module")
 def write_adapter(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Return a function that writes an adapter package."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import os
 import shutil
@@ -113,6 +112,8 @@ def _exchange(one: Path, other: Path) -> bool:
     """Exchange two paths in one step; false where the system or the file system cannot."""
     if not sys.platform.startswith("linux"):
         return False
+    import ctypes
+
     try:
         rename = ctypes.CDLL(None).renameat2
     except AttributeError:

@@ -10,11 +10,13 @@ from typing import NoReturn
 import typer
 
 from xpl_cli import __version__
-from xpl_cli.commands import audit, demo, evaluate, lifecycle, new_policy, sdk, serve, spec
+from xpl_cli.commands import audit, demo, evaluate, hook, lifecycle, metrics, new_policy, sdk, serve, spec
+from xpl_cli.commands.plain import PlainCommand, PlainGroup
 from xpl_cli.errors import ExitCode, UserError
 
 app = typer.Typer(
     name="xpl",
+    cls=PlainGroup,
     help="Scaffold, serve, audit and evaluate robot policies against one standard.",
     no_args_is_help=True,
     add_completion=False,
@@ -23,9 +25,11 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("new-policy")(new_policy.new_policy)
-app.command("audit")(audit.audit)
-app.command("explain")(audit.explain)
-app.command("rules")(audit.rules)
+app.command("audit", cls=PlainCommand)(audit.audit)
+app.command("explain", cls=PlainCommand)(audit.explain)
+app.command("rules", cls=PlainCommand)(audit.rules)
+app.command("metrics")(metrics.metrics)
+app.command("hook", hidden=True)(hook.hook)
 app.command("serve")(serve.serve)
 app.command("eval")(evaluate.evaluate)
 app.command("install")(lifecycle.install)

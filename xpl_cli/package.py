@@ -13,7 +13,7 @@ from xpl_cli.errors import NotFoundError, UserError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-_MARKS = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML, sdk.File.POLICY_YML)
+MARKS = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML, sdk.File.POLICY_YML)
 """Any of these files makes a folder an adapter."""
 
 POLICY, ENV = "policy", "env"
@@ -61,7 +61,7 @@ def find_policy(path: Path | str) -> Path:
     given = Path(path)
     candidates = [given, Path("policy") / given, content.room("policy") / given]
     for candidate in candidates:
-        if candidate.is_dir() and any((candidate / name).is_file() for name in _MARKS):
+        if candidate.is_dir() and any((candidate / name).is_file() for name in MARKS):
             return candidate.resolve()
     if given.is_dir():
         raise NotFoundError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Edit, Finding, Fix, rule
 from xpl_cli.audit.source import Source
 
 
@@ -27,7 +27,8 @@ def bare_except(source: Source) -> Iterator[Finding]:
     `except ImportError:`, or the exception that is meant.
 
     ## Fix safety
-    `except Exception:` only lets interrupts through; naming the exception may let errors through that were hidden.
+    Safe where no import is guarded: `except Exception:` only lets interrupts through. Around an import the fix is
+    unsafe: `except ImportError:` lets errors through that were hidden, which is what it is for.
     """
     for name in source.python_files:
         for node in source.nodes(name) if source.parses(name) else ():
@@ -43,8 +44,19 @@ def bare_except(source: Source) -> Iterator[Finding]:
                             **source.start(name, handler),
                             expected="the exception that is meant" + (", ImportError" if imports else ""),
                             got="except:" if handler.type is None else "except BaseException:",
-                            fix=Fix("unsafe_edit", "except ImportError:" if imports else "except Exception:"),
+                            fix=_fix(source, name, handler, imports=imports),
                         )
+
+
+def _fix(source: Source, name: str, handler: ast.ExceptHandler, *, imports: bool) -> Fix:
+    meant = "ImportError" if imports else "Exception"
+    if handler.type is not None:
+        edit = Edit(**source.at(name, handler.type), text=meant)
+    else:
+        place = source.start(name, handler)
+        column = place["column"] + len("except")
+        edit = Edit(name, place["line"], column, place["line"], column, f" {meant}")
+    return Fix("unsafe_edit" if imports else "safe_edit", f"except {meant}:", (edit,))
 
 
 def _is_bare(handler: ast.ExceptHandler) -> bool:

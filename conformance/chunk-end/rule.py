@@ -5,11 +5,11 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Edit, Finding, Fix, rule
 from xpl_cli.audit.adapter import Function
 from xpl_cli.audit.loop import ENDS, EXECUTES, does, hands_on, loops
 from xpl_cli.audit.source import Source
-from xpl_cli.audit.syntax import called, enclosing, leaves, names, targets
+from xpl_cli.audit.syntax import called, dotted, enclosing, leaves, names, targets
 
 
 @rule(code="XPL134", slug="chunk-end", gate="static", requirement="XPL-LOOP-2")
@@ -31,7 +31,8 @@ def chunk_end(source: Source) -> Iterator[Finding]:
     `if TASK_ENV.is_episode_end(): break` after each action.
 
     ## Fix safety
-    Adding the check changes nothing before the end of an episode.
+    Safe: the check changes nothing before the end of an episode. It is added where the action of one environment is a
+    statement of its own in a `for` over the chunk; other loops are left to you.
     """
     for function in loops(source):
         for call in does(function.node, function, EXECUTES):
@@ -44,9 +45,27 @@ def chunk_end(source: Source) -> Iterator[Finding]:
                     **source.at(function.file, call),
                     expected="a look at is_episode_end() after each action, and a break",
                     got=f"{ast.unparse(loop).splitlines()[0]} without one",
-                    fix=Fix("safe_edit", "if TASK_ENV.is_episode_end(): break"),
+                    fix=_fix(source, function, call, loop),
                 )
                 break
+
+
+def _fix(source: Source, function: Function, call: ast.Call, loop: ast.For | ast.While) -> Fix:
+    """Return the check after the action, as an edit where it is certain where that belongs."""
+    environment = dotted(call.func).rpartition(".")[0] or "TASK_ENV"
+    text = f"if {environment}.is_episode_end(): break"
+    place = next((entry for entry in loop.body if isinstance(entry, ast.Expr) and entry.value is call), None)
+    if place is None or not isinstance(loop, ast.For) or loop.orelse or called(call) != f"{environment}.{EXECUTES[0]}":
+        return Fix("advice", text)
+    at = source.at(function.file, place)
+    lines = source.text(function.file).split("\n")
+    before = lines[at["line"] - 1][: at["column"] - 1]
+    last_line = lines[at["end_line"] - 1]
+    if before.strip() or last_line[at["end_column"] - 1 :].lstrip().startswith(";"):
+        return Fix("advice", text)
+    end = len(last_line) + 1
+    added = f"\n{before}if {environment}.is_episode_end():\n{before}    break"
+    return Fix("safe_edit", text, (Edit(function.file, at["end_line"], end, at["end_line"], end, added),))
 
 
 def _ends(loop: ast.For | ast.While, function: Function) -> bool:

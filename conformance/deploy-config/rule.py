@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as sdk
-from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.manifests import key_line, schema_findings
+from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.manifests import key_line, renamed, schema_findings
 from xpl_cli.audit.source import Source
 
 
@@ -28,7 +28,7 @@ def deploy_config(source: Source) -> Iterator[Finding]:
     `xpl spec show deploy` lists the keys, their kinds and their defaults. null means not given.
 
     ## Fix safety
-    No automatic fix.
+    Safe for the name, which has to be the folder's. Everything else is left to you.
     """
     name = sdk.File.DEPLOY_YML
     values = source.yaml(name)
@@ -42,5 +42,5 @@ def deploy_config(source: Source) -> Iterator[Finding]:
             column=1,
             expected=source.path.name,
             got=given,
-            fix=Fix("safe_edit", f"{sdk.Deploy.POLICY_NAME}: {source.path.name}"),
+            fix=renamed(source, name, sdk.Deploy.POLICY_NAME),
         )

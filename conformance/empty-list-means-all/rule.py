@@ -5,8 +5,8 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.adapter import ACT_BATCH
+from xpl_cli.audit import Edit, Finding, Fix, rule
+from xpl_cli.audit.adapter import ACT_BATCH, Function
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import always_raises, parameters, targets
 
@@ -30,7 +30,8 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
     `if env_idx_list is None: env_idx_list = self.latest`.
 
     ## Fix safety
-    Replacing `x or default` by `default if x is None else x` changes the answer to `[]` only.
+    Safe: replacing `x or default` by `default if x is None else x`, and `if not x: x = ...` by `if x is None: x = ...`,
+    changes the answer to `[]` only. What raises for an empty list is left to you.
     """
     function = source.adapter.method(ACT_BATCH)
     given = parameters(function.node) if function is not None else []
@@ -45,7 +46,7 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
                 **source.at(function.file, node),
                 expected="[] is answered by []",
                 got=ast.unparse(node),
-                fix=Fix("unsafe_edit", f"{default} if {name} is None else {name}"),
+                fix=_default(source, function, node, f"{default} if {name} is None else {name}"),
             )
         elif isinstance(node, ast.IfExp) and (_is(node.test, name) or _is_not(node.test, name)):
             yield Finding(
@@ -63,8 +64,23 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
                     **source.at(function.file, node.test),
                     expected="[] is answered by []",
                     got=f"if {ast.unparse(node.test)}: {ast.unparse(node.body[0])}",
-                    fix=Fix("advice", f"test `{name} is None`, and return [] for an empty list"),
+                    fix=_test(source, function, node, name),
                 )
+
+
+def _default(source: Source, function: Function, node: ast.BoolOp, text: str) -> Fix:
+    """Return the edit of `x or default`."""
+    stands_alone = isinstance(function.up.get(node), (ast.Assign, ast.AnnAssign, ast.Return))
+    edit = Edit(**source.at(function.file, node), text=text if stands_alone else f"({text})")
+    return Fix("safe_edit", text, (edit,))
+
+
+def _test(source: Source, function: Function, node: ast.If, name: str) -> Fix:
+    """Return the edit of `if not x: x = ...`; for every other test or consequence, advice."""
+    if isinstance(node.test, ast.UnaryOp) and not always_raises(node.body):
+        edit = Edit(**source.at(function.file, node.test), text=f"{name} is None")
+        return Fix("safe_edit", f"if {name} is None:", (edit,))
+    return Fix("advice", f"test `{name} is None`, and return [] for an empty list")
 
 
 def _is(node: ast.AST, name: str) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.manifests import key_line, robots, schema_findings
+from xpl_cli.audit.manifests import key_line, renamed, robots, schema_findings
 from xpl_cli.audit.source import Source
 
 
@@ -29,7 +29,7 @@ def manifest(source: Source) -> Iterator[Finding]:
     `xpl spec show policy` lists every key.
 
     ## Fix safety
-    No automatic fix.
+    Safe for the name, which has to be the folder's. Everything else is left to you.
     """
     name = sdk.File.POLICY_YML
     if source.is_ecosystem:
@@ -45,7 +45,7 @@ def manifest(source: Source) -> Iterator[Finding]:
             column=1,
             expected=source.path.name,
             got=values["name"],
-            fix=Fix("safe_edit", f"name: {source.path.name}"),
+            fix=renamed(source, name, "name"),
         )
     declared = values.get("embodiments")
     for robot in declared if isinstance(declared, list) else []:

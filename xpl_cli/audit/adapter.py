@@ -6,7 +6,7 @@ import ast
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar, cast
 
 from xpl import _spec as sdk
 from xpl_cli.audit.model import NotApplicable, NotRun
@@ -23,7 +23,10 @@ from xpl_cli.audit.syntax import (
 )
 
 if TYPE_CHECKING:
+    from xpl_cli.audit.episode import Write
     from xpl_cli.audit.source import Source
+
+_Node = TypeVar("_Node", bound=ast.AST)
 
 UPDATE, UPDATE_BATCH, ACT, ACT_BATCH, RESET = sdk.CONTRACT_METHODS
 LOADING: Final = ("__init__", "load")
@@ -54,6 +57,26 @@ class Function:
     def nodes(self) -> tuple[ast.AST, ...]:
         """Everything in it, the outermost first."""
         return tuple(ast.walk(self.node))
+
+    @cached_property
+    def kinds(self) -> dict[type[ast.AST], list[ast.AST]]:
+        """Its nodes by their type, each list in the order of `nodes`."""
+        found: dict[type[ast.AST], list[ast.AST]] = {}
+        for node in self.nodes:
+            found.setdefault(type(node), []).append(node)
+        return found
+
+    def of(self, *kinds: type[_Node]) -> list[_Node]:
+        """Return its nodes of some types."""
+        found = [node for kind in kinds for node in self.kinds.get(kind, ())]
+        return cast("list[_Node]", found)
+
+    @cached_property
+    def writes(self) -> tuple[Write, ...]:
+        """Where it changes attributes of `self`."""
+        from xpl_cli.audit.episode import writes
+
+        return tuple(writes([self]))
 
     @cached_property
     def up(self) -> dict[ast.AST, ast.AST]:

@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any, Self
 
-from xpl_cli.audit.model import NotRun
-
 
 class Facts:
     """The facts of one target.
@@ -24,27 +22,31 @@ class Facts:
 
     def __init__(self, given: dict[str, Any], providers: dict[str, Callable[..., Any]]) -> None:
         self._known = dict(given)
-        self._missing: dict[str, str] = {}
+        self._failed: dict[str, Exception] = {}
         self._providers = providers
         self._cleanup = ExitStack()
+
+    def give(self, name: str, value: Any) -> None:
+        """Add a fact that is known."""
+        self._known[name] = value
 
     def get(self, name: str) -> Any:
         """Return a fact, computing it on first use.
 
         Raises:
-            NotRun: if it cannot be had; every rule that needs it hears the same reason.
+            NotRun: if it cannot be had, or whatever else its provider raised; every rule that needs it hears the same.
         """
         if name in self._known:
             return self._known[name]
-        if name in self._missing:
-            raise NotRun(self._missing[name])
+        if name in self._failed:
+            raise self._failed[name]
         if name not in self._providers:
             message = f"no provider for the fact {name!r}; there are {', '.join(sorted(self._providers))}"
             raise LookupError(message)
         try:
             self._known[name] = self._compute(self._providers[name])
-        except NotRun as reason:
-            self._missing[name] = str(reason)
+        except Exception as error:
+            self._failed[name] = error
             raise
         return self._known[name]
 
@@ -55,7 +57,7 @@ class Facts:
 
     def call(self, function: Callable[..., Any]) -> Any:
         """Call a function with the facts that its parameters name."""
-        return function(**{name: self.get(name) for name in inspect.signature(function).parameters})
+        return function(**{name: self.get(name) for name in wanted(function)})
 
     def _compute(self, provider: Callable[..., Any]) -> Any:
         if not inspect.isgeneratorfunction(provider):
@@ -72,3 +74,9 @@ class Facts:
 
     def __exit__(self, *_: object) -> None:
         self._cleanup.close()
+        self._known.clear()  # facts may refer to each other; large ones shall not wait for the garbage collector
+
+
+def wanted(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the names of the facts that a function asks for."""
+    return tuple(inspect.signature(function).parameters)

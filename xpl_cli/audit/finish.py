@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import platform
 import sys
-from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 import xpl_cli
 from xpl_cli.audit.model import Gate
 
-_LIBRARIES = {Gate.STATIC: ("PyYAML",), Gate.OFFLINE: ("numpy", "pillow"), Gate.MUJOCO: ("numpy", "mujoco-core")}
+_LIBRARIES = {Gate.STATIC: (), Gate.OFFLINE: ("numpy", "pillow"), Gate.MUJOCO: ("numpy", "mujoco-core")}
 
 
 def fingerprint(gate: Gate) -> str:
@@ -23,12 +24,16 @@ def fingerprint(gate: Gate) -> str:
     """
     parts = [xpl_cli.__version__, gate, f"{sys.version_info.major}.{sys.version_info.minor}"]
     parts += [f"{name} {_version(name)}" for name in _LIBRARIES[gate]]
-    if gate is not Gate.STATIC:
+    if gate is Gate.STATIC:
+        parts.append(f"PyYAML {yaml.__version__}")
+    else:
         parts += [platform.machine(), *platform.libc_ver(), _cpu_features()]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:8]
 
 
 def _version(name: str) -> str:
+    from importlib import metadata  # slow to import, and the static gate needs none of it
+
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl_cli import spec
-from xpl_cli.audit.adapter import UPDATE, UPDATE_BATCH, Function, symbols
-from xpl_cli.audit.syntax import constant, parameters
+from xpl_cli.audit.adapter import ACT, ACT_BATCH, UPDATE, UPDATE_BATCH, Function, symbols
+from xpl_cli.audit.syntax import called, constant, enclosing, parameters, targets
 
 if TYPE_CHECKING:
     from xpl_cli.audit.source import Source
@@ -54,7 +54,7 @@ def asked(function: Function) -> Iterator[tuple[ast.Call, str | None]]:
 def does(node: ast.AST, function: Function, names: tuple[str, ...]) -> Iterator[ast.Call]:
     """Yield calls of these methods of the environment below a node."""
     environment = _environment(function)
-    for child in ast.walk(node):
+    for child in function.nodes if node is function.node else ast.walk(node):
         if not isinstance(child, ast.Call) or not isinstance(child.func, ast.Attribute):
             continue
         if child.func.attr in names and _is(child.func.value, environment):
@@ -87,6 +87,25 @@ def hands_on(node: ast.AST, function: Function, source: Source, parameter: int, 
             if any(isinstance(entry, ast.Attribute) and entry.attr in names for entry in other.nodes):
                 return True
     return False
+
+
+def around(node: ast.AST, function: Function) -> ast.For | ast.While | None:
+    """Return the innermost loop around a node of a function."""
+    return next((entry for entry in enclosing(node, function.up) if isinstance(entry, (ast.For, ast.While))), None)
+
+
+def chunks(function: Function) -> set[str]:
+    """Return the names that hold what the policy answered, as it came."""
+    calls = {id(node) for node, name in asked(function) if name in {ACT, ACT_BATCH}}
+    found: set[str] = set()
+    for node in function.nodes:
+        if isinstance(node, (ast.Assign, ast.AnnAssign, ast.NamedExpr)) and node.value is not None:
+            value = node.value
+            if isinstance(value, ast.Call) and called(value) == "list" and value.args:
+                value = value.args[0]
+            if id(value) in calls:
+                found |= {target.id for target in targets(node) if isinstance(target, ast.Name)}
+    return found
 
 
 def _environment(function: Function) -> str:

@@ -14,6 +14,8 @@ from xpl_cli.errors import ExitCode
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+_NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
+
 
 class Outcome(StrEnum):
     """How a rule ended. `not_run` is never green; `error` means that the rule itself crashed."""
@@ -43,16 +45,38 @@ class NotRun(Exception):  # noqa: N818 - an outcome, not an error
 
 
 @dataclass(frozen=True)
+class Edit:
+    """A piece of a file and what takes its place.
+
+    Args:
+        path: file, relative to the adapter's folder.
+        line, column: where it begins; 1-based, columns counted in characters.
+        end_line, end_column: the first character behind it; where it begins, if the edit only inserts.
+        text: what stands there afterwards; empty to delete.
+    """
+
+    path: str
+    line: int
+    column: int
+    end_line: int
+    end_column: int
+    text: str
+
+
+@dataclass(frozen=True)
 class Fix:
     """What to do about a finding.
 
     Args:
-        kind: `command` (text is an exact command), `safe_edit`, `unsafe_edit`, or `advice` (text is a sentence).
-        text: the command, the edit or the advice.
+        kind: `command` (text is an exact command), `safe_edit` (behaviour that is right stays as it is), `unsafe_edit`,
+            or `advice` (text is a sentence).
+        text: the command, the edit in short, or the advice.
+        edits: the edit itself, for whoever carries it out; they do not overlap. Without any, a person has to do it.
     """
 
     kind: str
     text: str
+    edits: tuple[Edit, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -62,7 +86,8 @@ class Finding:
     Args:
         message: the consequence in one sentence.
         path: file, relative to the adapter's folder, or None where no file is to blame.
-        line, column, end_line, end_column: 1-based range in that file.
+        line, column, end_line, end_column: 1-based range in that file, columns in characters; the end column is the
+            first one behind it.
         expected: what was expected.
         got: what came.
         evidence: frames and numbers that show it; JSON values.
@@ -80,15 +105,38 @@ class Finding:
     evidence: Mapping[str, Any] | None = None
     fix: Fix | None = None
 
-    def fingerprint(self, code: str) -> str:
-        """Return an identity that survives edits elsewhere in the file: rule, file and message without numbers."""
-        text = "\0".join((code, self.path or "", re.sub(r"[-+0-9.e]+", "#", self.message)))
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+    def fingerprint(self, code: str, path: str | None = None, occurrence: int = 1) -> str:
+        """Return an identity that survives edits elsewhere in the file: rule, file and message without numbers.
+
+        Args:
+            code: the rule's.
+            path: file, as far as it has to be told from files of other adapters.
+            occurrence: how many findings of this rule and message the file has up to this one, itself included.
+        """
+        text = "\0".join((code, path or self.path or "", _NUMBER.sub("#", self.message)))
+        if occurrence > 1:
+            text += f"\0{occurrence}"
+        return hashlib.sha256(text.encode(errors="replace")).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Waived:
+    """A finding that the adapter's manifest declares accepted, and why."""
+
+    finding: Finding
+    reason: str
 
 
 @dataclass(frozen=True)
 class Result:
-    """What one rule found on one target."""
+    """What one rule found on one target.
+
+    Attributes:
+        code, slug, requirement, severity: the rule's.
+        findings: what is wrong and counts.
+        reason: why there is nothing to say, for `not_applicable` and `not_run`, or how the rule crashed.
+        waived: what is wrong and was accepted; it changes no outcome.
+    """
 
     code: str
     slug: str
@@ -97,6 +145,12 @@ class Result:
     outcome: Outcome
     findings: tuple[Finding, ...] = ()
     reason: str | None = None
+    waived: tuple[Waived, ...] = ()
+
+    @property
+    def explain(self) -> str:
+        """The command that explains the rule."""
+        return f"xpl explain {self.code}"
 
 
 @dataclass
@@ -138,12 +192,17 @@ class GateReport:
 
 @dataclass
 class TargetReport:
-    """All gates of one target."""
+    """All gates of one target.
+
+    Attributes:
+        contents: text of the files that fixes edit, as the rules read it; no fix is applied to anything else.
+    """
 
     path: str
     name: str
     kind: str
     gates: list[GateReport] = field(default_factory=list)
+    contents: dict[str, str] = field(default_factory=dict)
 
     @property
     def results(self) -> list[Result]:
@@ -164,14 +223,23 @@ def counted(results: Iterable[Result]) -> Counter[str]:
     return Counter(result.outcome for result in results)
 
 
-def exit_code(targets: Iterable[TargetReport]) -> ExitCode:
-    """Return the exit code of an audit: findings before crashes before checks that could not run."""
+def exit_code(targets: Iterable[TargetReport], fail_on: Outcome = Outcome.FAIL) -> ExitCode:
+    """Return the exit code of an audit: findings before crashes before checks that could not run.
+
+    Args:
+        targets: what was audited.
+        fail_on: the mildest outcome that counts as a finding, `fail` or `warn`.
+
+    Returns:
+        a package that proved nothing is `NOT_RUN`; where none had to be audited, as none changed, that is clean.
+    """
+    targets = list(targets)
     outcomes = [{gate.outcome for gate in target.gates} for target in targets]
-    if any(Outcome.FAIL in found for found in outcomes):
+    if any(result.outcome in {Outcome.FAIL, fail_on} for target in targets for result in target.results):
         return ExitCode.FINDINGS
     if any(Outcome.ERROR in found for found in outcomes):
         return ExitCode.INTERNAL
-    return ExitCode.CLEAN if outcomes and all(_sound(found) for found in outcomes) else ExitCode.NOT_RUN
+    return ExitCode.CLEAN if all(_sound(found) for found in outcomes) else ExitCode.NOT_RUN
 
 
 def _sound(outcomes: set[Outcome]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from xpl_cli.audit.model import Gate
@@ -19,6 +20,7 @@ class Options:
         keep_going: run a gate although an earlier one failed.
         overrides: keys of deploy.yml for the gates that serve the adapter.
         python, env: interpreter of the adapter, as for `xpl serve`.
+        cache: folder with passes of the static gate (`xpl_cli.audit.cache`); None to run every rule.
         progress: told what is being done, for a person who waits.
     """
 
@@ -29,4 +31,5 @@ class Options:
     overrides: dict[str, Any] = field(default_factory=dict)
     python: str | None = None
     env: str | None = None
+    cache: Path | None = None
     progress: Progress = field(default_factory=Progress)

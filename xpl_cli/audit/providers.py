@@ -13,16 +13,27 @@ if TYPE_CHECKING:
     from xpl_cli.audit.options import Options
     from xpl_cli.audit.probe import Probe
     from xpl_cli.audit.simulation import Simulation
+    from xpl_cli.audit.waivers import Waiver
 
 
 def all_providers() -> dict[str, Callable[..., Any]]:
-    """Return every provider by the name of its fact. `path`, `kind` and `options` are given by the engine."""
-    return {"source": source, "probe": probe, "simulation": simulation}
+    """Return every provider by the name of its fact.
+
+    `path`, `kind`, `gate`, `options` and `checks` are given by the engine.
+    """
+    return {"source": source, "probe": probe, "simulation": simulation, "waivers": waivers}
 
 
 def source(path: Path) -> Source:
     """The files of the adapter, parsed once, never executed."""
     return Source(path)
+
+
+def waivers(source: Source) -> tuple[Waiver, ...]:
+    """The findings that the adapter's manifest accepts."""
+    from xpl_cli.audit.waivers import read
+
+    return read(source)
 
 
 def probe(path: Path, options: Options) -> Iterator[Probe]:

@@ -16,18 +16,24 @@ from xpl_cli.errors import UserError
 Check = Callable[..., Iterator[Finding]]
 
 
+class RegistryError(Exception):
+    """The rules contradict each other; a mistake in the conformance room."""
+
+
 @dataclass(frozen=True)
 class Rule:
     """One check of one requirement.
 
     Attributes:
-        code: `XPL1xx` static, `XPL2xx` offline, `XPL3xx` MuJoCo, `XPL4xx` environment packages.
+        code: `XPL1xx` static, `XPL2xx` offline, `XPL3xx` MuJoCo, `XPL4xx` environment packages, `XPL5xx` the
+            audit itself.
         slug: name for people; the rule's folder in `conformance/`.
         gate: where it runs.
         requirement: id of what it proves; its level gives the severity.
         target: kind of package it looks at, `policy` or `env`.
         check: the function; its parameters name the facts it needs.
         folder: the rule's folder.
+        after: slugs of rules of the same gate that have to hold first; where one does not, this one is not run.
     """
 
     code: str
@@ -37,6 +43,7 @@ class Rule:
     target: str
     check: Check
     folder: Path
+    after: tuple[str, ...] = ()
 
     @property
     def severity(self) -> str:
@@ -54,16 +61,18 @@ class Rule:
         return self.documentation.partition("\n")[0]
 
 
-def rule(*, code: str, slug: str, gate: str, requirement: str, target: str = "policy") -> Callable[[Check], Check]:
+def rule(  # noqa: PLR0913 - a declaration, by keyword
+    *, code: str, slug: str, gate: str, requirement: str, target: str = "policy", after: tuple[str, ...] = ()
+) -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
     Its docstring is what `xpl explain` prints: a summary line, then the headings What it does, Why it matters, Example,
-    Use instead, Fix safety.
+    Use instead, Fix safety. `after` names rules of the same gate without which this one would prove nothing.
     """
 
     def declare(check: Check) -> Check:
         folder = Path(inspect.getfile(check)).parent
-        declared = Rule(code, slug, Gate(gate), requirement, target, check, folder)
+        declared = Rule(code, slug, Gate(gate), requirement, target, check, folder, after)
         check.__dict__["xpl_rule"] = declared
         return check
 
@@ -71,7 +80,8 @@ def rule(*, code: str, slug: str, gate: str, requirement: str, target: str = "po
 
 
 # The hundred of a code names its gate, so that the rules of gates that do not run need not be imported.
-_GATES = {"1": (Gate.STATIC,), "2": (Gate.OFFLINE,), "3": (Gate.MUJOCO,), "4": tuple(Gate)}
+_GATES = {"1": (Gate.STATIC,), "2": (Gate.OFFLINE,), "3": (Gate.MUJOCO,), "4": tuple(Gate), "5": tuple(Gate)}
+_ENVIRONMENTS, _EVERY_GATE = "4", "5"
 
 
 @dataclass(frozen=True)
@@ -85,7 +95,27 @@ class Entry:
     @property
     def gates(self) -> tuple[Gate, ...]:
         """The gates that a rule of this code may run in."""
-        return _GATES[self.code.removeprefix("XPL")[0]]
+        return _GATES[self._hundred]
+
+    @property
+    def target(self) -> str:
+        """The kind of package that it looks at, `policy` or `env`."""
+        return "env" if self._hundred == _ENVIRONMENTS else "policy"
+
+    @property
+    def _hundred(self) -> str:
+        return self.code.removeprefix("XPL")[0]
+
+    def runs_in(self, gate: Gate) -> bool:
+        """Tell whether the rule runs in a gate; imports it only where its code leaves that open."""
+        if self._hundred == _ENVIRONMENTS:
+            return self.load().gate == gate
+        return gate in self.gates
+
+    @property
+    def closes(self) -> bool:
+        """Whether it judges the audit of a gate, after all other rules of it."""
+        return self._hundred == _EVERY_GATE
 
     def load(self) -> Rule:
         """Import the rule."""
@@ -123,8 +153,8 @@ def find(name: str) -> Rule:
     raise UserError(f"there is no rule {name!r}", hint=hint)
 
 
-def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, ...]) -> tuple[Rule, ...]:
-    """Return the rules of some gates that a selection leaves.
+def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, ...]) -> tuple[Entry, ...]:
+    """Return the rules of some gates that a selection leaves, not imported, in order of code.
 
     Args:
         names: codes, code prefixes and slugs to run; empty for all.
@@ -137,14 +167,36 @@ def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, .
     for name in (*names, *ignore):
         if not any(_matches(entry, name) for entry in entries()):
             find(name)
-    chosen = [
-        entry.load()
+    return tuple(
+        entry
         for entry in entries()
         if set(entry.gates) & set(gates)
         and (not names or any(_matches(entry, name) for name in names))
         and not any(_matches(entry, name) for name in ignore)
-    ]
-    return tuple(rule for rule in chosen if rule.gate in gates)
+    )
+
+
+def lookup(name: str) -> Entry | None:
+    """Return what stands for a rule of this code or slug, None if there is none."""
+    return next((item for item in entries() if name in {item.code, item.slug}), None)
+
+
+def needed(item: Rule, way: tuple[str, ...] = ()) -> tuple[Entry, ...]:
+    """Return the rules that a rule comes after.
+
+    Raises:
+        RegistryError: if it names a rule that is not there or runs in another gate, or if it comes after itself.
+    """
+    found = []
+    for slug in item.after:
+        if slug in {*way, item.slug}:
+            raise RegistryError(f"rules wait for each other: {' after '.join((*way, item.slug, slug))}")
+        other = lookup(slug)
+        if other is None or not other.runs_in(item.gate):
+            raise RegistryError(f"{item.slug} comes after {slug!r}, which is no rule of the {item.gate} gate")
+        needed(other.load(), (*way, item.slug))
+        found.append(other)
+    return tuple(found)
 
 
 def _matches(entry: Entry, name: str) -> bool:

@@ -3,17 +3,41 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NamedTuple
 
 _OPENERS: Final = frozenset(("while", "until", "for"))
 _KEYWORDS: Final = frozenset(
     ("if", "then", "elif", "else", "do", "while", "until", "!", "{", "}", "fi", "done", "time")
 )
 _HEREDOC: Final = re.compile(r"<<-?\s*(['\"\\]?)([A-Za-z_]\w*)\1")
-_REDIRECTION: Final = re.compile(r"<<<|[<>]+[&|]?[\d-]*")
+_REDIRECTION: Final = re.compile(r"<<<|&>>?|[<>]+[&|]?[\d-]*")
 _ASSIGNMENT: Final = re.compile(r"([A-Za-z_]\w*)\+?=(.*)", re.DOTALL)
+_DECLARES: Final = ("export", "local", "readonly", "declare", "typeset")
+_SETTERS: Final = frozenset((*_DECLARES, "read", "mapfile", "readarray", "getopts"))
+_GUARDED: Final = re.compile(r"\$\{(\w+):?[-=?+]")
+_PLAIN: Final = re.compile(r"[^\s;&|<>()\\'\"$`]+")
+_QUOTED: Final = re.compile(r"[^\"$\\]+")
+_INTRICATE: Final = re.compile(r"[\\'(`]|.\"(?!$)|^[^\"].*\"", re.DOTALL)
+_SPECIAL: Final = re.compile(r"[\\'\"()`$]")
+_NAME: Final = re.compile(r"\$(?:\{[#!]?(\w+|[@*#?$!-])(:?[-=?+])?|(\d|[A-Za-z_]\w*|[@*#?$!-]))")
 _POSITION: Final = re.compile(r"""["']?\$(?:(\d)|\{(\d+)(?:[:#%/^,?+-][^}]*(?:\}[^}]*)*)?\})["']?""")
+
+
+class Expansion(NamedTuple):
+    """One `$name`, `${name}` or `${name:-default}` in a word; inside of substitutions too.
+
+    Attributes:
+        name: of the variable, or `1` for a positional argument.
+        guard: `:-` and its like where the script says what happens if the variable is not set.
+        quoted: whether the shell leaves its value in one piece.
+    """
+
+    name: str
+    guard: str
+    quoted: bool
 
 
 @dataclass(frozen=True)
@@ -28,6 +52,11 @@ class Word:
     def text(self) -> str:
         """The word without its quotes; expansions stay as they are written."""
         return re.sub(r"""(?<!\\)["']""", "", self.raw)
+
+    @cached_property
+    def expansions(self) -> tuple[Expansion, ...]:
+        """What the shell replaces in it by values of variables."""
+        return tuple(_expansions(self.raw)) if "$" in self.raw else ()
 
     @property
     def position(self) -> int | None:
@@ -44,17 +73,24 @@ class Word:
 
 @dataclass(frozen=True)
 class Command:
-    """One simple command: its assignments, its words, and how deep in loops and functions it stands."""
+    """One simple command: its assignments, its words, and how deep in loops and functions it stands.
+
+    Attributes:
+        keywords: words of the grammar before it, such as `if`, `then`, `!`.
+        end: what ends it: `&`, `&&`, `||`, `|`, `;`, `)`, a line's end, or "" at the end of the script.
+    """
 
     words: tuple[Word, ...]
     loops: int
     functions: int = 0
+    keywords: tuple[str, ...] = ()
+    end: str = ""
 
-    @property
+    @cached_property
     def assignments(self) -> list[tuple[str, Word]]:
         """Names and values that the command assigns, of `export` and its like too."""
         words = self.words
-        if words and words[0].text in {"export", "local", "readonly", "declare", "typeset"}:
+        if words and words[0].raw in _DECLARES:
             words = words[1:]
         found: list[tuple[str, Word]] = []
         for word in words:
@@ -65,7 +101,7 @@ class Command:
             found.append((matched.group(1), value))
         return found
 
-    @property
+    @cached_property
     def arguments(self) -> tuple[Word, ...]:
         """The words after leading assignments: the program and what it gets."""
         for place, word in enumerate(self.words):
@@ -73,15 +109,87 @@ class Command:
                 return self.words[place:]
         return ()
 
-    @property
+    @cached_property
     def name(self) -> str:
         """The program, without its folder; "" for a plain assignment."""
         return self.arguments[0].text.rpartition("/")[2] if self.arguments else ""
 
 
-def parse(script: str) -> list[Command]:
-    """Return the simple commands of a script, those of functions included and those of substitutions left out."""
-    return _Parser(script).commands()
+class Script(list[Command]):
+    """The simple commands of a script, those of functions included and those of substitutions left out."""
+
+    @cached_property
+    def options(self) -> frozenset[str]:
+        """What `set` turns on anywhere: `errexit`, `nounset`, `pipefail`."""
+        letters = {"e": "errexit", "u": "nounset"}
+        found: set[str] = set()
+        for command in self:
+            words = [word.text for word in command.words[1:]] if command.name == "set" else []
+            for place, text in enumerate(words):
+                if text.startswith("-"):
+                    found |= {letters[letter] for letter in text[1:] if letter in letters}
+                    found |= {*words[place + 1 : place + 2]} if text.endswith("o") else set()
+        return frozenset(found)
+
+    @cached_property
+    def variables(self) -> frozenset[str]:
+        """Every name that the script gives a value anywhere: by assignment, `for`, `read` and their like."""
+        found: set[str] = set()
+        for command in self:
+            found.update(name for name, _ in command.assignments)
+            if command.name in _SETTERS:
+                found.update(re.split(r"[=\[]", word.text, maxsplit=1)[0] for word in command.arguments[1:])
+            elif command.name == "printf" and len(command.arguments) > 2 and command.arguments[1].raw == "-v":
+                found.add(command.arguments[2].text)
+            elif "for" in command.keywords or (len(command.words) > 1 and command.words[1].raw == "="):
+                found.add(command.words[0].raw)  # `for name in`, and `name = 0` of arithmetic
+            for word in command.words:
+                if ":=" in word.raw:
+                    found.update(item.name for item in word.expansions if item.guard == ":=")
+        return frozenset(found)
+
+    @cached_property
+    def checked(self) -> frozenset[str]:
+        """Every name for which the script says somewhere what happens if it is not set, or empty."""
+        found: set[str] = set()
+        for command in self:
+            is_test = command.name in {"[", "[[", "test"} or command.words[0].raw[0] == "-"
+            for word in command.words:
+                if is_test:
+                    found.update(item.name for item in word.expansions)
+                elif "${" in word.raw:
+                    found.update(_GUARDED.findall(word.raw))
+        return frozenset(found)
+
+
+def parse(script: str) -> Script:
+    """Return the simple commands of a script."""
+    return Script(_Parser(script).commands())
+
+
+def _expansions(raw: str) -> Iterator[Expansion]:
+    """Yield the expansions of a word; single quotes hide them, except within double quotes."""
+    if not _INTRICATE.search(raw):
+        for braced, guard, bare in _NAME.findall(raw):
+            yield Expansion(braced or bare, guard, raw[0] == '"')
+        return
+    quoted, outer, at = False, list[bool](), 0
+    while (special := _SPECIAL.search(raw, at)) is not None:
+        at, character = special.end(), special.group()
+        if character == "\\":
+            at += 1
+        elif character == "'" and not quoted:
+            at = (raw.find("'", at) + 1) or len(raw)
+        elif character == '"':
+            quoted = not quoted
+        elif character == "(":
+            outer.append(quoted)
+            quoted = False
+        elif character == ")" and outer:
+            quoted = outer.pop()
+        elif character == "$" and (name := _NAME.match(raw, at - 1)) is not None:
+            yield Expansion(name.group(1) or name.group(3), name.group(2) or "", quoted)
+            at = name.end()
 
 
 class _Parser:
@@ -121,7 +229,7 @@ class _Parser:
         """Move past the end of a command, a redirection, or a word."""
         script, character = self._script, self._script[self._at]
         if character == "\n":
-            self._end()
+            self._end("\n")
             self._at += 1
             self._skip_heredocs()
         elif not script.startswith("<<<", self._at) and (found := _HEREDOC.match(script, self._at)):
@@ -136,15 +244,17 @@ class _Parser:
             self._is_function = True
             self._at += 2
         elif character in ";&|()":
-            self._end()
-            self._at += 1
+            operator = character * 2 if character in "&|" and script.startswith(character * 2, self._at) else character
+            self._end(operator)
+            self._at += len(operator)
         else:
             self._word()
 
-    def _end(self) -> None:
-        words = self._words
+    def _end(self, operator: str = "") -> None:
+        words, keywords = self._words, list[str]()
         while words and words[0].raw in _KEYWORDS | _OPENERS:
             keyword = words.pop(0).raw
+            keywords.append(keyword)
             self._loops += (keyword in _OPENERS) - (keyword == "done")
             if keyword == "{":
                 self._blocks.append(self._is_function)
@@ -155,7 +265,10 @@ class _Parser:
             self._is_function = True
             self._blocks += [True] * (words[-1].raw == "{")
         elif words:
-            self._found.append(Command(tuple(words), max(self._loops, 0), sum(self._blocks)))
+            nested = max(self._loops, 0), sum(self._blocks)
+            self._found.append(Command(tuple(words), *nested, tuple(keywords), operator))
+        elif self._found and operator in {"&", "|", "||"}:  # of a group: `( ... ) &`
+            self._found[-1] = replace(self._found[-1], end=operator)
         self._words = []
 
     def _word(self) -> None:
@@ -186,7 +299,8 @@ class _Parser:
                 if script.startswith(("$(", "${", "\\"), self._at):
                     self._piece()
                 else:
-                    self._at += 1
+                    plain = _QUOTED.match(script, self._at)
+                    self._at = plain.end() if plain else self._at + 1
             self._at += 1
         elif script.startswith("$(", self._at):
             self._at += 1
@@ -198,7 +312,8 @@ class _Parser:
             end = script.find("`", self._at + 1)
             self._at = len(script) if end < 0 else end + 1
         else:
-            self._at += 1
+            plain = _PLAIN.match(script, self._at)
+            self._at = plain.end() if plain else self._at + 1
 
     def _group(self, opener: str, closer: str) -> None:
         """Move past a balanced group that starts here."""

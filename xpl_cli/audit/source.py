@@ -71,6 +71,11 @@ class Source:
             if Path(name).suffix in _SOURCE_SUFFIXES and (self.path / name).stat().st_size <= SIZE_LIMIT
         )
 
+    @property
+    def seen(self) -> tuple[str, ...]:
+        """Names of the files that were read so far."""
+        return tuple(self._texts)
+
     def has(self, name: str) -> bool:
         """Tell whether the folder holds a file of this name."""
         return (self.path / name).is_file()

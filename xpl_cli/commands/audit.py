@@ -7,16 +7,39 @@ from pathlib import Path
 import typer
 
 _GATES = ("static", "offline", "mujoco")
+_FAIL_ON = ("fail", "warn")
 
 
 def audit(
-    paths: list[Path] = typer.Argument(..., metavar="PATH...", help="Folders of adapters or environments."),
+    paths: list[Path] = typer.Argument(None, metavar="PATH...", help="Folders of adapters or environments."),
+    every: bool = typer.Option(False, "--all", help="Every package below policy/ and envs/ of this folder."),
     gate: list[str] = typer.Option([], "--gate", help="Run only this gate; may be repeated. static, offline, mujoco."),
     selected: list[str] = typer.Option([], "--select", help="Run only these rules: codes, code prefixes, slugs."),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
-    report_format: str = typer.Option("human", "--format", help="human or json."),
+    report_format: str = typer.Option(
+        "human", "--format", help="human, concise, json, jsonl, sarif, github, gitlab, rdjson, junit or markdown."
+    ),
     as_json: bool = typer.Option(False, "--json", help="The same as --format json."),
+    output: list[str] = typer.Option(
+        [],
+        "--output",
+        metavar="FILE",
+        help="Write the report to a file instead of stdout. FORMAT=FILE writes one more report; may be repeated.",
+    ),
+    fix: bool = typer.Option(False, "--fix", help="Do the edits of the static gate that are safe, then audit."),
+    unsafe_fixes: bool = typer.Option(
+        False, "--unsafe-fixes", help="With --fix or --diff: also edits that may change behaviour that is right."
+    ),
+    diff: bool = typer.Option(
+        False, "--diff", help="Print what --fix would do, and do nothing; 1 if there is anything."
+    ),
+    changed_since: str | None = typer.Option(
+        None, metavar="REF", help="Only packages whose files changed since they parted from this commit, tag or branch."
+    ),
     keep_going: bool = typer.Option(False, "--keep-going", help="Run a gate although an earlier one failed."),
+    fail_on: str = typer.Option("fail", help="Mildest outcome that is an error for the exit code: fail or warn."),
+    exit_zero: bool = typer.Option(False, "--exit-zero", help="Exit with 0 whatever is found; 5 if a rule crashed."),
+    no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
     settings: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml."),
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     policy_env: str | None = typer.Option(None, "--policy-env", "--env", help="conda:NAME, uv:DIR, venv:DIR or none."),
@@ -27,22 +50,23 @@ def audit(
     130 interrupted.
     """
     from xpl_cli import console, package
-    from xpl_cli.audit.engine import audit as run
-    from xpl_cli.audit.model import Gate, exit_code
+    from xpl_cli.audit import cache
+    from xpl_cli.audit.engine import audit_all
+    from xpl_cli.audit.formats.delivery import Delivery
+    from xpl_cli.audit.formats.listing import Context
+    from xpl_cli.audit.model import Gate, Outcome, exit_code
     from xpl_cli.audit.options import Options
-    from xpl_cli.audit.report import as_json as to_json
-    from xpl_cli.audit.report import as_text
-    from xpl_cli.audit.targets import find_target
-    from xpl_cli.errors import UserError
+    from xpl_cli.audit.targets import asked
+    from xpl_cli.errors import ExitCode, UserError
     from xpl_cli.progress import progress
 
-    wanted = "json" if as_json else report_format
-    if wanted not in ("human", "json"):
-        raise UserError(f"--format is human or json, got {wanted!r}")
-    for name in gate:
-        if name not in _GATES:
-            raise UserError(f"--gate is one of {', '.join(_GATES)}, got {name!r}")
-    targets = [find_target(path) for path in paths]
+    delivery = Delivery.asked("json" if as_json else report_format, output)
+    for option, given, known in (("--gate", gate, _GATES), ("--fail-on", [fail_on], _FAIL_ON)):
+        if unknown := set(given).difference(known):
+            raise UserError(f"{option} is one of {', '.join(known)}, got {min(unknown)!r}")
+    if unsafe_fixes and not (fix or diff):
+        raise UserError("--unsafe-fixes says which edits, and goes with --fix or --diff", hint="--fix --unsafe-fixes")
+    targets = asked(paths or (), every=every, changed_since=changed_since)
     with progress() as say:
         options = Options(
             gates=tuple(Gate(name) for name in _GATES if not gate or name in gate),
@@ -52,16 +76,27 @@ def audit(
             overrides=package.parse_overrides(settings),
             python=python,
             env=policy_env,
+            cache=None if no_cache else cache.default_folder(),
             progress=say,
         )
-        reports = [run(target.path, target.kind, options, shown=target.shown) for target in targets]
-    if wanted == "json":
-        console.data_json(to_json(reports))
-    else:
-        console.rich(as_text(reports))
-    code = exit_code(reports)
-    if code:
-        raise typer.Exit(int(code))
+        plan = None
+        if fix or diff:
+            from xpl_cli.audit.fixes import plan_all
+
+            plan = plan_all(targets, options, unsafe=unsafe_fixes)
+        if plan is not None and not diff:
+            plan.apply()
+        reports = [] if diff else audit_all(targets, options)
+    if plan is not None:
+        console.note(plan.told(done=not diff))
+    if plan is not None and diff:
+        if plan.changes:
+            console.data(plan.diff())
+        raise typer.Exit(int(bool(plan.changes) and not exit_zero))
+    delivery.deliver(reports, Context(fail_on=Outcome(fail_on)))
+    crashed = any(result.outcome is Outcome.ERROR for report in reports for result in report.results)
+    forgiving = ExitCode.INTERNAL if crashed else ExitCode.CLEAN
+    raise typer.Exit(int(forgiving if exit_zero else exit_code(reports, Outcome(fail_on))))
 
 
 def explain(

@@ -1,0 +1,3 @@
+#!/usr/bin/env bash
+set -e
+exec python "$(dirname "$0")/process_data.py" "$@"

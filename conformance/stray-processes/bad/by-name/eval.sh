@@ -1,0 +1,4 @@
+#!/usr/bin/env bash
+set -e
+pkill -f setup_policy_server.py
+python client.py

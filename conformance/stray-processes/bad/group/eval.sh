@@ -1,0 +1,7 @@
+#!/usr/bin/env bash
+set -e
+(
+  cd vendor
+  python server.py
+) &
+python client.py

@@ -1,0 +1,4 @@
+#!/usr/bin/env bash
+set -e
+PYTHONPATH="$PWD" \
+python serve.py --port "$9"

@@ -1,0 +1,3 @@
+#!/usr/bin/env bash
+cd "$DATA_ROOT"
+python train.py

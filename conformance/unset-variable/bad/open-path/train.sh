@@ -1,0 +1,4 @@
+#!/usr/bin/env bash
+set -e
+export PYTHONPATH=/opt/vendor:$PYTHONPATH
+python train.py

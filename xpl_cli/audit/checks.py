@@ -1,0 +1,93 @@
+"""The rules of one gate on one target: each is run once, after those it needs, and its crash is an outcome."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from xpl_cli.audit.facts import wanted
+from xpl_cli.audit.model import NotApplicable, NotRun, Outcome, Result
+from xpl_cli.audit.registry import RegistryError, needed
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.cache import Shelf
+    from xpl_cli.audit.facts import Facts
+    from xpl_cli.audit.model import Finding
+    from xpl_cli.audit.registry import Entry, Rule
+
+_HOLDS = frozenset((Outcome.PASS, Outcome.WARN, Outcome.NOT_APPLICABLE))
+
+
+class Checks:
+    """The results of a gate's rules, before waivers.
+
+    Args:
+        facts: what rules may ask for.
+        shelf: passes of earlier audits of the same content; None to run every rule.
+    """
+
+    def __init__(self, facts: Facts, shelf: Shelf | None = None) -> None:
+        self._facts = facts
+        self._shelf = shelf
+        self._results: dict[str, Result] = {}
+
+    def result(self, entry: Entry) -> Result:
+        """Return what a rule finds, running it first if it has not run yet.
+
+        Raises:
+            RegistryError: if the rules that it comes after contradict each other.
+        """
+        if entry.slug not in self._results:
+            kept = self._shelf.get(entry) if self._shelf is not None else None
+            self._results[entry.slug] = kept or self._run(entry)
+        return self._results[entry.slug]
+
+    def _run(self, entry: Entry) -> Result:
+        rule: Rule | None = None
+        try:
+            rule = entry.load()
+            result = self._unmet(rule) or self._checked(rule)
+            if self._shelf is not None:
+                self._shelf.put(entry, result, wanted(rule.check))
+        except RegistryError:
+            raise
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a rule's crash must not hide what the others find
+            requirement = rule.requirement if rule is not None else ""
+            return Result(entry.code, entry.slug, requirement, "must", Outcome.ERROR, reason=_told(error))
+        return result
+
+    def _unmet(self, rule: Rule) -> Result | None:
+        """Return the result of a rule that has nothing to build on."""
+        for other in needed(rule):
+            before = self.result(other)
+            if before.outcome not in _HOLDS:
+                return _result(rule, Outcome.NOT_RUN, reason=f"it needs {other.code} {other.slug}, which does not hold")
+        return None
+
+    def _checked(self, rule: Rule) -> Result:
+        try:
+            findings: tuple[Finding, ...] = tuple(self._facts.call(rule.check))
+        except NotApplicable as why:
+            return _result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
+        except NotRun as why:
+            return _result(rule, Outcome.NOT_RUN, reason=str(why))
+        return _result(rule, outcome_of(findings, rule.severity), findings)
+
+
+def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:
+    """Return how a rule of a severity (`must`, `should`) ends with these findings."""
+    if not findings:
+        return Outcome.PASS
+    return Outcome.FAIL if severity == "must" else Outcome.WARN
+
+
+def _result(rule: Rule, outcome: Outcome, findings: tuple[Finding, ...] = (), reason: str | None = None) -> Result:
+    return Result(rule.code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason)
+
+
+def _told(error: BaseException) -> str:
+    """Return what a crash was and where, in one line."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})" if trace else ""
+    return f"{type(error).__name__}: {error}{where}"

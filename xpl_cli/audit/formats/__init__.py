@@ -1,0 +1,73 @@
+"""Reports of an audit: for people, for machines, and for the places where pull requests are discussed.
+
+A format is a module with a function `render(reports, context)` that returns text. It is imported when it is asked for.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.audit.formats.listing import Context
+from xpl_cli.errors import UserError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl_cli.audit.model import TargetReport
+
+__all__ = ["FORMATS", "Context", "as_json", "as_text", "check_format", "render"]
+
+FORMATS = {
+    "human": "human",
+    "concise": "concise",
+    "json": "document",
+    "jsonl": "stream",
+    "sarif": "sarif",
+    "github": "github",
+    "gitlab": "gitlab",
+    "rdjson": "rdjson",
+    "junit": "junit",
+    "markdown": "markdown",
+}
+"""Every format and its module."""
+
+
+def render(name: str, reports: Sequence[TargetReport], context: Context | None = None) -> str:
+    """Return a report as text that is valid UTF-8 and ends with a line end, or is empty.
+
+    Args:
+        name: a key of `FORMATS`.
+        reports: what was audited.
+        context: working directory and rules; those of this process by default.
+    """
+    text: str = _module(name).render(reports, context or Context())
+    # A file name may hold bytes that are no text.
+    text = text.encode(errors="replace").decode()
+    return text if not text or text.endswith("\n") else f"{text}\n"
+
+
+def check_format(name: str) -> str:
+    """Return the name of a format.
+
+    Raises:
+        UserError: if there is no such format.
+    """
+    if name not in FORMATS:
+        raise UserError(f"--format is one of {', '.join(FORMATS)}, got {name!r}")
+    return name
+
+
+def as_json(reports: Sequence[TargetReport], context: Context | None = None) -> dict[str, Any]:
+    """Return the report as the map that audit.schema.json describes."""
+    document: dict[str, Any] = _module("json").as_json(reports, context or Context())
+    return document
+
+
+def as_text(reports: Sequence[TargetReport], context: Context | None = None) -> Any:
+    """Return the report for people, as a rich renderable."""
+    return _module("human").as_text(reports, context or Context())
+
+
+def _module(name: str) -> Any:
+    return import_module(f"{__name__}.{FORMATS[name]}")

@@ -1,0 +1,118 @@
+"""`json`: the whole report, versioned (`xpl.audit/1`, spec/<version>/audit.schema.json)."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli import __version__, spec
+from xpl_cli.audit.formats.listing import Context, Listed, in_repository, joined, listed
+from xpl_cli.audit.formats.steps import next_commands
+from xpl_cli.audit.model import Finding, Fix, GateReport, Outcome, Result, TargetReport, counted, exit_code
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+
+def render(reports: Sequence[TargetReport], context: Context) -> str:
+    """Return the report as one JSON document."""
+    return json.dumps(as_json(reports, context), indent=2, ensure_ascii=False)
+
+
+def as_json(reports: Sequence[TargetReport], context: Context) -> dict[str, Any]:
+    """Return the report as the map that audit.schema.json describes."""
+    totals = counted(result for report in reports for result in report.results)
+    entries = listed(reports, context)  # in the order in which the document names findings
+    return {
+        "schema": spec.schema("audit")["title"],
+        "tool": {"name": "xpl", "version": __version__},
+        "spec": spec.CURRENT,
+        "targets": [_target(report, entries, context) for report in reports],
+        "summary": {outcome.value: totals[outcome] for outcome in Outcome},
+        "exit_code": int(exit_code(reports, context.fail_on)),
+        "next": next_commands(reports),
+    }
+
+
+def described(finding: Finding, result: Result, folder: str, fingerprint: str) -> dict[str, Any]:
+    """Return a finding as a map.
+
+    Args:
+        finding: the finding.
+        result: what it belongs to.
+        folder: the target's folder, relative to the repository.
+        fingerprint: the finding's identity.
+    """
+    return {
+        "message": finding.message,
+        "path": None if finding.path is None else joined(folder, finding.path),
+        "line": finding.line,
+        "column": finding.column,
+        "end_line": finding.end_line,
+        "end_column": finding.end_column,
+        "expected": finding.expected,
+        "got": finding.got,
+        "evidence": None if finding.evidence is None else dict(finding.evidence),
+        "fix": None if finding.fix is None else _fix(finding.fix, folder),
+        "explain": result.explain,
+        "fingerprint": fingerprint,
+    }
+
+
+def _target(report: TargetReport, entries: Iterator[Listed], context: Context) -> dict[str, Any]:
+    folder = in_repository(context.here / report.path, context.here)
+    return {
+        "path": report.path,
+        "name": report.name,
+        "kind": report.kind,
+        "verdict": report.verdict,
+        "gates": [_gate(gate, entries, folder) for gate in report.gates],
+    }
+
+
+def _gate(gate: GateReport, entries: Iterator[Listed], folder: str) -> dict[str, Any]:
+    return {
+        "name": gate.name.value,
+        "outcome": gate.outcome.value,
+        "reason": gate.reason,
+        "seconds": round(gate.seconds, 3),
+        "finish": gate.finish,
+        "digest": gate.digest,
+        "fingerprint": gate.fingerprint,
+        "results": [_result(result, entries, folder) for result in gate.results],
+    }
+
+
+def _result(result: Result, entries: Iterator[Listed], folder: str) -> dict[str, Any]:
+    return {
+        "code": result.code,
+        "slug": result.slug,
+        "requirement": result.requirement,
+        "severity": result.severity,
+        "outcome": result.outcome.value,
+        "reason": result.reason,
+        "findings": [described(item, result, folder, next(entries).fingerprint) for item in result.findings],
+        "waived": [
+            {**described(item.finding, result, folder, _identity(item.finding, result, folder)), "reason": item.reason}
+            for item in result.waived
+        ],
+    }
+
+
+def _identity(finding: Finding, result: Result, folder: str) -> str:
+    return finding.fingerprint(result.code, joined(folder, finding.path))
+
+
+def _fix(fix: Fix, folder: str) -> dict[str, Any]:
+    edits = [
+        {
+            "path": joined(folder, edit.path),
+            "line": edit.line,
+            "column": edit.column,
+            "end_line": edit.end_line,
+            "end_column": edit.end_column,
+            "text": edit.text,
+        }
+        for edit in fix.edits
+    ]
+    return {"kind": fix.kind, "text": fix.text, "edits": edits}

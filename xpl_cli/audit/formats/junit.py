@@ -1,0 +1,89 @@
+"""`junit`: a test report as continuous integration servers read it: a suite for each gate, a case for each rule.
+
+`not_run` is an error there and not skipped: what was not proved is never green.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree as ET
+
+from xpl_cli.audit.formats.listing import Context, Listed, listed
+from xpl_cli.audit.model import Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl_cli.audit.model import GateReport, Result, TargetReport
+
+_ILLEGAL = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML 1.0 has no way to write."""
+
+
+def render(reports: Sequence[TargetReport], context: Context) -> str:
+    """Return the report as an XML document."""
+    entries = listed(reports, context)  # in the order in which suites name findings
+    suites = [_suite(report, gate, entries) for report in reports for gate in report.gates]
+    root = ET.Element("testsuites", {"name": "xpl audit", **_totals(suites)})
+    root.extend(suites)
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def _suite(report: TargetReport, gate: GateReport, entries: Iterator[Listed]) -> ET.Element:
+    cases = [_case(report, gate, result, [next(entries) for _ in result.findings]) for result in gate.results]
+    counts = {
+        "tests": len(cases),
+        "failures": sum(case.find("failure") is not None for case in cases),
+        "errors": sum(case.find("error") is not None for case in cases),
+        "skipped": sum(case.find("skipped") is not None for case in cases),
+    }
+    suite = ET.Element(
+        "testsuite",
+        {
+            "name": _legal(f"{report.path} {gate.name}"),
+            **{name: str(count) for name, count in counts.items()},
+            "time": f"{gate.seconds:.3f}",
+        },
+    )
+    suite.extend(cases)
+    return suite
+
+
+def _case(report: TargetReport, gate: GateReport, result: Result, entries: list[Listed]) -> ET.Element:
+    named = {"classname": _legal(f"{report.path}.{gate.name}"), "name": f"{result.code} {result.slug}", "time": "0"}
+    place = next(((entry.path, entry.finding.line) for entry in entries if entry.finding.path is not None), None)
+    if place is not None:
+        named |= {"file": _legal(place[0])} | ({} if place[1] is None else {"line": str(place[1])})
+    case = ET.Element("testcase", named)
+    text = "\n\n".join(f"{_where(entry)}\n{entry.text}" for entry in entries)
+    reason = result.reason or ""
+    if result.outcome is Outcome.FAIL:
+        _say(case, "failure", text, message=entries[0].finding.message, type=result.requirement)
+    elif result.outcome is Outcome.WARN:
+        _say(case, "system-out", text)
+    elif result.outcome is Outcome.NOT_APPLICABLE:
+        _say(case, "skipped", message=reason)
+    elif result.outcome in {Outcome.ERROR, Outcome.NOT_RUN}:
+        _say(case, "error", reason, message=reason, type=result.outcome.value)
+    return case
+
+
+def _where(entry: Listed) -> str:
+    return entry.path if entry.finding.line is None else f"{entry.path}:{entry.finding.line}"
+
+
+def _say(case: ET.Element, tag: str, text: str | None = None, **attributes: str) -> None:
+    told = ET.SubElement(case, tag, {name: _legal(value) for name, value in attributes.items()})
+    told.text = None if text is None else _legal(text)
+
+
+def _totals(suites: list[ET.Element]) -> dict[str, str]:
+    counts = ("tests", "failures", "errors", "skipped")
+    totals = {name: str(sum(int(suite.attrib[name]) for suite in suites)) for name in counts}
+    return {**totals, "time": f"{sum(float(suite.attrib['time']) for suite in suites):.3f}"}
+
+
+def _legal(text: str) -> str:
+    return _ILLEGAL.sub("\N{REPLACEMENT CHARACTER}", text)

@@ -1,0 +1,170 @@
+"""`sarif`: SARIF 2.1.0 as code scanning of GitHub reads it.
+
+Every result there becomes an alert, so that only findings are results. Rules that crashed or could not run are
+notifications of the run. The run has no `automationDetails`: the category is for whoever uploads the file to choose.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote_from_bytes
+
+from xpl_cli import __version__, spec
+from xpl_cli.audit.formats.linehash import line_hashes
+from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, shortened, unproved
+from xpl_cli.audit.model import Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from xpl_cli.audit.model import Edit, Finding, TargetReport
+    from xpl_cli.audit.registry import Rule
+
+ROOT = "%SRCROOT%"
+"""Name for the root of the repository, which code scanning knows."""
+
+_SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
+_MOST = 1024
+"""Code scanning takes descriptions up to this many characters."""
+
+_LEVELS = {"must": "error", "should": "warning"}
+
+
+def render(reports: Sequence[TargetReport], context: Context) -> str:
+    """Return the report as one JSON document."""
+    slugs = {result.code: result.slug for report in reports for result in report.results}
+    places = {code: place for place, code in enumerate(sorted(slugs))}
+    hashes = _Hashes()
+    open_ends = list(unproved(reports, context))
+    run = {
+        "tool": {
+            "driver": {
+                "name": "xpl",
+                "semanticVersion": __version__,
+                "rules": [_rule(code, slugs[code], context) for code in places],
+            }
+        },
+        "invocations": [
+            {
+                "executionSuccessful": all(entry.outcome is not Outcome.ERROR for entry in open_ends),
+                "toolExecutionNotifications": [_notification(entry, places) for entry in open_ends],
+            }
+        ],
+        "columnKind": "unicodeCodePoints",
+        "originalUriBaseIds": {ROOT: {"description": {"text": "The root of the repository."}}},
+        "results": [_result(entry, places, hashes) for entry in listed(reports, context)],
+    }
+    return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=False)
+
+
+def _rule(code: str, slug: str, context: Context) -> dict[str, Any]:
+    try:
+        return _documented(context.rule(code))
+    except Exception:  # noqa: BLE001 - a rule that cannot be imported crashed; its notification says how
+        return {"id": code, "name": slug, "shortDescription": {"text": slug}}
+
+
+def _documented(rule: Rule) -> dict[str, Any]:
+    level = _LEVELS[rule.severity]
+    requirement = spec.requirements()[rule.requirement]
+    proves = f"Proves {requirement.id} ({requirement.level}): {requirement.text}"
+    return {
+        "id": rule.code,
+        "name": rule.slug,
+        "shortDescription": {"text": shortened(rule.summary, _MOST)},
+        "fullDescription": {"text": shortened(f"{rule.summary} {proves}", _MOST)},
+        "help": {"text": rule.documentation, "markdown": f"{rule.documentation}\n\n*{proves}*\n"},
+        "defaultConfiguration": {"level": level},
+        "properties": {
+            "tags": [rule.gate.value, rule.target, rule.requirement],
+            "precision": "high",
+            "problem.severity": level,
+        },
+    }
+
+
+def _result(entry: Listed, places: dict[str, int], hashes: _Hashes) -> dict[str, Any]:
+    finding = entry.finding
+    # Code scanning tells alerts apart by this one key. Where it cannot be computed from a line, it is our own.
+    line_hash = hashes.of(entry.disk, finding) or f"{entry.fingerprint}:1"
+    result: dict[str, Any] = {
+        "ruleId": entry.result.code,
+        "ruleIndex": places[entry.result.code],
+        "level": "error" if entry.fails else "warning",
+        "message": {"text": entry.text},
+        "locations": [{"physicalLocation": _physical(entry)}],
+        "partialFingerprints": {"primaryLocationLineHash": line_hash, "xplFinding/v1": entry.fingerprint},
+        "properties": {"gate": entry.gate.name.value, "requirement": entry.result.requirement},
+    }
+    if finding.fix is not None and finding.fix.edits:
+        result["fixes"] = [{"description": {"text": finding.fix.text}, "artifactChanges": _changes(entry)}]
+    return result
+
+
+def _physical(entry: Listed) -> dict[str, Any]:
+    finding = entry.finding
+    location: dict[str, Any] = {"artifactLocation": artifact(entry.path)}
+    if finding.line is not None:
+        location["region"] = _region(finding)
+    return location
+
+
+def _region(place: Finding | Edit) -> dict[str, Any]:
+    keys = {"startLine": place.line, "startColumn": place.column}
+    if place.end_line is not None:
+        keys |= {"endLine": place.end_line, "endColumn": place.end_column}
+    return {key: value for key, value in keys.items() if value is not None}
+
+
+def artifact(path: str) -> dict[str, str]:
+    """Return the location of a file: relative to the repository, or absolute if it lies in none."""
+    uri = quote_from_bytes(os.fsencode(path))
+    return {"uri": f"file://{uri}"} if path.startswith("/") else {"uri": uri, "uriBaseId": ROOT}
+
+
+def _changes(entry: Listed) -> list[dict[str, Any]]:
+    fix = entry.finding.fix
+    by_file: dict[str, list[Edit]] = {}
+    for edit in fix.edits if fix is not None else ():
+        by_file.setdefault(edit.path, []).append(edit)
+    return [
+        {
+            "artifactLocation": artifact(entry.place(path)),
+            "replacements": [
+                {"deletedRegion": _region(edit), "insertedContent": {"text": edit.text}} for edit in edits
+            ],
+        }
+        for path, edits in by_file.items()
+    ]
+
+
+def _notification(entry: Unproved, places: dict[str, int]) -> dict[str, Any]:
+    first = entry.results[0]
+    return {
+        "level": "error" if entry.outcome is Outcome.ERROR else "warning",
+        "message": {"text": f"{entry.path}: {entry.text}"},
+        "associatedRule": {"id": first.code, "index": places[first.code]},
+    }
+
+
+class _Hashes:
+    """Line hashes of the files that findings are about."""
+
+    def __init__(self) -> None:
+        self._files: dict[Path, list[str]] = {}
+
+    def of(self, folder: Path, finding: Finding) -> str | None:
+        """Return the hash of the line on which a finding begins; None without a line that can be read."""
+        if finding.path is None or finding.line is None:
+            return None
+        file = folder / finding.path
+        if file not in self._files:
+            try:
+                self._files[file] = line_hashes(file.read_bytes())
+            except OSError:
+                self._files[file] = []
+        hashes = self._files[file]
+        return hashes[finding.line - 1] if finding.line <= len(hashes) else None

@@ -1,0 +1,49 @@
+"""`jsonl`: one JSON object a line and finding (`xpl.finding/1`), for tools that filter line by line.
+
+Rules that crashed or could not run have a line too: an audit that proved nothing must not look like a clean one.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli import spec
+from xpl_cli.audit.formats.document import described
+from xpl_cli.audit.formats.listing import Context, listed, unproved
+from xpl_cli.audit.model import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl_cli.audit.model import GateReport, Result, TargetReport
+
+
+def render(reports: Sequence[TargetReport], context: Context) -> str:
+    """Return the lines."""
+    return "".join(f"{json.dumps(record, ensure_ascii=False)}\n" for record in records(reports, context))
+
+
+def records(reports: Sequence[TargetReport], context: Context) -> Iterator[dict[str, Any]]:
+    """Yield the objects, as `#/$defs/record` of audit.schema.json describes them."""
+    for entry in listed(reports, context):
+        head = _head(entry.target, entry.gate, entry.result)
+        yield head | described(entry.finding, entry.result, entry.folder, entry.fingerprint)
+    for item in unproved(reports, context):
+        silent = Finding(item.reason)
+        for result in item.results:
+            fingerprint = silent.fingerprint(result.code, item.path)
+            yield _head(item.target, item.gate, result) | described(silent, result, item.path, fingerprint)
+
+
+def _head(report: TargetReport, gate: GateReport, result: Result) -> dict[str, Any]:
+    return {
+        "schema": spec.schema("audit")["$defs"]["record"]["properties"]["schema"]["const"],
+        "target": report.path,
+        "gate": gate.name.value,
+        "code": result.code,
+        "slug": result.slug,
+        "requirement": result.requirement,
+        "severity": result.severity,
+        "outcome": result.outcome.value,
+    }

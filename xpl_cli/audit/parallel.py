@@ -1,0 +1,57 @@
+"""Work on many things in several processes; the answers come in the order of the things."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+Thing = TypeVar("Thing")
+Answer = TypeVar("Answer")
+
+
+def in_processes(work: Callable[[Thing], Answer], things: Sequence[Thing]) -> Iterator[Answer | None]:
+    """Yield `work(thing)` for each thing, in order; None where the process that worked on it died.
+
+    Processes are forked, so that what is imported already need not be imported again. An exception of `work` is raised
+    here.
+    """
+    futures: list[Future[Answer]] = []
+    with warnings.catch_warnings(), _pool(min(len(os.sched_getaffinity(0)), len(things))) as pool:
+        # Threads of this process, if any, only print; what is forked uses nothing of theirs.
+        warnings.filterwarnings("ignore", message=".*multi-threaded", category=DeprecationWarning)
+        try:
+            futures = [pool.submit(work, thing) for thing in things]
+            answers = iter(futures)
+            for place, future in enumerate(answers):
+                try:
+                    yield future.result()
+                except BrokenProcessPool:
+                    # One death takes the whole pool: whoever has no answer gets a process of its own.
+                    yield from (_alone(work, thing) for thing in things[place:])
+                    return
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _alone(work: Callable[[Thing], Answer], thing: Thing) -> Answer | None:
+    with _pool(1) as pool:
+        try:
+            return pool.submit(work, thing).result()
+        except BrokenProcessPool:
+            return None
+
+
+def _pool(size: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(size, multiprocessing.get_context("fork"), initializer=_leave_signals_to_the_parent)
+
+
+def _leave_signals_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -1,0 +1,67 @@
+"""Commands that convert texts, paths and flags by themselves: the library that typer does it with starts slowly.
+
+Recent releases of typer convert every parameter with pydantic, whose import takes longer than the static gate. Where
+typer has no such step, and for values of every other kind, nothing is changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from typer.core import TyperCommand, TyperGroup
+
+_CONVERSIONS: Final[dict[Any, Callable[[Any], Any]]] = {
+    str: str,
+    Path: Path,
+    list[str]: lambda values: [str(value) for value in values],
+    list[Path]: lambda values: [Path(value) for value in values],
+}
+
+
+class PlainCommand(TyperCommand):
+    """A command whose parameters are plain."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, that of `--help` included."""
+        return _made_plain(super().get_params(ctx))
+
+
+class PlainGroup(TyperGroup):
+    """A group of commands whose own parameters are plain."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, that of `--help` included."""
+        return _made_plain(super().get_params(ctx))
+
+
+def _made_plain(parameters: list[Any]) -> list[Any]:
+    for parameter in parameters:
+        annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
+        is_ready = "get_runtime_param" in vars(parameter) or not hasattr(parameter, "get_runtime_param")
+        if not is_ready and (annotation is bool or annotation in _CONVERSIONS):
+            plain = _Plain(_CONVERSIONS.get(annotation), parameter.get_runtime_param)
+            parameter.get_runtime_param = lambda plain=plain: plain
+    return parameters
+
+
+class _Plain:
+    """What typer asks to convert the values of one parameter.
+
+    Args:
+        convert: converts a value that was given; None if typer has to.
+        usual: returns what typer would have used.
+    """
+
+    def __init__(self, convert: Callable[[Any], Any] | None, usual: Callable[[], Any]) -> None:
+        self._convert = convert
+        self._usual = usual
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the value of a parameter; several values that were not given are none."""
+        if value is None:
+            return () if param.multiple or param.nargs == -1 else None
+        if self._convert is None:
+            return self._usual().coerce(value, param=param, ctx=ctx)
+        return self._convert(value)
