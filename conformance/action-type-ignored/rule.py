@@ -56,13 +56,13 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     if not adapter.config_escapes and not any(_mentions(function) for function in functions):
         written = _written(adapter)
         if written is not None:
-            function, node, kind = written
+            function, key, kind = written
             yield Finding(
                 f"{_KEY} is never looked at, and actions are always of type {kind}: "
                 "a run that asks for the other type gets these, under its label",
-                **source.at(function.file, node),
+                **source.at(function.file, key),
                 expected=f"a decision by {_KEY}, or an error for what cannot be served",
-                got=ast.unparse(node).split("\n")[0],
+                got=ast.unparse(key).split("\n")[0],
                 fix=Fix("advice", f"raise unless {_KEY} is {kind!r}"),
             )
 
@@ -103,5 +103,5 @@ def _written(adapter: Adapter) -> tuple[Function, ast.AST, str] | None:
                         found.setdefault(kind, (function, key))
     if len(found) != 1:
         return None
-    kind, (function, node) = next(iter(found.items()))
-    return function, node, kind
+    kind, (function, first) = next(iter(found.items()))
+    return function, first, kind

@@ -119,7 +119,7 @@ def _dropped(functions: list[Function], attributes: set[str]) -> Iterator[tuple[
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _DROPS:
                 found = [self_attribute(node.func.value)] if isinstance(node.func.value, ast.Attribute) else []
             for attribute in found:
-                if attribute in attributes and attribute is not None and not _bounds(node, function):
+                if attribute in attributes and not _bounds(node, function):
                     yield function, node, attribute
 
 

@@ -66,9 +66,9 @@ def _settled(adapter: Adapter) -> set[str]:
                 found |= {name for name, _ in _missing(node.test)}
     attributes: dict[str, list[ast.expr]] = {}
     for function in adapter.reach(*LOADING):
-        for node in function.of(ast.Assign, ast.AnnAssign):
-            value = getattr(node, "value", None)
-            for target in targets(node) if isinstance(value, ast.expr) else ():
+        for setting in function.of(ast.Assign, ast.AnnAssign):
+            value = getattr(setting, "value", None)
+            for target in targets(setting) if isinstance(value, ast.expr) else ():
                 if _is_statistics(target) and value is not None:
                     attributes.setdefault(dotted(target), []).append(value)
     return found | {
