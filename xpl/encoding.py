@@ -70,7 +70,7 @@ class Encoder:
         if self._jpeg and self.capabilities.get(spec.Capability.JPEG_MARKER):
             value = _each(value, self._compressed)
         packs = self._packs and bool(self.capabilities.get(spec.Capability.PACKED))
-        if not packs or any(_has_images(item) for item in (value if isinstance(value, list) else [value])):
+        if not packs or images.has_encoded(value):
             return wire.encode(_with(frame, {**payload, key: value})), []
         pieces, blocks = self._pieces({key: value}, frame.message_type)
         if len(pieces[0]) > spec.LIMITS["packed_header"]:
@@ -125,8 +125,3 @@ def _each(value: Any, change: Callable[[Mapping[str, Any]], Any]) -> Any:
     if isinstance(value, list):
         return [_each(item, change) for item in value]
     return change(value) if isinstance(value, Mapping) else value
-
-
-def _has_images(obs: Any) -> bool:
-    vision = obs.get(spec.Obs.VISION) if isinstance(obs, Mapping) else None
-    return isinstance(vision, Mapping) and any(is_encoded(color_of(camera)) for camera in vision.values())

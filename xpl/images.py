@@ -78,6 +78,14 @@ def has_marker(jpeg: bytes) -> bool:
     return False
 
 
+def has_encoded(value: Any) -> bool:
+    """Tell whether an observation, or one of a list of them, has encoded colour images."""
+    if isinstance(value, list):
+        return any(map(has_encoded, value))
+    vision = value.get(spec.Obs.VISION) if isinstance(value, Mapping) else None
+    return isinstance(vision, Mapping) and any(is_encoded(color_of(camera)) for camera in vision.values())
+
+
 def decode_observation(obs: Any) -> Any:
     """Return the observation with every encoded colour image replaced by its RGB array; nothing is changed in place."""
     if not isinstance(obs, Mapping) or not isinstance(obs.get(spec.Obs.VISION), Mapping):

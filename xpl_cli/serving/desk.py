@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as spec
 from xpl import packed, wire
 from xpl_cli.serving.line import Job
-from xpl_cli.serving.payloads import answer_payload, has_images, pack, without_images
+from xpl_cli.serving.payloads import has_images, pack, without_images
 from xpl_cli.serving.pool import log
 from xpl_cli.serving.session import RequestError, failure_code, method_of, packed_payload
 
@@ -198,7 +198,7 @@ def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
         payload[spec.Payload.LATENCY_MS] = 1000.0 * (finished - job.arrived)
     if job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]:
         return wire.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload), [result])
-    return acknowledged(frame, {**payload, **answer_payload(result)})
+    return acknowledged(frame, {**payload, **packed.decode(result)})
 
 
 def _count(place: Place, frame: wire.Frame) -> None:

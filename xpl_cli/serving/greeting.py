@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
@@ -14,15 +13,14 @@ from xpl_cli.serving.pool import log
 from xpl_cli.serving.session import RequestError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from xpl import wire
     from xpl_cli.serving.connection import Connection
     from xpl_cli.serving.pool import Worker
 
 _segments = itertools.count(1)
 _TRY_AGAIN = 1012  # service restart; registered in the WebSocket close code registry
-
-Tell = Callable[["dict[str, Any] | None"], None]
-"""Is told what to announce about shared memory, or None."""
 
 
 def capabilities(frame: wire.Frame) -> Mapping[str, Any]:
@@ -58,23 +56,24 @@ def greeting(policy: dict[str, Any], state: str, frame: wire.Frame) -> dict[str,
     }
 
 
-def share_memory(connection: Connection, worker: Worker, asked: Any, tell: Tell) -> None:
+def share_memory(connection: Connection, worker: Worker, asked: Any) -> dict[str, Any] | None:
     """Offer memory to a client on this host; when it has proved that it sees it, have the worker map it.
 
     Args:
         connection: the client.
         worker: who serves it.
         asked: what it announced about shared memory; `{"proof": token}` is the second step.
-        tell: told what to answer.
+
+    Returns:
+        what to announce about shared memory, or None.
     """
     if not asked or not connection.is_local or not worker.shares_memory:
-        tell(None)
-    elif connection.segment is None:
-        tell(_offer(connection))
-    elif connection.segment_number is None and isinstance(asked, dict):
-        _prove(connection, connection.segment, worker, asked.get("proof"), tell)
-    else:
-        tell(None)
+        return None
+    if connection.segment is None:
+        return _offer(connection)
+    if connection.segment_number is None and isinstance(asked, dict):
+        return _prove(connection, connection.segment, worker, asked.get("proof"))
+    return None
 
 
 def _offer(connection: Connection) -> dict[str, Any] | None:
@@ -86,12 +85,12 @@ def _offer(connection: Connection) -> dict[str, Any] | None:
     return {"path": str(connection.segment.path), "size": connection.segment.size}
 
 
-def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any, tell: Tell) -> None:
+def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any) -> dict[str, Any] | None:
     if proof != segment.token.hex():
         segment.close()
-        tell(None)
-        return
-    number = connection.segment_number = next(_segments)
+        return None
+    number, shown = next(_segments), segment.answer().hex()
+    connection.segment_number = number
 
     def mapped(answer: dict[str, Any]) -> None:
         segment.close()  # unlinked: whoever dies from now on, the system clears up
@@ -106,4 +105,4 @@ def _prove(connection: Connection, segment: Segment, worker: Worker, proof: Any,
 
     # An errand: done before anything that this client asks for, but not waited for, because the model may be at work.
     worker.errand({"op": "map", "segment": number, "path": str(segment.path), "size": segment.size}, mapped)
-    tell({"proof": segment.answer().hex()})
+    return {"proof": shown}

@@ -1,4 +1,4 @@
-"""Payloads of clients that do not pack: made into what a worker reads, and back."""
+"""Payloads of clients that do not pack: made into what a worker reads."""
 
 from __future__ import annotations
 
@@ -7,18 +7,13 @@ from typing import Any
 
 from xpl import _spec as spec
 from xpl import images, packed
-from xpl.observation import ObservationError, color_of, is_encoded
+from xpl.observation import ObservationError
 from xpl_cli.serving.session import RequestError
 
 
 def has_images(payload: Mapping[str, Any]) -> bool:
     """Tell whether an observation in a payload has encoded images: an adapter never decodes."""
-    return any(
-        is_encoded(color_of(camera))
-        for observation in _observations(payload)
-        if isinstance(vision := observation.get(spec.Obs.VISION), Mapping)
-        for camera in vision.values()
-    )
+    return any(images.has_encoded(payload.get(name)) for name in (spec.Payload.OBSERVATION, spec.Payload.OBS))
 
 
 def without_images(payload: dict[str, Any]) -> dict[str, Any]:
@@ -45,18 +40,6 @@ def pack(payload: Mapping[str, Any]) -> bytes:
         return b"".join(packed.encode(entries))
     except packed.PackingError as error:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
-
-
-def answer_payload(result: memoryview) -> dict[str, Any]:
-    """Return the entries of an answer that a worker packed."""
-    entries: dict[str, Any] = packed.decode(result)
-    return entries
-
-
-def _observations(payload: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    shown = payload.get(spec.Payload.OBS)
-    found = [payload.get(spec.Payload.OBSERVATION), *(shown if isinstance(shown, list) else [shown])]
-    return [item for item in found if isinstance(item, Mapping)]
 
 
 def _decoded(value: Any) -> Any:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from xpl_cli.serving.places import Place
     from xpl_cli.serving.worker_process import Answered, WorkerProcess
 
-_STACKS_S = 0.2
+STACKS_S = 0.2
 """What a worker that hangs gets to print where it is, before its time is up."""
 _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
@@ -71,7 +71,7 @@ class Worker:
         self.failed = False
         self.shares_memory = True
         self._timeout = timeout
-        self._stacks_after = max(0.0, 0.5 * (timeout or 0.0), (timeout or 0.0) - _STACKS_S)
+        self._stacks_after = max(0.0, 0.5 * (timeout or 0.0), (timeout or 0.0) - STACKS_S)
         self._desk = desk
         self._on_failure = on_failure
         self._loop = asyncio.get_running_loop()

@@ -21,7 +21,7 @@ from xpl_cli.progress import progress
 from xpl_cli.secrets import read_token, server_tls_context
 from xpl_cli.serving.connection import Timing
 from xpl_cli.serving.observe import Observer
-from xpl_cli.serving.pool import LoadError
+from xpl_cli.serving.pool import STACKS_S, LoadError
 from xpl_cli.serving.server import FrontEnd, Settings
 from xpl_cli.serving.worker_process import WorkerProcess
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _PROGRESS_S = 5.0
-_STACKS_S = 0.2
 _GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
 
@@ -266,7 +265,7 @@ async def _load(run: _Run, front_end: FrontEnd) -> str | None:
     if running:
         for worker in front_end.workers.values():
             worker.process.show_stacks()
-        await asyncio.sleep(_STACKS_S)
+        await asyncio.sleep(STACKS_S)
         return f"the model could not be loaded within {limit:g} s (max_connect_seconds)"
     return None
 

@@ -134,14 +134,18 @@ class FrontEnd:
             }
             for worker in self.workers.values()
         ]
-        answer = {
-            spec.Payload.STATE: self.state,
+        return {
             "places": len(self._places),
             "taken": self._places.taken(),
             "connections": len(self._connections),
             "workers": workers,
+            **self._state(),
         }
-        return answer | ({spec.Payload.PROGRESS: self.progress()} if self.state == spec.ServerState.LOADING else {})
+
+    def _state(self) -> dict[str, Any]:
+        """Return what health, heartbeats and hello tell alike: the state, and how far loading is."""
+        progress = {spec.Payload.PROGRESS: self.progress()} if self.state == spec.ServerState.LOADING else {}
+        return {spec.Payload.STATE: self.state, **progress}
 
     def progress(self) -> dict[str, Any]:
         """Return how far loading is: seconds, bytes of memory in use, and what was printed last."""
@@ -228,37 +232,30 @@ class FrontEnd:
     # -- answers that need no worker -----------------------------------------------------------------------------------
 
     def _heartbeat(self, connection: Connection, frame: wire.Frame) -> None:
-        answer = {spec.Payload.OK: True, spec.Payload.STATE: self.state}
-        if self.state == spec.ServerState.LOADING:
-            answer[spec.Payload.PROGRESS] = self.progress()
-        connection.answer(acknowledged(frame, answer))
+        connection.answer(acknowledged(frame, {spec.Payload.OK: True, **self._state()}))
 
     def _hello(self, connection: Connection, frame: wire.Frame) -> None:
-        """Greet a client, at once or when the memory that it shares is mapped."""
+        """Greet a client: while the models load without a place."""
         asked = capabilities(frame)
         connection.packs = bool(asked.get(spec.Capability.PACKED))
         connection.counts = bool(asked.get(spec.Capability.SEQUENCE))
         try:
             answer = greeting(self._settings.policy, self.state, frame)
             if self.state == spec.ServerState.LOADING:
-                answer[spec.Payload.SERVER_INSTANCE_ID] = self._instance
-                answer[spec.Payload.PROGRESS] = self.progress()
-                connection.answer(acknowledged(frame, answer))
+                instance = {spec.Payload.SERVER_INSTANCE_ID: self._instance}
+                connection.answer(acknowledged(frame, {**answer, **instance, **self._state()}))
                 return
             place = self._place(connection, frame)
         except RequestError as error:
             connection.answer(refusal(frame, error))
             return
         answer[spec.Payload.SERVER_INSTANCE_ID] = f"{self._instance}-{place.tenancy}"
-
-        def tell(shared: dict[str, Any] | None) -> None:
-            if shared is not None:
-                answer[spec.Payload.CAPABILITIES][spec.Capability.SHARED_MEMORY] = shared
-            connection.answer(acknowledged(frame, answer))
-
         # Not with TLS: it says that the client is elsewhere, or that what it sends is to be seen by nobody.
         wanted = None if self._settings.tls is not None else asked.get(spec.Capability.SHARED_MEMORY)
-        share_memory(connection, self.workers[place.worker], wanted, tell)
+        shared = share_memory(connection, self.workers[place.worker], wanted)
+        if shared is not None:
+            answer[spec.Payload.CAPABILITIES][spec.Capability.SHARED_MEMORY] = shared
+        connection.answer(acknowledged(frame, answer))
 
     def _request(self, connection: Connection, frame: wire.Frame, size: int) -> None:
         """Hand a request to the desk, if there is a place for it."""
