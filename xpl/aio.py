@@ -13,68 +13,31 @@ import contextlib
 import inspect
 import ssl
 from collections.abc import Coroutine, Mapping, Sequence
-from typing import Any, Callable, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from xpl import _spec as spec
 from xpl.blocking import refused_handshake, wrong_address
+from xpl.client_base import ClientBase
 from xpl.client_errors import ServerConnectionError, ServerFailedError
-from xpl.conversation import Conversation
-from xpl.exchange import Exchange
-from xpl.transport import Wishes
+
+if TYPE_CHECKING:
+    from xpl.transport import Transport
 
 _Value = TypeVar("_Value")
 _GOODBYE_S = 0.2
 
 
-class AsyncClient:
+class AsyncClient(ClientBase):
     """A connection to a policy server; see `xpl.client.Client` for arguments and errors.
 
     Nothing is connected before `connect()` or `async with`. Tasks that share a client take turns.
     """
 
-    def __init__(  # noqa: PLR0913 - keywords only
-        self,
-        url: str,
-        *,
-        evaluation_id: str | None = None,
-        trial_id: str | None = None,
-        config: Mapping[str, Any] | None = None,
-        token: str | None = None,
-        ssl_context: ssl.SSLContext | None = None,
-        environment: Mapping[str, Any] | None = None,
-        jpeg: Mapping[str, int] | None = None,
-        pipelined: bool = False,
-        shared_memory: bool = True,
-        packed: bool = True,
-        on_loading: Callable[[Mapping[str, Any]], None] | None = None,
-    ) -> None:
-        wishes = Wishes(
-            packed=packed,
-            shared_memory=shared_memory,
-            pipelined=pipelined,
-            jpeg=jpeg or {},
-            environment=environment,
-            on_loading=on_loading,
-        )
-        transport = _Suspending(url, {**spec.DEPLOY_DEFAULTS, **(config or {})}, token, ssl_context)
-        self._exchange = Exchange(transport, url, config, wishes, evaluation_id, trial_id)
-        self._talk = Conversation(self._exchange, trial_id)
+    def _transport(
+        self, url: str, timing: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+    ) -> Transport:
         self._turn = asyncio.Lock()
-
-    @property
-    def server_instance_id(self) -> str | None:
-        """What the server calls itself; None for one of the first generation."""
-        return self._exchange.server_instance_id
-
-    @property
-    def capabilities(self) -> Mapping[str, Any]:
-        """What the server announced that it can do."""
-        return self._exchange.capabilities
-
-    @property
-    def policy(self) -> Mapping[str, Any]:
-        """What the policy needs, where the server said so."""
-        return self._exchange.policy
+        return _Suspending(url, timing, token, ssl_context)
 
     async def connect(self) -> None:
         """Connect and exchange hellos."""

@@ -13,13 +13,12 @@ asyncio.
 
 from __future__ import annotations
 
-import ssl
 import threading
 from collections.abc import Coroutine, Mapping, Sequence
-from typing import Any, Callable, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from xpl import _spec as spec
 from xpl.blocking import BlockingTransport
+from xpl.client_base import ClientBase
 from xpl.client_errors import (
     ClientError,
     EnvironmentMismatchError,
@@ -29,9 +28,11 @@ from xpl.client_errors import (
     ServerFailedError,
     ServerRestartedError,
 )
-from xpl.conversation import Conversation
-from xpl.exchange import Exchange
-from xpl.transport import Wishes
+
+if TYPE_CHECKING:
+    import ssl
+
+    from xpl.transport import Transport
 
 __all__ = [
     "Client",
@@ -47,7 +48,7 @@ __all__ = [
 _Value = TypeVar("_Value")
 
 
-class Client:
+class Client(ClientBase):
     """A connection to a policy server. Its methods may be called from several threads; they take turns.
 
     Args:
@@ -72,51 +73,14 @@ class Client:
         PolicyServerError: if the server refused the hello for good.
     """
 
-    def __init__(  # noqa: PLR0913 - keywords only
-        self,
-        url: str,
-        *,
-        evaluation_id: str | None = None,
-        trial_id: str | None = None,
-        config: Mapping[str, Any] | None = None,
-        token: str | None = None,
-        ssl_context: ssl.SSLContext | None = None,
-        environment: Mapping[str, Any] | None = None,
-        jpeg: Mapping[str, int] | None = None,
-        pipelined: bool = False,
-        shared_memory: bool = True,
-        packed: bool = True,
-        on_loading: Callable[[Mapping[str, Any]], None] | None = None,
-    ) -> None:
-        wishes = Wishes(
-            packed=packed,
-            shared_memory=shared_memory,
-            pipelined=pipelined,
-            jpeg=jpeg or {},
-            environment=environment,
-            on_loading=on_loading,
-        )
+    def _transport(
+        self, url: str, timing: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+    ) -> Transport:
         self._turn = threading.Lock()
-        timing = {**spec.DEPLOY_DEFAULTS, **(config or {})}
-        transport = BlockingTransport(url, timing, token, ssl_context, self._turn)
-        self._exchange = Exchange(transport, url, config, wishes, evaluation_id, trial_id)
-        self._talk = Conversation(self._exchange, trial_id)
+        return BlockingTransport(url, timing, token, ssl_context, self._turn)
+
+    def _made(self) -> None:
         self._run(self._exchange.connect())
-
-    @property
-    def server_instance_id(self) -> str | None:
-        """What the server calls itself; None for one of the first generation."""
-        return self._exchange.server_instance_id
-
-    @property
-    def capabilities(self) -> Mapping[str, Any]:
-        """What the server announced that it can do."""
-        return self._exchange.capabilities
-
-    @property
-    def policy(self) -> Mapping[str, Any]:
-        """What the policy needs, where the server said so."""
-        return self._exchange.policy
 
     def reset(self) -> None:
         """Start a new episode."""

@@ -69,14 +69,14 @@ class Exchange:
         self,
         transport: Transport,
         address: str,
-        config: Mapping[str, Any] | None,
+        timing: Mapping[str, Any],
         wishes: Wishes,
         evaluation_id: str | None,
         trial_id: str | None,
     ) -> None:
         self._transport = transport
         self._address = address
-        self._config = {**spec.DEPLOY_DEFAULTS, **(config or {})}
+        self._config = timing
         self._wishes = wishes
         self._evaluation_id = evaluation_id or uuid.uuid4().hex
         self._trial_id = trial_id
@@ -274,9 +274,8 @@ class Exchange:
             raise
         except OSError as error:
             await self._reconnect(error, deadline)
-            data, blocks = self._encoder.encode(
-                frame
-            )  # what lay in the memory of the lost connection lies elsewhere now
+            # Again: what lay in the memory of the lost connection lies elsewhere now.
+            data, blocks = self._encoder.encode(frame)
             try:
                 # The same id: the server answers from its memory if the model ran already.
                 answer = await self._exchange(frame, data, deadline)
@@ -374,8 +373,6 @@ class Exchange:
 
     def _request_deadline(self) -> float:
         return _deadline(self._config[spec.Deploy.REQUEST_TIMEOUT_S])
-
-    # -- encoding ------------------------------------------------------------------------------------------------------
 
     async def _drop(self) -> None:
         """Close the connection, if there is one, without a goodbye."""
