@@ -238,17 +238,12 @@ class Exchange:
         deadline = self._request_deadline()
         try:
             self._take(wire.decode(await self._transport.receive(_left(deadline))))
-        except ServerFailedError:
-            await self._drop()
-            raise
-        except TimeoutError:
-            await self.close()
-            raise RequestTimeoutError("an update that was sent ahead was not answered in time") from None
         except OSError as error:
+            if isinstance(error, TimeoutError):
+                raise await self._ended(error, "an update that was sent ahead was not answered in time") from None
             await self._reconnect(error, deadline)
-        except wire.WireError as error:
-            await self._drop()
-            raise ClientError(f"what the server sent cannot be understood: {error}") from None
+        except (ServerFailedError, wire.WireError) as error:
+            raise await self._ended(error) from None
 
     def _frame(self, message_type: str, payload: dict[str, Any]) -> wire.Frame:
         identity = f"{self._session}-{next(self._numbers)}"
@@ -330,20 +325,25 @@ class Exchange:
                 if answer.message_id == frame.message_id:
                     return self._read(answer, frame)
                 self._take(answer)
-        except TimeoutError:
-            await self.close()
+        except TimeoutError as error:
             waited = time.monotonic() - started
-            raise RequestTimeoutError(f"{frame.message_type} was not answered within {waited:.1f} s") from None
-        except ServerFailedError:
-            await self._drop()
-            raise
-        except (wire.WireError, packed.PackingError) as error:
-            await self._drop()
-            raise ClientError(f"what the server sent cannot be understood: {error}") from None
+            raise await self._ended(error, f"{frame.message_type} was not answered within {waited:.1f} s") from None
+        except (ServerFailedError, wire.WireError, packed.PackingError) as error:
+            raise await self._ended(error) from None
         except BaseException as error:
             if not isinstance(error, Exception):  # cancelled, or interrupted: nobody knows what became of the request
                 await self.close()
             raise
+
+    async def _ended(self, error: Exception, late: str = "") -> ClientError:
+        """End the connection after an error that no second attempt can mend, and return how it is reported."""
+        if isinstance(error, TimeoutError):
+            await self.close()
+            return RequestTimeoutError(late)
+        await self._drop()
+        if isinstance(error, ServerFailedError):
+            return error
+        return ClientError(f"what the server sent cannot be understood: {error}")
 
     def _take(self, answer: wire.Frame) -> None:
         """Take in the answer to an update that was sent ahead; others are not ours."""
