@@ -139,6 +139,18 @@ def test_what_rules_are_built_on_is_part_of_their_version(
     assert "passes" in again(adapter, tmp_path, trace)
 
 
+def test_what_does_not_apply_is_kept_with_its_reason(adapter: Path, tmp_path: Path) -> None:
+    """A report from the cache differs from a fresh one in nothing."""
+    first = audit(adapter, tmp_path / "cache")
+    assert any(result.outcome is Outcome.NOT_APPLICABLE for result in first.results)
+    (record,) = (tmp_path / "cache").iterdir()
+    codes = json.loads(record.read_bytes())["passes"]
+    inapplicable = {result.code for result in first.results if result.outcome is Outcome.NOT_APPLICABLE}
+    assert inapplicable - set(codes) == {"XPL501"}  # it judges the audit, and not the files alone
+    again = audit(adapter, tmp_path / "cache")
+    assert (again.results, again.finish) == (first.results, first.finish)
+
+
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"[]", b'{"format": 1}', b'{"format": 1, "files": {}, "passes": {"XPL101": 3}}']
 )
@@ -197,7 +209,8 @@ def test_runs_at_the_same_time_leave_a_whole_record(adapter: Path, tmp_path: Pat
     (record,) = (tmp_path / "home/xpl/audit").iterdir()
     passes = json.loads(record.read_text())["passes"]
     results = reports[0]["targets"][0]["gates"][0]["results"]
-    assert set(passes) == {result["code"] for result in results if result["outcome"] == Outcome.PASS}
+    kept = {Outcome.PASS, Outcome.NOT_APPLICABLE}
+    assert set(passes) == {result["code"] for result in results if result["outcome"] in kept} - {"XPL501"}
 
 
 def test_the_cache_lies_where_the_user_keeps_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -204,14 +204,14 @@ def test_many_targets_take_a_line_each_if_all_is_well(context: Context) -> None:
 
 def test_next_commands_can_be_pasted(context: Context) -> None:
     """Paths are quoted, gates are asked for again, and edits that are safe are offered first."""
-    commands = next_commands(sample.reports())
+    commands = next_commands(sample.reports(), context)
     again = ["xpl", "audit", "policy/Grün 1", "--gate", "static", "--gate", "offline"]
     assert [shlex.split(line) for line in commands] == [
         *(["xpl", "explain", code] for code in ("XPL101", "XPL109", "XPL110")),
         again,
     ]
     edit = Fix("safe_edit", "delete", (Edit("model.py", 1, 1, 2, 1, ""),))
-    assert next_commands(sample.one_target(Finding("this", fix=edit)))[0] == "xpl audit policy/Foo --gate static --fix"
+    assert next_commands(sample.one_target(Finding("this", fix=edit)), context)[0] == "xpl audit policy/Foo --gate static --fix"
 
 
 # -- where reports go --------------------------------------------------------------------------------------------------

@@ -9,10 +9,12 @@ import pytest
 
 from xpl_cli import scaffold
 from xpl_cli.audit import engine
+from xpl_cli.audit.manifests import deleted
 from xpl_cli.audit.model import Gate, GateReport, Outcome
 from xpl_cli.audit.options import Options
 from xpl_cli.audit.shell import parse
-from xpl_cli.audit.source import SIZE_LIMIT, Source
+from xpl_cli.audit.reading import SIZE_LIMIT
+from xpl_cli.audit.source import Source
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -215,3 +217,33 @@ def test_words_know_their_place_and_position() -> None:
     assert (name, word.position, word.line, word.column) == ("seed", 6, 2, 8)
     assert [(command.name, command.functions) for command in commands if command.functions] == [("local", 1)]
     assert [command.loops for command in commands if command.name == "sleep"] == [1, 0]
+
+
+def test_rules_share_the_functions_of_a_file(adapter: Path) -> None:
+    """What a function computes of itself is computed once, whether a rule comes by the class or by the file."""
+    source = Source(adapter)
+    by_file = {function.name: function for function in source.functions("model.py")}
+    assert by_file["encode"] is source.adapter.methods["encode"]
+    assert by_file["encode"].owner is source.adapter.node
+    (adapter / "broken.py").write_text("def f(:\n")
+    assert source.functions("broken.py") == ()
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("a: 1\nb: 2 # two\nc: 3\n", "a: 1\nc: 3\n"),
+        ("a: 1\nb:\n  - x\n  - y: [1,\n      2]\n# about c\nc: 3\n", "a: 1\n# about c\nc: 3\n"),
+        ("a: 1\nb: |\n  text\n  more\nc: 3\n", "a: 1\nc: 3\n"),
+        ("a: 1\nb: 2", "a: 1\n"),
+    ],
+)
+def test_a_key_is_deleted_with_its_value_and_nothing_else(tmp_path: Path, before: str, after: str) -> None:
+    """Values of one line, blocks, texts, and the last line of a file without a line break."""
+    (tmp_path / "deploy.yml").write_text(before)
+    lines = before.split("\n")
+    (edit,) = deleted(Source(tmp_path), "deploy.yml", "b")
+    text = "\n".join(lines[: edit.line - 1]) + "\n"
+    rest = lines[edit.end_line - 1 :]
+    rest[0] = rest[0][edit.end_column - 1 :]
+    assert text + "\n".join(rest) == after

@@ -6,7 +6,6 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.adapter import Function
 from xpl_cli.audit.colour import swaps
 from xpl_cli.audit.source import Source
 
@@ -35,14 +34,13 @@ def conversion_channel_swap(source: Source) -> Iterator[Finding]:
     if not source.conversion_files:
         raise NotApplicable("the adapter converts no data")
     for name in source.conversion_files:
-        for node in source.nodes(name):
-            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-                found = [swap for swap in swaps(Function(name, node)) if swap.claims_bgr or swap.decoded]
-                if found:
-                    yield Finding(
-                        f"{node.name} trains the policy on red and blue exchanged: evaluation shows it RGB",
-                        **source.at(name, found[0].node),
-                        expected="the order that evaluation uses, RGB",
-                        got=ast.unparse(found[0].node),
-                        fix=Fix("advice", "delete the exchange and convert the data again"),
-                    )
+        for function in source.functions(name):
+            found = [swap for swap in swaps(function) if swap.claims_bgr or swap.decoded]
+            if found:
+                yield Finding(
+                    f"{function.name} trains the policy on red and blue exchanged: evaluation shows it RGB",
+                    **source.at(name, found[0].node),
+                    expected="the order that evaluation uses, RGB",
+                    got=ast.unparse(found[0].node),
+                    fix=Fix("advice", "delete the exchange and convert the data again"),
+                )

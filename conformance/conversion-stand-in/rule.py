@@ -49,9 +49,8 @@ def conversion_stand_in(source: Source) -> Iterator[Finding]:
             if (isinstance(node, ast.Attribute) and node.attr in _MAKERS)
             or (isinstance(node, ast.Assign) and _fills_actions(node))
         ]
-        for node in nodes if suspects else ():
-            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and _around(node, suspects):
-                function = Function(name, node)
+        for function in source.functions(name) if suspects else ():
+            if _around(function.node, suspects):
                 yield from _zeros(source, function)
                 yield from _copied(source, function)
 

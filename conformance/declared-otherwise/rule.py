@@ -10,7 +10,7 @@ from typing import Any, Final
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.adapter import ACTING, LOADING, OBSERVING, Adapter, Function
-from xpl_cli.audit.manifests import key_line
+from xpl_cli.audit.manifests import key_line, required_input
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import (
     always_raises,
@@ -87,7 +87,7 @@ def _inputs(source: Source, adapter: Adapter) -> Iterator[Finding]:
                 **source.at(function.file, node),
                 expected=f"{name} under inputs.required or inputs.optional",
                 got=ast.unparse(node)[:80],
-                fix=Fix("safe_edit", f"inputs.required: [..., {name}]"),
+                fix=required_input(source, name),
             )
     words = {word for function in adapter.reach(*adapter.methods) for word in _words(function)}
     words |= {text for file in source.python_files if source.parses(file) for text in texts(source.tree(file))}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.manifests import key_line, schema_findings
+from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.manifests import key_line, renamed, schema_findings
 from xpl_cli.audit.source import Source
 
 _NAME = "env.yml"
@@ -29,7 +29,7 @@ def env_manifest(source: Source) -> Iterator[Finding]:
     `xpl spec show env` lists every key.
 
     ## Fix safety
-    No automatic fix.
+    Only the name is corrected, to that of the folder.
     """
     values = source.yaml(_NAME)
     yield from schema_findings(source, _NAME, "env", "{} is not understood")
@@ -42,5 +42,5 @@ def env_manifest(source: Source) -> Iterator[Finding]:
             column=1,
             expected=source.path.name,
             got=given,
-            fix=Fix("safe_edit", f"name: {source.path.name}"),
+            fix=renamed(source, _NAME, "name"),
         )

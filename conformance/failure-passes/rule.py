@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.script_flow import INSTALLERS, PYTHONS, STEPS, place, program, runs, scripts, shown
 from xpl_cli.audit.shell import Command, Script
 from xpl_cli.audit.source import Source
@@ -39,14 +39,14 @@ def failure_passes(source: Source) -> Iterator[Finding]:
     for name, script in scripts(source):
         found = True
         if "errexit" in script.options or _shebang(source.text(name)):
-            yield from _hidden(name, script)
+            yield from _hidden(source, name, script)
         else:
-            yield from _passed(name, script)
+            yield from _passed(source, name, script)
     if not found:
         raise NotApplicable("the adapter has no scripts")
 
 
-def _passed(name: str, script: Script) -> Iterator[Finding]:
+def _passed(source: Source, name: str, script: Script) -> Iterator[Finding]:
     """Yield the first step of a script without `set -e` whose failure nobody looks at."""
     if any(command.name == "trap" and "ERR" in {word.text for word in command.words} for command in script):
         return
@@ -62,23 +62,26 @@ def _passed(name: str, script: Script) -> Iterator[Finding]:
         expected="set -euo pipefail before the first step",
         got="a script without set -e",
         evidence={"steps": [shown(runs(script[number]), 4) for number in passed]},
-        fix=Fix("unsafe_edit", "set -euo pipefail"),
+        fix=Fix("unsafe_edit", "set -euo pipefail", (_first(source, name, "set -euo pipefail"),)),
     )
 
 
-def _hidden(name: str, script: Script) -> Iterator[Finding]:
+def _hidden(source: Source, name: str, script: Script) -> Iterator[Finding]:
     """Yield steps whose failure does not end a script with `set -e`: in a pipeline, or before `|| true`."""
     for number, command in enumerate(script):
         words = runs(command)
         if program(command) not in PYTHONS | INSTALLERS | {"bash", "sh"} or _is_asked(command):
             continue
         following = script[number + 1].name if number + 1 < len(script) else ""
+        edits: tuple[Edit, ...] = ()
         if command.end == "|" and "pipefail" not in script.options:
             message = f"a failure of `{shown(words, 3)}` is lost in the pipe to {following}: {name} ends with success"
             expected = "set -o pipefail"
+            edits = (_first(source, name, expected),)
         elif command.end == "||" and following in {"true", ":"} and program(command) not in {"conda", "mamba"}:
             message = f"that `{shown(words, 3)}` failed is passed over: {name} goes on without what it should have made"
             expected = "the step without `|| true`"
+            edits = _without(command, script[number + 1], name)
         else:
             continue
         yield Finding(
@@ -86,8 +89,22 @@ def _hidden(name: str, script: Script) -> Iterator[Finding]:
             **place(name, words[0]),
             expected=expected,
             got=f"{shown(words, 3)} {command.end} {following}",
-            fix=Fix("unsafe_edit", expected),
+            fix=Fix("unsafe_edit" if edits else "advice", expected, edits),
         )
+
+
+def _first(source: Source, name: str, text: str) -> Edit:
+    """Return the edit that makes a command the first one of a script, behind the line that names its shell."""
+    line = 2 if source.text(name).startswith("#!") else 1
+    return Edit(name, line, 1, line, 1, f"{text}\n")
+
+
+def _without(command: Command, alternative: Command, name: str) -> tuple[Edit, ...]:
+    """Return the edit that deletes `|| true` behind a command on one line."""
+    before, after = command.words[-1], alternative.words[0]
+    if before.line != after.line or len(alternative.words) != 1:
+        return ()
+    return (Edit(name, before.line, before.column + len(before.raw), after.line, after.column + len(after.raw), ""),)
 
 
 def _is_step(command: Command) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import cache
 from itertools import accumulate
 
 from xpl import _spec as sdk
@@ -13,9 +14,11 @@ from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import constant, texts
 
 _STATE = (sdk.State.ARM_JOINT_STATE, sdk.State.EE_JOINT_STATE)
+_FEWEST_CUTS = 3
 _FIX = Fix("advice", "ask self.embodiment, or use xpl.action.pack and unpack, which do")
 
 
+@cache
 def _layouts() -> list[tuple[str, frozenset[int], int]]:
     """Return, for each robot: its arms in words, where values begin and end in its packed vectors, and their length."""
     found = []
@@ -53,14 +56,14 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     """
     seen: set[tuple[str, int]] = set()
     for function in source.adapter.reach(*source.adapter.methods):
-        for node, message in (*_cut_values(function), *_layout(function), *_tables(function.nodes)):
+        for node, message in (*_cut_values(function), *_layout(function), *_tables(function)):
             place = (function.file, id(function.node))
             if place not in seen:
                 seen.add(place)
                 yield _finding(source, function.file, node, message)
     for node in source.tree(source.adapter.file).body:
         if isinstance(node, (ast.Assign, ast.AnnAssign)):
-            for inner, message in _masks(list(ast.walk(node))):
+            for inner, message in _masks(ast.walk(node)):
                 yield _finding(source, source.adapter.file, inner, message)
 
 
@@ -90,22 +93,23 @@ def _bounds(node: ast.AST) -> tuple[int, int | None] | None:
 
 def _cut_values(function: Function) -> Iterator[tuple[ast.AST, str]]:
     """Yield joint values that are cut at a constant: read from a state, or put into an action."""
-    for node in function.nodes:
+    for node in function.of(ast.Subscript):
         bounds = _bounds(node)
-        if bounds is None or not isinstance(node, ast.Subscript) or not isinstance(node.ctx, ast.Load):
+        if bounds is None or not isinstance(node.ctx, ast.Load):
             continue
         lower, upper = bounds
         if _names_joints(node.value) and upper is not None and upper - lower > 1:
             yield node, f"joint values are cut to {upper - lower}: a robot with more joints loses the rest"
-    for node in function.nodes:
-        if isinstance(node, ast.Dict):
-            for key, value in zip(node.keys, node.values, strict=True):
-                cut = next((child for child in ast.walk(value) if _bounds(child) is not None), None)
-                if key is not None and cut is not None and _is_joint_key(key):
-                    yield (
-                        cut,
-                        f"{ast.unparse(key)} is a constant part of a vector: another robot gets its neighbour's values",
-                    )
+    for table in function.of(ast.Dict):
+        for key, value in zip(table.keys, table.values, strict=True):
+            if key is None or not _is_joint_key(key):
+                continue
+            cut = next((child for child in ast.walk(value) if _bounds(child) is not None), None)
+            if cut is not None:
+                yield (
+                    cut,
+                    f"{ast.unparse(key)} is a constant part of a vector: another robot gets its neighbour's values",
+                )
 
 
 def _names_joints(node: ast.expr) -> bool:
@@ -119,9 +123,9 @@ def _is_joint_key(key: ast.AST) -> bool:
 
 def _layout(function: Function) -> Iterator[tuple[ast.AST, str]]:
     """Yield the first of three or more slices of one vector, in one statement, that are the layout of a robot."""
-    for statement in function.nodes:
-        if not isinstance(statement, (ast.Assign, ast.Return, ast.Expr, ast.AnnAssign)):
-            continue
+    if sum(_bounds(node) is not None for node in function.of(ast.Subscript)) < _FEWEST_CUTS:
+        return
+    for statement in function.of(ast.Assign, ast.Return, ast.Expr, ast.AnnAssign):
         cuts: dict[str, list[ast.Subscript]] = {}
         for node in ast.walk(statement):
             if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Load) and _bounds(node) is not None:
@@ -129,7 +133,7 @@ def _layout(function: Function) -> Iterator[tuple[ast.AST, str]]:
         for found in cuts.values():
             edges = {edge for node in found for edge in _bounds(node) or () if edge is not None}
             for name, bounds, length in _layouts():
-                if len(found) >= 3 and edges <= bounds and length in edges and len(edges) >= 4:
+                if len(found) >= _FEWEST_CUTS and edges <= bounds and length in edges and len(edges) >= 4:
                     yield (
                         found[0],
                         f"vectors are taken apart as those of {name}: another robot's joints end up in each other",
@@ -137,7 +141,7 @@ def _layout(function: Function) -> Iterator[tuple[ast.AST, str]]:
                     break
 
 
-def _masks(nodes: list[ast.AST]) -> Iterator[tuple[ast.AST, str]]:
+def _masks(nodes: Iterable[ast.AST]) -> Iterator[tuple[ast.AST, str]]:
     """Yield constant lists of flags that are as long as an action of a robot."""
     lengths = {length: name for name, _, length in reversed(_layouts())}
     for node in nodes:
@@ -147,11 +151,11 @@ def _masks(nodes: list[ast.AST]) -> Iterator[tuple[ast.AST, str]]:
             yield node, f"the mask is that of {lengths[len(node.elts)]}: on another robot it covers other values"
 
 
-def _tables(nodes: tuple[ast.AST, ...]) -> Iterator[tuple[ast.AST, str]]:
+def _tables(function: Function) -> Iterator[tuple[ast.AST, str]]:
     """Yield constant tables of arm dimensions."""
-    yield from _masks(list(nodes))
-    for node in nodes:
-        if isinstance(node, ast.Dict) and len(node.keys) > 1:
+    yield from _masks(function.of(ast.List, ast.Tuple))
+    for node in function.of(ast.Dict):
+        if len(node.keys) > 1:
             names = {constant(key) for key in node.keys if key is not None}
             if (
                 names

@@ -17,7 +17,8 @@ def parses(source: Source) -> Iterator[Finding]:
     """A file does not parse, or a merge conflict is left in it.
 
     ## What it does
-    Parses every Python and YAML file of the boundary, and looks for the markers that git leaves at a conflict.
+    Reads every file of the boundary, parses those in Python and YAML, and looks for the markers that git leaves at a
+    conflict.
 
     ## Why it matters
     A script with a marker in it fails when it is run, often hours after the job was queued. What does not parse cannot
@@ -32,11 +33,15 @@ def parses(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for name in source.text_files:
+    for name in sorted({*source.text_files, *source.python_files}):
+        try:
+            source.text(name)
+        except NotRun as reason:
+            yield Finding(f"{name} cannot be checked: {reason}", path=name, expected="source text", got=str(reason))
+            continue
         yield from _conflicts(source, name)
-    for name in source.python_files:
-        yield from _python(source, name)
-    for name in source.text_files:
+        if name.endswith(".py"):
+            yield from _python(source, name)
         if name.endswith(_DATA):
             problem = source.yaml_problem(name)
             if problem is not None:
@@ -68,12 +73,17 @@ def _conflicts(source: Source, name: str) -> Iterator[Finding]:
 
 
 def _python(source: Source, name: str) -> Iterator[Finding]:
-    try:
-        error = source.syntax_error(name)
-    except NotRun as reason:
-        yield Finding(f"{name} cannot be checked: {reason}", path=name, expected="source text", got=str(reason))
-        return
-    if isinstance(error, SyntaxError):
+    error, bytes_refused = source.syntax_error(name), source.encoding_error(name)
+    if bytes_refused is not None:
+        yield Finding(
+            f"{name} does not parse, so that importing it fails: {bytes_refused}",
+            path=name,
+            line=1,
+            expected="UTF-8, or the encoding that its first lines declare",
+            got=bytes_refused,
+            fix=Fix("advice", "save the file as UTF-8"),
+        )
+    elif isinstance(error, SyntaxError):
         yield Finding(
             f"{name} does not parse: importing it fails",
             path=name,

@@ -38,10 +38,8 @@ def partial_weights(source: Source) -> Iterator[Finding]:
     """
     reached = {id(function.node) for function in source.adapter.reach(*LOADING)}
     for name in source.reached(sdk.File.MODEL_PY):
-        for node in source.nodes(name) if any(word in source.text(name) for word in _LOADS) else ():
-            is_ours = "/" not in name or id(node) in reached  # a library's own loaders are not the adapter's
-            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and is_ours:
-                function = Function(name, node)
+        for function in source.functions(name) if any(word in source.text(name) for word in _LOADS) else ():
+            if "/" not in name or id(function.node) in reached:  # a library's own loaders are not the adapter's
                 for call in _lenient(function):
                     if not _is_checked(function, call):
                         yield Finding(

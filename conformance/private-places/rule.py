@@ -21,6 +21,11 @@ _SECRET = re.compile(
     re.IGNORECASE,
 )
 _ISSUED = re.compile(r"\b(?:hf_[A-Za-z0-9]{30,}|sk-[A-Za-z0-9-]{20,}|gh[pousr]_[A-Za-z0-9]{30,}|AKIA[A-Z0-9]{16})\b")
+_HINTS = (
+    *("/home/", "/users/", "_proxy", "://", "key", "token", "secret", "passw", "hf_", "sk-", "akia"),
+    *(f"gh{kind}_" for kind in "pousr"),
+)
+"""One of these stands, in small letters, in whatever the patterns find, but for addresses."""
 _ANYBODY = frozenset(
     ("user", "username", "you", "your", "your_name", "yourname", "me", "name", "xxx", "someone", "example")
 )
@@ -51,7 +56,7 @@ def private_places(source: Source) -> Iterator[Finding]:
     for name in source.text_files:
         if not name.endswith(_SUFFIXES):
             continue
-        for number, line in enumerate(source.text(name).split("\n"), start=1):
+        for number, line in _lines(source.text(name)):
             for message, start, got, advice in _suspects(line[:2000]):
                 yield Finding(
                     message,
@@ -62,6 +67,19 @@ def private_places(source: Source) -> Iterator[Finding]:
                     got=got,
                     fix=Fix("advice", advice),
                 )
+
+
+def _lines(text: str) -> Iterator[tuple[int, str]]:
+    """Yield the lines in which the patterns may find something, with their numbers."""
+    small = text.lower()
+    hints = [hint for hint in _HINTS if hint in small]
+    has_address = _ADDRESS.search(text) is not None
+    if not hints and not has_address:
+        return
+    for number, line in enumerate(text.split("\n"), start=1):
+        small = line.lower()
+        if any(hint in small for hint in hints) or (has_address and line.count(".") > 2):
+            yield number, line
 
 
 def _suspects(line: str) -> Iterator[tuple[str, int, str, str]]:

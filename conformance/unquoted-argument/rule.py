@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli import spec
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.script_flow import SHELLS, place, program, runs, scripts
 from xpl_cli.audit.shell import Command, Word
 from xpl_cli.audit.source import Source
 
+_ALL = frozenset(("$@", "$*", "${@}", "${*}"))
 _CALLERS = SHELLS | {"python", "python3", "xpl"}
 
 
@@ -55,7 +56,7 @@ def _by_position(command: Command) -> list[Word]:
 
 
 def _is_bare(word: Word, standard: set[str]) -> bool:
-    if word.raw in {"$@", "$*", "${@}", "${*}"}:
+    if word.raw in _ALL:
         return True
     if word.raw.startswith(("'", '"')):
         return False
@@ -65,11 +66,16 @@ def _is_bare(word: Word, standard: set[str]) -> bool:
 def _finding(name: str, command: Command, bare: list[Word]) -> Finding:
     called = runs(command)[1].text.rpartition("/")[2]
     which = (bare[0].variable or bare[0].raw) if bare[0].raw[1:] not in {"@", "*"} else "an argument"
-    edits = " ".join(f'"{word.raw}"' for word in bare)
+    quoted = [f'"{"$@" if word.raw in _ALL else word.raw}"' for word in bare]
+    edits = tuple(
+        Edit(name, word.line, word.column, word.line, word.column + len(word.raw), text)
+        for word, text in zip(bare, quoted, strict=True)
+    )
+    better = " ".join(quoted)
     return Finding(
         f"where {which} is empty or holds a blank, {called} takes each later argument for another one",
         **place(name, bare[0]),
-        expected=edits[:120],
+        expected=better[:120],
         got=" ".join(word.raw for word in bare)[:120],
-        fix=Fix("safe_edit", edits),
+        fix=Fix("safe_edit", better, edits),
     )

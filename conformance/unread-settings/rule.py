@@ -10,6 +10,7 @@ from xpl_cli import spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.adapter import Adapter
 from xpl_cli.audit.episode import is_reported
+from xpl_cli.audit.manifests import deleted
 from xpl_cli.audit.source import Source
 from xpl_cli.audit.syntax import called, targets
 
@@ -36,7 +37,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     Delete the key, or read it.
 
     ## Fix safety
-    Deleting a key that nobody reads changes nothing.
+    Deleting a key that nobody reads changes nothing, but a misspelt one should be renamed.
     """
     adapter = source.adapter
     if adapter.config_escapes:
@@ -58,8 +59,15 @@ def unread_settings(source: Source) -> Iterator[Finding]:
         column=1,
         expected="a key that the adapter reads",
         got=str(unread[0]),
-        fix=Fix("safe_edit", f"delete {', '.join(map(str, unread))}"),
+        fix=_deleted(source, unread),
     )
+
+
+def _deleted(source: Source, keys: list[str]) -> Fix:
+    """Return the fix that deletes keys; it is unsafe, because a misspelt one should be renamed."""
+    edits = tuple(edit for key in keys for edit in deleted(source, sdk.File.DEPLOY_YML, str(key)))
+    text = f"delete {', '.join(map(str, keys))}, or give them the names that the code reads"
+    return Fix("unsafe_edit" if edits else "advice", text, edits)
 
 
 def _texts(source: Source, name: str) -> set[str]:

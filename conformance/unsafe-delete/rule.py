@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.script_flow import may_be_empty, place, scripts
 from xpl_cli.audit.shell import Command, Script, Word
 from xpl_cli.audit.source import Source
@@ -80,10 +80,13 @@ def _elsewhere(name: str, script: Script, word: Word, before: Command | None) ->
 
 
 def _finding(name: str, word: Word, variable: str, consequence: str) -> Finding:
+    checked = f"${{{variable}:?}}"
+    text = re.sub(rf"\$(?:{variable}\b|\{{{variable}(?::-)?\}})", lambda _: checked, word.raw)
+    end = word.column + len(word.raw)
     return Finding(
         f"where {variable} is empty, {consequence}",
         **place(name, word),
-        expected=f"${{{variable}:?}}",
+        expected=checked,
         got=word.raw,
-        fix=Fix("safe_edit", f"${{{variable}:?}} for ${variable}"),
+        fix=Fix("safe_edit", f"{checked} for ${variable}", (Edit(name, word.line, word.column, word.line, end, text),)),
     )

@@ -139,7 +139,7 @@ class Adapter:
 
     def _inherit(self, file: str, node: ast.ClassDef, seen: set[str]) -> None:
         defined = {  # of two definitions in one class the later one counts
-            child.name: Function(file, child, node)
+            child.name: self.source.function(file, child, node)
             for child in node.body
             if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef))
         }
@@ -317,7 +317,7 @@ def symbols(source: Source, file: str) -> Symbols:
             if isinstance(node, ast.ClassDef):
                 found.classes[node.name] = (file, node)
             elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-                found.functions[node.name] = Function(file, node)
+                found.functions[node.name] = source.function(file, node)
             elif isinstance(node, ast.ImportFrom):
                 module = modules.get("." * node.level + (node.module or ""))
                 other = Symbols() if module is None else symbols(source, module)

@@ -1,5 +1,7 @@
 """Passes of the static gate, kept by content: an adapter that has not changed is not read again.
 
+What an adapter cannot be asked for (`not_applicable`) counts as a pass here: it follows from the same files.
+
 A record belongs to one state of one package: all names in its folder and the content of the files directly in it. It
 holds the content of the deeper files that were read, and the rules that passed, each with a digest of the rule's folder
 and of everything that rules are built on (engine, SDK, standard). Findings are never kept, nor what could not run.
@@ -21,9 +23,8 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 
 from xpl_cli import __version__, content
-from xpl_cli.atomic import write_file
-from xpl_cli.audit.model import Outcome, Result
-from xpl_cli.audit.source import SIZE_LIMIT
+from xpl_cli.audit.model import NotRun, Outcome, Result
+from xpl_cli.audit.reading import SIZE_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -34,9 +35,11 @@ if TYPE_CHECKING:
 LIMIT: Final = 1024
 """Records that are kept; beyond it the ones that were not used for the longest time go."""
 
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 _MOST_NAMES: Final = 50_000
 """A folder with more names than this is not looked through: nothing is kept for it."""
+_PARTS: Final = 4
+"""What is kept of a rule: its version, requirement, severity, and why it does not apply; empty for a pass."""
 _UNREAD: Final = frozenset((".git", "__pycache__"))
 _FACTS: Final = frozenset(("source",))
 """Facts that follow from the files of the package."""
@@ -85,19 +88,25 @@ class Shelf:
         kept = self._passes.get(entry.code)
         if kept is None or kept[0] != _version(entry):
             return None
-        return Result(entry.code, entry.slug, kept[1], kept[2], Outcome.PASS)
+        _, requirement, severity, reason = kept
+        outcome = Outcome.NOT_APPLICABLE if reason else Outcome.PASS
+        return Result(entry.code, entry.slug, requirement, severity, outcome, reason=reason or None)
 
     def put(self, entry: Entry, result: Result, facts: tuple[str, ...]) -> None:
         """Note what a rule found, if it is a pass that follows from the files alone."""
-        if result.outcome is Outcome.PASS and _FACTS.issuperset(facts):
-            self._passes[entry.code] = [_version(entry), result.requirement, result.severity]
+        reason = result.reason or ""
+        is_sound = result.outcome is Outcome.PASS or (result.outcome is Outcome.NOT_APPLICABLE and reason)
+        if is_sound and _FACTS.issuperset(facts):
+            self._passes[entry.code] = [_version(entry), result.requirement, result.severity, reason]
             self._news = True
 
     def save(self, source: Source) -> None:
         """Keep what was noted. A cache that cannot be written, or a package that changed meanwhile, keeps nothing."""
         if not self._news:
             return
-        with suppress(OSError, ValueError):
+        from xpl_cli.atomic import write_file
+
+        with suppress(OSError, ValueError, NotRun):
             names = {name for name in (*source.files, *source.seen) if "/" in name}
             self._files = {name: _digest(self.package / name) for name in sorted(names)}
             self.record = source.record()
@@ -117,7 +126,7 @@ class Shelf:
             told: dict[str, Any] = json.loads(self.file.read_bytes())
             files = {str(name): str(digest) for name, digest in told["files"].items()}
             passes = {str(code): [str(part) for part in kept] for code, kept in told["passes"].items()}
-            if told["format"] != _FORMAT or any(len(kept) != 3 for kept in passes.values()):
+            if told["format"] != _FORMAT or any(len(kept) != _PARTS for kept in passes.values()):
                 return
             if any(_digest(self.package / name) != digest for name, digest in files.items()):
                 return
@@ -175,23 +184,29 @@ def _digest(file: Path) -> str:
 @cache
 def _version(entry: Entry) -> str:
     """Return a hash of a rule's own folder, as far as it is code, and of what all rules are built on."""
-    return _hashed(entry.path.parent.glob("*.py"), tool())
+    return _hashed(_python_files(entry.path.parent), tool())
 
 
 @cache
 def tool() -> str:
     """Return a hash of what all rules are built on: interpreter, libraries, engine, SDK and the standard."""
     here = Path(__file__).parent
-    code = (path for folder in (here, here.parent, here.parent.parent / "xpl") for path in folder.glob("*.py"))
+    code = (path for folder in (here, here.parent, here.parent.parent / "xpl") for path in _python_files(folder))
     rooms = (path for name in ("spec", "templates") for path in content.room(name).rglob("*") if path.is_file())
     known = f"{__version__} {platform.python_implementation()} {platform.python_version()} {yaml.__version__}"
     return _hashed((*code, *rooms), known)
 
 
-def _hashed(files: Iterable[Path], known: str) -> str:
+def _python_files(folder: Path) -> list[str]:
+    return [f"{folder}/{name}" for name in os.listdir(folder) if name.endswith(".py")]  # noqa: PTH208 - much faster
+
+
+def _hashed(files: Iterable[Path | str], known: str) -> str:
     state = hashlib.sha256(known.encode())
-    for file in sorted(files):
-        state.update(b"\0" + os.fsencode(file.name) + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+    for file in sorted(str(file) for file in files):
+        with open(file, "rb", buffering=0) as stream:  # noqa: PTH123 - much faster, and there are hundreds
+            content = stream.readall()
+        state.update(b"\0" + os.fsencode(os.path.basename(file)) + b"\0" + hashlib.sha256(content).digest())  # noqa: PTH119
     return state.hexdigest()
 
 

@@ -39,7 +39,7 @@ def swaps(function: Function) -> Iterator[Swap]:
     Left out: what goes straight to a writer that wants BGR, what was read from a file or video by OpenCV, and what
     happens only under a condition about "bgr", which is then somebody's setting.
     """
-    found = [(node, *_swapped(node)) for node in function.nodes if isinstance(node, (ast.Call, ast.Subscript))]
+    found = [(node, *_swapped(node)) for node in function.of(ast.Call, ast.Subscript)]
     found = [entry for entry in found if entry[1] is not None]
     if not found or any(last(called(node)) == "imencode" for node in function.nodes):
         return  # nothing, or encoded and decoded again, to compress

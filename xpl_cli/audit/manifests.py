@@ -12,6 +12,8 @@ from xpl_cli.audit.model import Edit, Finding, Fix
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import yaml
+
     from xpl_cli.audit.source import Source
 
 
@@ -57,14 +59,77 @@ def renamed(source: Source, name: str, key: str) -> Fix:
         if re.fullmatch(r"[A-Za-z_]\w*", wanted) and isinstance(spec.parse_yaml(wanted), str)
         else json.dumps(wanted)
     )
-    root = yaml.compose(source.text(name), Loader=yaml.SafeLoader)
-    pairs = root.value if isinstance(root, yaml.MappingNode) else []
-    values = [value for given, value in pairs if given.value == key and isinstance(value, yaml.ScalarNode)]
+    values = [value for _, value in _pairs(_root(source, name), key) if isinstance(value, yaml.ScalarNode)]
     edits = tuple(
         Edit(name, start.line + 1, start.column + 1, end.line + 1, end.column + 1, text)
         for start, end in ((value.start_mark, value.end_mark) for value in values)
     )
     return Fix("safe_edit", f"{key}: {text}", edits)
+
+
+def deleted(source: Source, name: str, key: str) -> Iterator[Edit]:
+    """Yield the edit that deletes a top-level key of a YAML file, with the whole lines that it and its value take."""
+    lines = len(source.text(name).split("\n"))
+    for given, value in _pairs(_root(source, name), key):
+        last = max(_lines(value))
+        if last + 2 <= lines:
+            yield Edit(name, given.start_mark.line + 1, 1, last + 2, 1, "")
+        else:  # the last line of a file that does not end in a line break
+            end = value.end_mark
+            yield Edit(name, given.start_mark.line + 1, 1, end.line + 1, end.column + 1, "")
+
+
+def required_input(source: Source, entry: str) -> Fix:
+    """Return the fix that lists an input of policy.yml as required, and as nothing else."""
+    import yaml
+
+    name, group = sdk.File.POLICY_YML, "required"
+    text = f"inputs.{group}: [..., {entry}]"
+    edits = []
+    for _, inputs in _pairs(_root(source, name), "inputs"):
+        for kind, value in inputs.value if isinstance(inputs, yaml.MappingNode) else ():
+            listed = [str(item.value) for item in value.value] if isinstance(value, yaml.SequenceNode) else []
+            wanted = [item for item in listed if item != entry] + [entry] * (kind.value == group)
+            if wanted == listed:
+                continue
+            if not value.flow_style or value.start_mark.line != value.end_mark.line:
+                return Fix("advice", text)
+            start, end = value.start_mark, value.end_mark
+            new = f"[{', '.join(wanted)}]"
+            edits.append(Edit(name, start.line + 1, start.column + 1, end.line + 1, end.column + 1, new))
+    return Fix("safe_edit" if edits else "advice", text, tuple(edits))
+
+
+def _root(source: Source, name: str) -> yaml.Node | None:
+    import yaml
+
+    return yaml.compose(source.text(name), Loader=yaml.SafeLoader)
+
+
+def _pairs(root: yaml.Node | None, key: str) -> list[tuple[yaml.Node, yaml.Node]]:
+    """Return the entries of a map that have a key."""
+    import yaml
+
+    pairs = root.value if isinstance(root, yaml.MappingNode) else []
+    return [(given, value) for given, value in pairs if given.value == key]
+
+
+def _lines(node: yaml.Node) -> Iterator[int]:
+    """Yield the last lines of the values below a node of block style, which itself ends where the next one begins."""
+    import yaml
+
+    yield node.start_mark.line
+    if isinstance(node, yaml.MappingNode):
+        for pair in node.value:
+            for child in pair:
+                yield from _lines(child)
+    elif isinstance(node, yaml.SequenceNode) and not node.flow_style:
+        for child in node.value:
+            yield from _lines(child)
+    elif not isinstance(node, yaml.ScalarNode) or node.style not in ("|", ">"):
+        yield node.end_mark.line
+    else:
+        yield node.end_mark.line - 1
 
 
 def robots() -> frozenset[str]:

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from xpl_cli.audit.advice import Remark
     from xpl_cli.audit.options import Options
     from xpl_cli.audit.probe import Probe
     from xpl_cli.audit.simulation import Simulation
@@ -21,7 +22,7 @@ def all_providers() -> dict[str, Callable[..., Any]]:
 
     `path`, `kind`, `gate`, `options` and `checks` are given by the engine.
     """
-    return {"source": source, "probe": probe, "simulation": simulation, "waivers": waivers}
+    return {"source": source, "probe": probe, "simulation": simulation, "waivers": waivers, "ruff": ruff, "mypy": mypy}
 
 
 def source(path: Path) -> Source:
@@ -34,6 +35,20 @@ def waivers(source: Source) -> tuple[Waiver, ...]:
     from xpl_cli.audit.waivers import read
 
     return read(source)
+
+
+def ruff(source: Source) -> tuple[Remark, ...]:
+    """What ruff says about the adapter's own files."""
+    from xpl_cli.audit.advice import ruff
+
+    return ruff(source)
+
+
+def mypy(source: Source) -> tuple[Remark, ...]:
+    """What mypy says about the adapter's own files."""
+    from xpl_cli.audit.advice import mypy
+
+    return mypy(source)
 
 
 def probe(path: Path, options: Options) -> Iterator[Probe]:

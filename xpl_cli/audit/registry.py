@@ -26,7 +26,7 @@ class Rule:
 
     Attributes:
         code: `XPL1xx` static, `XPL2xx` offline, `XPL3xx` MuJoCo, `XPL4xx` environment packages, `XPL5xx` the
-            audit itself.
+            audit itself, `XPL6xx` advice of general tools.
         slug: name for people; the rule's folder in `conformance/`.
         gate: where it runs.
         requirement: id of what it proves; its level gives the severity.
@@ -80,8 +80,18 @@ def rule(  # noqa: PLR0913 - a declaration, by keyword
 
 
 # The hundred of a code names its gate, so that the rules of gates that do not run need not be imported.
-_GATES = {"1": (Gate.STATIC,), "2": (Gate.OFFLINE,), "3": (Gate.MUJOCO,), "4": tuple(Gate), "5": tuple(Gate)}
-_ENVIRONMENTS, _EVERY_GATE = "4", "5"
+_GATES = {
+    "1": (Gate.STATIC,),
+    "2": (Gate.OFFLINE,),
+    "3": (Gate.MUJOCO,),
+    "4": tuple(Gate),
+    "5": tuple(Gate),
+    "6": (Gate.STATIC,),
+}
+_ENVIRONMENTS, _EVERY_GATE, _ADVICE = "4", "5", "6"
+
+ADVICE = "advice"
+"""Name of the rules that run only where they are selected: what they say depends on tools that may not be installed."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +126,11 @@ class Entry:
     def closes(self) -> bool:
         """Whether it judges the audit of a gate, after all other rules of it."""
         return self._hundred == _EVERY_GATE
+
+    @property
+    def is_advice(self) -> bool:
+        """Whether it hands on what another tool says, and runs only where it is selected."""
+        return self._hundred == _ADVICE
 
     def load(self) -> Rule:
         """Import the rule."""
@@ -157,8 +172,8 @@ def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, .
     """Return the rules of some gates that a selection leaves, not imported, in order of code.
 
     Args:
-        names: codes, code prefixes and slugs to run; empty for all.
-        ignore: codes, code prefixes and slugs to leave out.
+        names: codes, code prefixes, slugs and `advice` to run; empty for all but advice.
+        ignore: the same, to leave out.
         gates: the gates.
 
     Raises:
@@ -171,7 +186,7 @@ def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, .
         entry
         for entry in entries()
         if set(entry.gates) & set(gates)
-        and (not names or any(_matches(entry, name) for name in names))
+        and (any(_matches(entry, name) for name in names) if names else not entry.is_advice)
         and not any(_matches(entry, name) for name in ignore)
     )
 
@@ -200,6 +215,8 @@ def needed(item: Rule, way: tuple[str, ...] = ()) -> tuple[Entry, ...]:
 
 
 def _matches(entry: Entry, name: str) -> bool:
+    if name == ADVICE:
+        return entry.is_advice
     return entry.slug == name or (name.upper().startswith("XPL") and entry.code.startswith(name.upper()))
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import io
+import os
 import re
-import tokenize
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli import spec
+from xpl_cli.audit import reading
 from xpl_cli.audit.model import NotRun
+from xpl_cli.audit.reading import SIZE_LIMIT
 from xpl_cli.audit.shell import Command, parse
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.adapter import Adapter, Symbols
-
-SIZE_LIMIT = 2 * 1024 * 1024
-"""Files beyond this many bytes are data, not source."""
+    from xpl_cli.audit.adapter import Adapter, Function, Symbols
+    from xpl_cli.audit.syntax import FunctionNode
 
 _SOURCE_SUFFIXES = frozenset((".py", ".sh", ".yml", ".yaml", ".md", ".toml", ".txt", ".cfg", ".json"))
 
@@ -38,23 +38,36 @@ class Source:
     """
 
     path: Path
+    _contents: dict[str, bytes] = field(default_factory=dict)
     _texts: dict[str, str] = field(default_factory=dict)
+    _encoding_errors: dict[str, str | None] = field(default_factory=dict)
+    _yaml: dict[str, tuple[Any, tuple[str, int, int] | None]] = field(default_factory=dict)
     _trees: dict[str, ast.Module] = field(default_factory=dict)
     _errors: dict[str, Exception] = field(default_factory=dict)
     _nodes: dict[str, tuple[ast.AST, ...]] = field(default_factory=dict)
     _lines: dict[str, list[str]] = field(default_factory=dict)
     _commands: dict[str, list[Command]] = field(default_factory=dict)
     _imports: dict[str, dict[str, str]] = field(default_factory=dict)
+    _functions: dict[int, Function] = field(default_factory=dict)
+    _defined: dict[str, tuple[Function, ...]] = field(default_factory=dict)
     memory: dict[str, Symbols] = field(default_factory=dict)
 
     @cached_property
     def files(self) -> tuple[str, ...]:
-        """Names of the boundary's files, sorted."""
+        """Names of the boundary's files, sorted.
+
+        Raises:
+            NotRun: if the folder cannot be read.
+        """
         named = (sdk.File.MODEL_PY, sdk.File.DEPLOY_PY)
-        names = {entry.name for entry in self.path.iterdir() if entry.is_file() and not entry.is_symlink()}
+        try:
+            with os.scandir(self.path) as entries:
+                names = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}
+        except OSError as error:
+            raise NotRun(f"the folder {self.path} cannot be read: {error.strerror or error}") from None
         names |= {name for name in named if self.has(name)}
-        entries = [*named, f"{Path(sdk.File.PROCESS_DATA_SH).stem}.py"]
-        imported = {file for entry in entries for file in self.reached(entry)}
+        roots = [*named, f"{Path(sdk.File.PROCESS_DATA_SH).stem}.py"]
+        imported = {file for root in roots for file in self.reached(root)}
         return tuple(sorted(names | imported | self._called_by(sdk.File.PROCESS_DATA_SH)))
 
     @cached_property
@@ -66,9 +79,7 @@ class Source:
     def text_files(self) -> tuple[str, ...]:
         """The boundary's files that are text by their suffix and not too large."""
         return tuple(
-            name
-            for name in self.files
-            if Path(name).suffix in _SOURCE_SUFFIXES and (self.path / name).stat().st_size <= SIZE_LIMIT
+            name for name in self.files if Path(name).suffix in _SOURCE_SUFFIXES and self._size(name) <= SIZE_LIMIT
         )
 
     @property
@@ -78,22 +89,29 @@ class Source:
 
     def has(self, name: str) -> bool:
         """Tell whether the folder holds a file of this name."""
-        return (self.path / name).is_file()
+        return os.path.isfile(self.path / name)  # noqa: PTH113 - Path.is_file raises where nobody may look
 
     def text(self, name: str) -> str:
         """Return a file's text; undecodable bytes are replaced.
 
         Raises:
-            NotRun: if there is no such file, or it is too large.
+            NotRun: if there is no such file, or it cannot be read or is too large.
         """
         if name not in self._texts:
-            file = self.path / name
-            if not file.is_file():
-                raise NotRun(f"there is no {name}")
-            if file.stat().st_size > SIZE_LIMIT:
-                raise NotRun(f"{name} is larger than {SIZE_LIMIT} bytes")
-            self._texts[name] = _decoded(file.read_bytes(), python=name.endswith(".py"))
+            self._contents[name] = reading.read(self._folder, name)
+            self._texts[name], self._encoding_errors[name] = reading.decoded(
+                self._contents[name], python=name.endswith(".py")
+            )
         return self._texts[name]
+
+    def encoding_error(self, name: str) -> str | None:
+        """Return why Python refuses the bytes of a file, which is read all the same; None if it takes them.
+
+        Raises:
+            NotRun: if there is no such file, or it cannot be read or is too large.
+        """
+        self.text(name)
+        return self._encoding_errors[name]
 
     def tree(self, name: str) -> ast.Module:
         """Return the syntax tree of a Python file.
@@ -132,10 +150,36 @@ class Source:
             self._nodes[name] = tuple(ast.walk(self.tree(name)))
         return self._nodes[name]
 
+    def function(self, name: str, node: FunctionNode, owner: ast.ClassDef | None = None) -> Function:
+        """Return a function of a Python file; whoever asks for it shares what it computes once."""
+        from xpl_cli.audit.adapter import Function
+
+        if id(node) not in self._functions:
+            self._functions[id(node)] = Function(name, node, owner)
+        return self._functions[id(node)]
+
+    def functions(self, name: str) -> tuple[Function, ...]:
+        """Return every function and method that a Python file defines, nested ones too; none if it does not parse."""
+        if name not in self._defined:
+            nodes = self.nodes(name) if self.parses(name) else ()
+            owners = {id(child): node for node in nodes if isinstance(node, ast.ClassDef) for child in node.body}
+            self._defined[name] = tuple(
+                self.function(name, node, owners.get(id(node)))
+                for node in nodes
+                if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+            )
+        return self._defined[name]
+
     def record(self) -> str:
         """Return a hash of the boundary's files, for the gate's digest."""
-        contents = "\0".join(f"{name}\0{self.text(name)}" for name in self.text_files)
-        return hashlib.sha256(contents.encode(errors="replace")).hexdigest()[:16]
+        state = hashlib.sha256()
+        names: tuple[str, ...] = ()
+        with suppress(NotRun):
+            names = self.text_files
+        for name in names:
+            with suppress(NotRun):
+                state.update(f"{name}\0{self.text(name)}\0".encode(errors="replace"))
+        return state.hexdigest()[:16]
 
     def yaml(self, name: str) -> Any:
         """Return what a YAML file holds.
@@ -146,25 +190,18 @@ class Source:
         problem = self.yaml_problem(name)
         if problem is not None:
             raise NotRun(f"{name} does not parse: {problem[0]}")
-        return spec.read_yaml(self.path / name)
+        return self._yaml[name][0]
 
     def yaml_problem(self, name: str) -> tuple[str, int, int] | None:
         """Return why a YAML file does not parse, with line and column, or None if it does.
 
         Raises:
-            NotRun: if there is no such file, or it is too large.
+            NotRun: if there is no such file, or it cannot be read or is too large.
         """
-        import yaml
-
-        self.text(name)
-        try:
-            spec.read_yaml(self.path / name)
-        except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark
-            return str(error.problem or error), (mark.line + 1 if mark else 1), (mark.column + 1 if mark else 1)
-        except (ValueError, RecursionError, yaml.YAMLError) as error:
-            return " ".join(str(error).split()), 1, 1
-        return None
+        if name not in self._yaml:
+            self.text(name)
+            self._yaml[name] = _parsed_yaml(self._contents[name])
+        return self._yaml[name][1]
 
     @cached_property
     def deploy(self) -> dict[str, Any]:
@@ -288,48 +325,54 @@ class Source:
         bases = [base] if level else [base, Path()]
         for folder in bases if module else []:
             candidate = (folder / module.replace(".", "/")).with_suffix(".py").as_posix()
-            if self._is_ours(candidate):
-                return candidate
+            file = reading.inside(self._folder, candidate)
+            if file is not None:
+                return file
         return None
 
     def _called_by(self, script: str) -> set[str]:
         """Return the adapter's Python files that a script calls, by any prefix that ends in its own folder."""
-        if not self.has(script):
-            return set()
         values: dict[str, str] = {}
         found: set[str] = set()
-        for command in self.commands(script):
+        try:
+            commands = self.commands(script)
+        except NotRun:
+            return found
+        for command in commands:
             values.update({variable: _expanded(word.text, values) for variable, word in command.assignments})
             for word in command.words:
                 for text in re.findall(r"[^\s\"'()=]+\.py\b", _expanded(word.raw, values)):
                     parts = [part for part in text.split("/") if part not in {"", "."}]
                     tails = ("/".join(parts[place:]) for place in range(len(parts)))
-                    found.update({next((tail for tail in tails if self._is_ours(tail)), "")} - {""})
+                    ours = (reading.inside(self._folder, tail) for tail in tails)
+                    found.update({next(filter(None, ours), "")} - {""})
         return found
 
-    def _is_ours(self, name: str) -> bool:
-        file = self.path / name
+    @cached_property
+    def _folder(self) -> Path:
+        return self.path.resolve()
+
+    def _size(self, name: str) -> int:
         try:
-            return file.is_file() and file.resolve().is_relative_to(self.path.resolve())
-        except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
-            return False
+            return (self.path / name).stat().st_size
+        except OSError:  # it went away, which whoever reads it is told
+            return 0
+
+
+def _parsed_yaml(content: bytes) -> tuple[Any, tuple[str, int, int] | None]:
+    """Return what YAML holds, and why it does not parse, with line and column."""
+    import yaml
+
+    try:
+        return spec.parse_yaml(content), None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        return None, (str(error.problem or error), (mark.line + 1 if mark else 1), (mark.column + 1 if mark else 1))
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        return None, (" ".join(str(error).split()), 1, 1)
 
 
 def _expanded(text: str, values: dict[str, str]) -> str:
     """Put the values of known variables into a word; substitutions and the unknown become a folder of no name."""
     text = re.sub(r"\$\((?:[^()]|\([^()]*\))*\)", "", text)
     return re.sub(r"\$\{?(\w+)(?::?[-=][^}]*)?\}?", lambda found: values.get(found.group(1), ""), text)
-
-
-def _decoded(data: bytes, *, python: bool) -> str:
-    encoding = "utf-8"
-    if python:
-        try:
-            encoding, _ = tokenize.detect_encoding(io.BytesIO(data).readline)
-        except SyntaxError:
-            encoding = "utf-8"
-    try:
-        text = data.decode(encoding, errors="replace")
-    except LookupError:
-        text = data.decode(errors="replace")
-    return text.replace("\r\n", "\n").replace("\r", "\n").removeprefix("\ufeff")

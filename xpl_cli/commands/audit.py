@@ -93,10 +93,29 @@ def audit(
         if plan.changes:
             console.data(plan.diff())
         raise typer.Exit(int(bool(plan.changes) and not exit_zero))
-    delivery.deliver(reports, Context(fail_on=Outcome(fail_on)))
+    context = Context(
+        fail_on=Outcome(fail_on),
+        choice=(
+            *_repeated("--select", selected),
+            *_repeated("--ignore", ignored),
+            *(("--keep-going",) if keep_going else ()),
+            *(() if fail_on == Outcome.FAIL else ("--fail-on", fail_on)),
+        ),
+        running=(
+            *_repeated("--set", settings),
+            *_repeated("--python", [python] if python else []),
+            *_repeated("--policy-env", [policy_env] if policy_env else []),
+        ),
+    )
+    delivery.deliver(reports, context)
     crashed = any(result.outcome is Outcome.ERROR for report in reports for result in report.results)
     forgiving = ExitCode.INTERNAL if crashed else ExitCode.CLEAN
     raise typer.Exit(int(forgiving if exit_zero else exit_code(reports, Outcome(fail_on))))
+
+
+def _repeated(option: str, values: list[str]) -> tuple[str, ...]:
+    """Return an option as a command repeats it."""
+    return tuple(part for value in values for part in (option, value))
 
 
 def explain(

@@ -13,10 +13,11 @@ from xpl_cli.errors import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import TextIO
 
     from xpl_cli.audit.model import TargetReport
 
-__all__ = ["FORMATS", "Context", "as_json", "as_text", "check_format", "render"]
+__all__ = ["FORMATS", "Context", "as_json", "check_format", "for_people", "render"]
 
 FORMATS = {
     "human": "human",
@@ -64,9 +65,12 @@ def as_json(reports: Sequence[TargetReport], context: Context | None = None) -> 
     return document
 
 
-def as_text(reports: Sequence[TargetReport], context: Context | None = None) -> Any:
-    """Return the report for people, as a rich renderable."""
-    return _module("human").as_text(reports, context or Context())
+def for_people(reports: Sequence[TargetReport], context: Context, stream: TextIO) -> str:
+    """Return the human report as what is behind a stream can show it: a terminal in colour, a file plain."""
+    from xpl_cli.audit.formats.painted import Terminal
+
+    text: str = _module("human").on_terminal(reports, context, Terminal.of(stream))
+    return text.encode(errors="replace").decode()
 
 
 def _module(name: str) -> Any:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from xpl_cli import atomic, console
-from xpl_cli.audit.formats import FORMATS, Context, as_text, check_format, render
+from xpl_cli import console
+from xpl_cli.audit.formats import FORMATS, Context, check_format, for_people, render
 from xpl_cli.errors import NotFoundError, UserError
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class Delivery:
             _write(path, render(name, reports, context))
             console.note(f"wrote {path}")
         if self.printed == "human":
-            console.rich(as_text(reports, context))
+            console.data(for_people(reports, context, sys.stdout))
         elif self.printed is not None and (text := render(self.printed, reports, context)):
             console.data(text)
 
@@ -73,6 +74,8 @@ def _check(path: Path) -> None:
 
 
 def _write(path: Path, text: str) -> None:
+    from xpl_cli import atomic
+
     try:
         if path.exists() and not path.is_file():
             path.write_text(text, encoding="utf-8")  # a pipe or a device cannot be replaced

@@ -30,7 +30,7 @@ def as_json(reports: Sequence[TargetReport], context: Context) -> dict[str, Any]
         "targets": [_target(report, entries, context) for report in reports],
         "summary": {outcome.value: totals[outcome] for outcome in Outcome},
         "exit_code": int(exit_code(reports, context.fail_on)),
-        "next": next_commands(reports),
+        "next": next_commands(reports, context),
     }
 
 

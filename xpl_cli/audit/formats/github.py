@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, unproved
-from xpl_cli.audit.formats.steps import next_commands
+from xpl_cli.audit.formats.steps import audit_again
 from xpl_cli.audit.model import Outcome
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
             shown.append(line)
     left_out = [amount(count - CAP, f"more {kind}") for kind, count in counts.items() if count > CAP]
     if left_out:
-        again = next_commands(reports)[-1:]
-        told = f"{' and '.join(left_out)} not shown here: {CAP} of a kind fit. {' '.join(again)} lists all of them."
+        again = audit_again(reports, context)
+        told = f"{' and '.join(left_out)} not shown here: {CAP} of a kind fit. {again} lists all of them."
         shown.append(command("notice", told, title="xpl audit"))
     return "".join(f"{line}\n" for line in shown)
 

@@ -28,11 +28,15 @@ class Context:
         here: working directory; the paths of targets are relative to it, or absolute.
         fail_on: the mildest outcome that the exit code counts as a finding.
         rule: finds a rule by its code.
+        choice: options that chose rules, as given to `xpl audit`; commands that are offered repeat them.
+        running: options that say how adapters are run, as given to `xpl audit`, `xpl serve` and `xpl eval` alike.
     """
 
     here: Path = field(default_factory=Path.cwd)
     fail_on: Outcome = Outcome.FAIL
     rule: Callable[[str], registry.Rule] = registry.find
+    choice: tuple[str, ...] = ()
+    running: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

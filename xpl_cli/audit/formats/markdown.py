@@ -44,7 +44,7 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
     if open_ends:
         lines += ["", "### Not proved", ""]
         lines += [f"- {code(item.path)}, {item.gate.name} gate: {escaped(item.text)}" for item in open_ends]
-    commands = next_commands(reports)
+    commands = next_commands(reports, context)
     if commands:
         lines += ["", "### Next", "", *(f"    {one_line(command)}" for command in commands)]
     return "\n".join(lines)

@@ -8,37 +8,74 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.model import Gate, GateReport, Outcome, TargetReport
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
+
+    from xpl_cli.audit.formats.listing import Context
 
 _MOST_RULES = 3
 
 
-def next_commands(reports: Sequence[TargetReport]) -> list[str]:
-    """Return the exact commands that are worth running next, most useful first; each can be pasted into a shell."""
-    broken = [(report, result) for report in reports for result in report.results if result.outcome is Outcome.FAIL]
-    if broken:
-        codes = list(dict.fromkeys(result.code for _, result in broken))
-        paths = list(dict.fromkeys(report.path for report, _ in broken))
-        again = shlex.join(["xpl", "audit", *paths, *_gates([report for report, _ in broken])])
-        repairable = any(
-            finding.fix is not None and finding.fix.kind == "safe_edit" and finding.fix.edits
-            for _, result in broken
-            for finding in result.findings
-        )
-        repair = [f"{again} --fix"] if repairable else []
-        return [*repair, *(f"xpl explain {code}" for code in codes[:_MOST_RULES]), again]
-    incomplete = [report for report in reports if report.verdict != "green"]
-    if incomplete:
-        return [shlex.join(["xpl", "serve", report.path]) for report in incomplete]
-    return [
-        shlex.join(["xpl", "eval", report.path, "--env", gate.name, "--episodes", "10"])
+def next_commands(reports: Sequence[TargetReport], context: Context) -> list[str]:
+    """Return the exact commands that are worth running next, the audit that shows success last.
+
+    Each can be pasted into a shell, and repeats the options of the audit that it follows.
+    """
+    if broken := _with(reports, Outcome.FAIL):
+        again = audit_again(broken, context)
+        repair = [f"{again} --fix"] if any(map(_is_repairable, broken)) else []
+        return [*repair, *_explained(broken, Outcome.FAIL), again]
+    if crashed := _with(reports, Outcome.ERROR):
+        return [*_explained(crashed, Outcome.ERROR), audit_again(crashed, context)]
+    if incomplete := [report for report in reports if report.verdict != "green"]:
+        unread = [report for report in incomplete if any(_is_unread(gate) for gate in report.gates)]
+        served = [report for report in incomplete if report not in unread]
+        commands = [shlex.join(["xpl", "serve", *_paths([report.path]), *context.running]) for report in served]
+        return [*_explained(unread, Outcome.NOT_RUN), *commands, audit_again(incomplete, context)]
+    return [*_explained(reports, Outcome.WARN), *_onward(reports, context)]
+
+
+def audit_again(reports: Sequence[TargetReport], context: Context) -> str:
+    """Return the command that audits these packages as they were audited."""
+    paths = dict.fromkeys(report.path for report in reports)
+    return shlex.join(["xpl", "audit", *_paths(paths), *_gates(reports), *context.choice, *context.running])
+
+
+def _with(reports: Iterable[TargetReport], outcome: Outcome) -> list[TargetReport]:
+    return [report for report in reports if any(result.outcome is outcome for result in report.results)]
+
+
+def _explained(reports: Iterable[TargetReport], outcome: Outcome) -> list[str]:
+    """Return the commands that explain the first rules that ended so."""
+    results = (result for report in reports for result in report.results if result.outcome is outcome)
+    return [f"xpl explain {code}" for code in list(dict.fromkeys(result.code for result in results))[:_MOST_RULES]]
+
+
+def _onward(reports: Sequence[TargetReport], context: Context) -> list[str]:
+    """Return what comes after a package that is green: the gates that were not asked for, then an evaluation."""
+    commands = [
+        shlex.join(["xpl", "eval", *_paths([report.path]), "--env", gate.name, "--episodes", "10", *context.running])
         for report in reports
         for gate in report.gates
-        if _was_driven(gate)
+        if gate.name is Gate.MUJOCO and gate.outcome is Outcome.PASS
     ]
+    if len(reports) == 1 and not context.choice and not commands:
+        (report,) = reports
+        if not all(any(gate.name is wanted for gate in report.gates) for wanted in Gate):
+            return [shlex.join(["xpl", "audit", *_paths([report.path]), *context.running])]
+    return commands
 
 
-def _gates(reports: Sequence[TargetReport]) -> list[str]:
+def _is_repairable(report: TargetReport) -> bool:
+    """Tell whether `--fix` would do something about what fails."""
+    found = (finding for result in report.results if result.outcome is Outcome.FAIL for finding in result.findings)
+    return any(finding.fix is not None and finding.fix.kind == "safe_edit" and finding.fix.edits for finding in found)
+
+
+def _is_unread(gate: GateReport) -> bool:
+    return gate.name is Gate.STATIC and gate.outcome is not Outcome.PASS
+
+
+def _gates(reports: Iterable[TargetReport]) -> list[str]:
     """Return the options that ask for the gates of these reports, none where all were asked for."""
     asked = {gate.name for report in reports for gate in report.gates}
     if asked == set(Gate):
@@ -46,5 +83,6 @@ def _gates(reports: Sequence[TargetReport]) -> list[str]:
     return [part for gate in Gate if gate in asked for part in ("--gate", gate.value)]
 
 
-def _was_driven(gate: GateReport) -> bool:
-    return gate.name is Gate.MUJOCO and gate.outcome is Outcome.PASS
+def _paths(paths: Iterable[str]) -> list[str]:
+    """Return paths as arguments; one that begins like an option is written so that it is none."""
+    return [f"./{path}" if path.startswith("-") else path for path in paths]

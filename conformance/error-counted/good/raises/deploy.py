@@ -1,0 +1,27 @@
+def eval_one_episode(TASK_ENV, model_client):
+    model_client.call(func_name="reset")
+    model_client.call(func_name="update_obs", obs=TASK_ENV.get_obs())
+    while not TASK_ENV.is_episode_end():
+        try:
+            chunk = model_client.call(func_name="get_action")
+        except Exception as error:
+            print(error)
+            raise
+        try:
+            path = record(chunk)
+        except Exception:
+            path = None
+        for action in chunk:
+            TASK_ENV.take_action(action)
+            if TASK_ENV.is_episode_end():
+                break
+            model_client.call(func_name="update_obs", obs=TASK_ENV.get_obs())
+
+
+def eval_one_episode_batch(TASK_ENV, model_client):
+    model_client.call(func_name="reset")
+    return
+
+
+def record(chunk):
+    return len(chunk)

@@ -1,0 +1,2 @@
+def all_episodes(folder):
+    return dict(enumerate(sorted(folder.glob("*.hdf5"))))

@@ -1,0 +1,3 @@
+import torch
+
+TABLE = torch.load("table.pt")
