@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -15,12 +16,17 @@ from hypothesis import strategies as st
 
 from tests.formats import sample
 from tests.peer import xpl
+from tests.rules import made_adapter, made_room
 from xpl_cli import __version__
+from xpl_cli.audit import engine
 from xpl_cli.audit.formats import FORMATS, Context, as_json, render
 from xpl_cli.audit.formats.delivery import Delivery
+from xpl_cli.audit.formats.human import on_terminal
 from xpl_cli.audit.formats.listing import in_repository, listed
+from xpl_cli.audit.formats.painted import Terminal
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.model import Edit, Finding, Fix, Gate, GateReport, Outcome, TargetReport, exit_code
+from xpl_cli.audit.options import Options
 from xpl_cli.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.validate import validate
 
@@ -211,7 +217,7 @@ def test_next_commands_can_be_pasted(context: Context) -> None:
         again,
     ]
     edit = Fix("safe_edit", "delete", (Edit("model.py", 1, 1, 2, 1, ""),))
-    assert next_commands(sample.one_target(Finding("this", fix=edit)), context)[0] == "xpl audit policy/Foo --gate static --fix"
+    assert next_commands(sample.one_target(Finding("this", fix=edit)), context)[0].endswith("Foo --gate static --fix")
 
 
 # -- where reports go --------------------------------------------------------------------------------------------------
@@ -276,3 +282,63 @@ def test_warnings_fail_only_where_they_are_asked_to() -> None:
     report = TargetReport("policy/Foo", "Foo", "policy", [gate])
     assert exit_code([report]) is ExitCode.CLEAN
     assert exit_code([report], Outcome.WARN) is ExitCode.FINDINGS
+
+
+# -- rules that are broken themselves ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("broken", ["syntax error(", "import no_such_module", "raise SystemExit(3)"])
+def test_a_rule_that_cannot_be_imported_is_a_crash_in_every_format(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    """Its requirement is not known; it fails the audit, and hides nothing that the other rules find."""
+    room = made_room(tmp_path / "conformance", monkeypatch)
+    room.rule("broken", "yield from ()", code="XPL101").write_text(f'"""XPL101: broken."""\n{broken}\n')
+    room.rule("finds", '"""Finds."""\nyield Finding("something", path="model.py", line=1)', code="XPL102")
+    report = engine.audit(made_adapter(tmp_path / "Foo"), "policy", Options(gates=(Gate.STATIC,)), shown="Foo")
+    context = Context(tmp_path)
+    texts = {name: render(name, [report], context) for name in FORMATS}
+    assert exit_code([report]) is ExitCode.INTERNAL
+    assert all("XPL101" in text and "something" in text for text in texts.values())
+    assert validate(json.loads(texts["json"]), "audit") == []
+    for line in texts["jsonl"].splitlines():
+        assert validate(json.loads(line), "audit#/$defs/record") == []
+    for name in ("sarif", "gitlab", "rdjson"):
+        assert sample.problems(json.loads(texts[name]), name) == []
+    (run,) = json.loads(texts["sarif"])["runs"]
+    assert not run["invocations"][0]["executionSuccessful"]
+    assert [result["ruleId"] for result in run["results"]] == ["XPL102"]
+    assert texts["human"].splitlines()[-2:] == ["next", "  xpl audit Foo --gate static"]
+
+
+def test_commands_repeat_what_the_audit_was_asked(context: Context) -> None:
+    """Rules, settings and interpreter; a folder whose name begins like an option is no option."""
+    wide = Context(context.here, choice=("--select", "XPL1", "--fail-on", "warn"), running=("--set", "task=stack cups"))
+    report = sample.one_target(Finding("this"), path="-odd name")
+    again = ["xpl", "audit", "./-odd name", "--gate", "static", "--select", "XPL1", "--fail-on", "warn"]
+    assert shlex.split(next_commands(report, wide)[-1]) == [*again, "--set", "task=stack cups"]
+    passed = GateReport(Gate.STATIC, [sample.result("XPL101", Outcome.PASS)])
+    green = [TargetReport("policy/Foo", "Foo", "policy", [passed])]
+    assert next_commands(green, context) == ["xpl audit policy/Foo"]
+    assert next_commands(green, wide) == []
+
+
+def test_a_terminal_gets_colours_and_lines_that_fit(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Words stay whole, what follows is indented, and commands are left in one piece."""
+    message = "answers environment 3 when asked for 9, 環境 " * 4
+    report = sample.one_target(Finding(message, path="model.py", line=3), path=f"policy/{'long' * 30}")
+    plain = on_terminal(report, context, Terminal(60))
+    coloured = on_terminal(report, context, Terminal(60, colour=True))
+    assert re.sub(r"\x1b\[[\d;]*m", "", coloured) == plain
+    assert "\x1b[1;31m" in coloured
+    assert "\n      " in plain
+    assert any(
+        line.startswith("  xpl audit policy/longlong") and line.endswith(" static") for line in plain.split("\n")
+    )
+    told = plain[plain.index("    answers") : plain.index("  XPL-FINISH")]
+    assert " ".join(told.split()) == message.strip()
+    assert max(len(line) + line.count("環") + line.count("境") for line in told.split("\n")) <= 60
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert Terminal.of(io.StringIO()) == Terminal(None, colour=True)
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert Terminal.of(io.StringIO()) == Terminal()

@@ -12,8 +12,8 @@ from xpl_cli.audit import engine
 from xpl_cli.audit.manifests import deleted
 from xpl_cli.audit.model import Gate, GateReport, Outcome
 from xpl_cli.audit.options import Options
-from xpl_cli.audit.shell import parse
 from xpl_cli.audit.reading import SIZE_LIMIT
+from xpl_cli.audit.shell import parse
 from xpl_cli.audit.source import Source
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ def in_processes(work: Callable[[Thing], Answer], things: Sequence[Thing]) -> It
     here.
     """
     futures: list[Future[Answer]] = []
-    with warnings.catch_warnings(), _pool(min(len(os.sched_getaffinity(0)), len(things))) as pool:
+    with warnings.catch_warnings(), _pool(min(_cores(), len(things))) as pool:
         # Threads of this process, if any, only print; what is forked uses nothing of theirs.
         warnings.filterwarnings("ignore", message=".*multi-threaded", category=DeprecationWarning)
         try:
@@ -38,6 +38,13 @@ def in_processes(work: Callable[[Thing], Answer], things: Sequence[Thing]) -> It
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _cores() -> int:
+    """Return how many cores this process may use, as far as the system tells."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _alone(work: Callable[[Thing], Answer], thing: Thing) -> Answer | None:

@@ -170,5 +170,10 @@ def rules(as_json: bool = typer.Option(False, "--json", help="Print a JSON objec
         console.data_json({"schema": "xpl.rules/1", "rules": entries, "next": ["xpl explain XPL101"]})
         return
     width = max(len(rule.slug) for rule in found)
+    by_gate: dict[str, list[str]] = {}
     for rule in found:
-        console.data(f"{rule.code}  {rule.slug:<{width}}  {rule.severity:<6}  {rule.summary}")
+        of_environments = " of environments" if rule.target == "env" else ""
+        line = f"  {rule.code}  {rule.slug:<{width}}  {rule.severity:<6}  {rule.summary}"
+        by_gate.setdefault(f"{rule.gate} gate{of_environments}", []).append(line)
+    blocks = ["\n".join([gate, *lines]) for gate, lines in by_gate.items()]
+    console.data("\n\n".join([*blocks, f"next\n  xpl explain {found[0].code}"]))

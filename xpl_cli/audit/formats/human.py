@@ -30,6 +30,12 @@ _SCREEN = 29
 _LEAST = 4
 """Lines for the findings of one of many targets."""
 
+_LEAST_TOLD = 40
+"""Characters of a message without which it tells nothing."""
+
+_INDENT = 8
+"""Columns at both ends of a wrapped line that may stay empty."""
+
 _WIDTH = 100
 _COLOURS = {
     Outcome.PASS: "green",
@@ -144,8 +150,8 @@ def _waived(gate: GateReport) -> list[Painted]:
 def _fitting(entries: list[Listed], room: _Room) -> list[tuple[Listed, Painted]]:
     """Return as many findings as fit, failures first, in as much detail as lets all of them fit."""
     entries = sorted(entries, key=lambda entry: not entry.fails)
-    for shape in (_full, _advised, _told, _short):
-        blocks = [(entry, shape(entry, room.width)) for entry in entries]
+    for failure, warning in _SHAPES:
+        blocks = [(entry, (failure if entry.fails else warning)(entry, room.width)) for entry in entries]
         ends = list(itertools.accumulate(block.height(room.width) for _, block in blocks))
         if not ends or ends[-1] <= room.lines:
             break
@@ -176,9 +182,11 @@ def _told(entry: Listed, _width: int) -> Painted:
 
 
 def _short(entry: Listed, width: int) -> Painted:
-    """Return a finding on one line."""
+    """Return a finding on one line, or on two where the place alone fills one."""
     head = _head(entry)
-    return head.append(f"  {shortened(one_line(entry.finding.message), max(20, width - len(head.plain) - 2))}")
+    free = width - len(head.plain) - 2
+    most = free if free >= _LEAST_TOLD else free + width - _INDENT
+    return head.append(f"  {shortened(one_line(entry.finding.message), max(_LEAST_TOLD, most))}")
 
 
 def _head(entry: Listed) -> Painted:
@@ -193,3 +201,7 @@ def _head(entry: Listed) -> Painted:
 def _fix(entry: Listed) -> str:
     fix = entry.finding.fix
     return "" if fix is None else f"\n    fix: {one_line(fix.text)}"
+
+
+_SHAPES = ((_full, _full), (_advised, _advised), (_advised, _told), (_told, _told), (_told, _short), (_short, _short))
+"""How failures and warnings are shown, from the most detail to the least."""

@@ -63,7 +63,7 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
 def _rule(code: str, slug: str, context: Context) -> dict[str, Any]:
     try:
         return _documented(context.rule(code))
-    except Exception:  # noqa: BLE001 - a rule that cannot be imported crashed; its notification says how
+    except (Exception, SystemExit):  # noqa: BLE001 - a rule that cannot be imported crashed; its notification says how
         return {"id": code, "name": slug, "shortDescription": {"text": slug}}
 
 

@@ -45,8 +45,10 @@ def _with(reports: Iterable[TargetReport], outcome: Outcome) -> list[TargetRepor
 
 
 def _explained(reports: Iterable[TargetReport], outcome: Outcome) -> list[str]:
-    """Return the commands that explain the first rules that ended so."""
-    results = (result for report in reports for result in report.results if result.outcome is outcome)
+    """Return the commands that explain the first rules that ended so; one that cannot be imported explains nothing."""
+    results = (
+        result for report in reports for result in report.results if result.outcome is outcome and result.requirement
+    )
     return [f"xpl explain {code}" for code in list(dict.fromkeys(result.code for result in results))[:_MOST_RULES]]
 
 
