@@ -14,7 +14,7 @@ def audit(
     paths: list[Path] = typer.Argument(None, metavar="PATH...", help="Folders of adapters or environments."),
     every: bool = typer.Option(False, "--all", help="Every package below policy/ and envs/ of this folder."),
     gate: list[str] = typer.Option([], "--gate", help="Run only this gate; may be repeated. static, offline, mujoco."),
-    selected: list[str] = typer.Option([], "--select", help="Run only these rules: codes, code prefixes, slugs."),
+    selected: list[str] = typer.Option([], "--select", help="Run only these rules: codes, code prefixes, slugs, `advice`."),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
     report_format: str = typer.Option(
         "human", "--format", help="human, concise, json, jsonl, sarif, github, gitlab, rdjson, junit or markdown."
