@@ -30,6 +30,8 @@ def load_model_class(policy_dir: Path) -> type:
         raise LoadError(f"{policy_dir} has no model.py")
     _offer_ecosystem(policy_dir)
     package = f"_xpl_policy_{policy_dir.name}"
+    for name in [name for name in sys.modules if name == package or name.startswith(f"{package}.")]:
+        del sys.modules[name]  # a model that is built anew gets modules that know nothing of the one before
     holder = ModuleType(package)
     holder.__path__ = [str(policy_dir)]
     sys.modules[package] = holder
@@ -46,11 +48,16 @@ def load_model_class(policy_dir: Path) -> type:
     return model
 
 
+def ecosystem(policy_dir: Path) -> list[Path]:
+    """Return the XPolicyLab checkout that an adapter lies in, if it lies in one."""
+    root = policy_dir.parent.parent
+    return [root] if (root / "model_template.py").is_file() else []
+
+
 def _offer_ecosystem(policy_dir: Path) -> None:
     """Let an adapter inside an XPolicyLab checkout import that package, as its own server would."""
-    root = policy_dir.parent.parent
-    if (root / "model_template.py").is_file():
-        sys.path[:0] = [str(root.parent), str(root)]
+    for root in ecosystem(policy_dir):
+        sys.path[:0] = [place for place in (str(root.parent), str(root)) if place not in sys.path]
 
 
 def check_shareable(model_class: type, ambiguous: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.action import ActionError, pack
+from xpl.action import ActionError, pack, unpack
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
@@ -39,7 +39,8 @@ def pack_state(obs: Mapping[str, Any], embodiment: Embodiment, action_type: str)
     except ActionError as error:
         raise ObservationError(str(error)) from None
     if not np.isfinite(flat).all():
-        raise ObservationError("the state holds NaN or infinity")
+        bad = [key for key, values in unpack(flat, embodiment, action_type).items() if not np.isfinite(values).all()]
+        raise ObservationError(f"the state holds NaN or infinity in {', '.join(bad)}: every value must be finite")
     return flat
 
 

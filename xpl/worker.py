@@ -2,7 +2,10 @@
 
 Standard library and numpy only. Messages have a head, in JSON, and buffers (`xpl.link`):
 
-    {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods", "shared"}}
+    {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods", "shared"}}; with
+                                                        "shadow": true the model is not loaded (`xpl.shadow`); with
+                                                        "stub_missing": true modules are stubbed (`xpl.stubs`), and
+                                                        the answer names them in "stubbed"
     {"op": "map", "segment", "path", "size"}            -> {"ok": null}; arrays of requests may lie there from now on
     {"op": "unmap", "segment"}                          -> {"ok": null}
     {"op": "run", "requests": [[client, method, segment, optional], ...]}, a packed map (`xpl.packed`) for each request
@@ -10,7 +13,8 @@ Standard library and numpy only. Messages have a head, in JSON, and buffers (`xp
 
 The method of a request is `infer` or what a client may call; its map holds entries of the wire's payload, and so does
 the map of its answer. Whatever raises is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused":
-true` where the request itself was wrong and `"unserialisable": true` where the result cannot travel.
+true` where the request itself was wrong, `"unserialisable": true` where the result cannot travel, and `"lacks":
+{"kind", "name"}` where not the adapter is to blame but the machine (`xpl.lacking`).
 """
 
 from __future__ import annotations
@@ -31,12 +35,13 @@ from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 from xpl import _spec as spec
 from xpl import link, packed
 from xpl.link import Channel
-from xpl.loading import check_shareable, load_model_class
+from xpl.loading import check_shareable, ecosystem, load_model_class
 
 if TYPE_CHECKING:
     from xpl.arrays import Data
     from xpl.segment import Window
     from xpl.sharing import SharedModel
+    from xpl.stubs import Stubs
 
 
 # SystemExit, too: libraries that parse the command line end the process over an argument that is not theirs.
@@ -74,6 +79,9 @@ class Worker:
         self._methods: frozenset[str] = frozenset()
         self._shared: SharedModel | None = None
         self._windows: dict[int, Window] = {}
+        self._stubs: Stubs | None = None
+        self._policy_dir = Path()
+        self._config: dict[str, Any] = {}
 
     def handle(self, head: Mapping[str, Any], buffers: Sequence[Data] = ()) -> tuple[dict[str, Any], list[Data]]:
         """Return the answer to one message of the front end; whatever an adapter raises becomes an `error`."""
@@ -88,16 +96,29 @@ class Worker:
         try:
             return {"ok": operations[head["op"]](head)}, []
         except _FAILURES as error:
-            return {"error": describe(error)}, []
+            return {"error": {**describe(error), **self._lacks(error)}}, []
 
     # -- between requests ----------------------------------------------------------------------------------------------
 
     def _load(self, message: Mapping[str, Any]) -> dict[str, Any]:
         from xpl.policy import Policy
 
-        policy_dir = Path(message["policy_dir"])
+        # Where a model is built anew, the one before has to go first: there may not be room for two.
+        self._model, self._shared = None, None
+        gc.unfreeze()
+        gc.collect()
+        policy_dir = self._policy_dir = Path(message["policy_dir"])
+        if message.get("stub_missing"):
+            from xpl.stubs import Stubs
+
+            self._stubs = Stubs(policy_dir, [policy_dir, *ecosystem(policy_dir)])
+            self._stubs.install()
         model_class = load_model_class(policy_dir)
-        config = dict(message["config"])
+        if message.get("shadow"):
+            from xpl.shadow import shadow_of
+
+            model_class = shadow_of(model_class)
+        config = self._config = dict(message["config"])
         manifest = message.get("manifest") or {}
         if issubclass(model_class, Policy):
             config["manifest"] = manifest
@@ -119,7 +140,22 @@ class Worker:
             from xpl.sharing import SharedModel
 
             self._shared = SharedModel(self._model)
-        return {"class": model_class.__name__, "methods": sorted(self._methods), "shared": shared}
+        answer = {"class": model_class.__name__, "methods": sorted(self._methods), "shared": shared}
+        if self._stubs is not None:
+            self._check_stubs()
+            answer["stubbed"] = self._stubs.names
+        return answer
+
+    def _check_stubs(self) -> None:
+        """Stop an adapter that goes on although a stub could not give what it was asked for.
+
+        Raises:
+            StubError: if there was such a failure since the last check.
+        """
+        if self._stubs is not None:
+            from xpl import stubs
+
+            stubs.check()
 
     def _map(self, message: Mapping[str, Any]) -> None:
         from xpl.segment import Window
@@ -140,21 +176,34 @@ class Worker:
                 try:
                     buffers.append(_packed_answer(request, result))
                 except Exception as error:  # noqa: BLE001 - also what a library's own array type raises while converted
-                    answers.append({**describe(error), "unserialisable": True})
+                    answers.append({**describe(error), **self._lacks(error), "unserialisable": True})
                 else:
                     answers.append(None)
             else:
                 refused = isinstance(result, (RefusedError, packed.PackingError))
-                answers.append({**describe(result), **({"refused": True} if refused else {})})
+                answers.append({**describe(result), **self._lacks(result), **({"refused": True} if refused else {})})
                 # Who keeps the exception would keep all that its frames hold, and the memory that a client shares.
                 result.__traceback__ = None
         return {"answers": answers}, buffers
+
+    def _lacks(self, error: BaseException) -> dict[str, Any]:
+        """Return what an error tells of the machine; nothing if the adapter is to blame."""
+        from xpl.lacking import lacking
+
+        found = lacking(error, self._policy_dir, self._config)
+        if self._stubs is not None:
+            from xpl import stubs
+
+            asked = stubs.asked()
+            found = found if asked is None else {"kind": stubs.StubError.kind, "name": asked}
+        return {} if found is None else {"lacks": found}
 
     def _results(self, requests: Sequence[Request]) -> Iterator[Any]:
         """Yield what each request returns, or the exception that it raises."""
         for request in requests:
             try:
                 result = self._perform(request)
+                self._check_stubs()
             except _FAILURES as error:
                 result = error
             yield result

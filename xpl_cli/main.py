@@ -10,7 +10,7 @@ from typing import NoReturn
 import typer
 
 from xpl_cli import __version__
-from xpl_cli.commands import audit, demo, evaluate, hook, lifecycle, metrics, new_policy, sdk, serve, spec
+from xpl_cli.commands import audit, demo, evaluate, hook, lifecycle, metrics, new_policy, replay, sdk, serve, spec
 from xpl_cli.commands.plain import PlainCommand, PlainGroup
 from xpl_cli.errors import ExitCode, UserError
 
@@ -28,6 +28,7 @@ app.command("new-policy")(new_policy.new_policy)
 app.command("audit", cls=PlainCommand)(audit.audit)
 app.command("explain", cls=PlainCommand)(audit.explain)
 app.command("rules", cls=PlainCommand)(audit.rules)
+app.command("replay", cls=PlainCommand)(replay.replay)
 app.command("metrics")(metrics.metrics)
 app.command("hook", hidden=True)(hook.hook)
 app.command("serve")(serve.serve)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,10 @@ class Package:
     def name(self) -> str:
         """The folder's name, which is the policy's name."""
         return self.path.name
+
+    def without(self, keys: Sequence[str]) -> Package:
+        """Return the package as if deploy.yml did not have some keys."""
+        return replace(self, deploy={key: value for key, value in self.deploy.items() if key not in keys})
 
     def config(self, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the configuration of a run: the spec's defaults, deploy.yml, then overrides.

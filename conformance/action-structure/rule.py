@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl.embodiment import get_embodiment
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.compare import shapes, structure_problem
-from xpl_cli.audit.probe import Probe, blame
+from xpl_cli.audit.compare import shapes
+from xpl_cli.audit.motion import Answer, Motion, Motions
+from xpl_cli.audit.probe import blame
 
 
 @rule(code="XPL202", slug="action-structure", gate="offline", requirement="XPL-ACT-1")
-def action_structure(probe: Probe) -> Iterator[Finding]:
+def action_structure(motions: Motions) -> Iterator[Finding]:
     """Actions lack keys, dimensions or finite values that the embodiment asks for.
 
     ## What it does
-    Serves the adapter for every embodiment and action type that its manifest declares, shows it a scripted
-    observation and checks each action step: exact keys, dimensions, finite values, unit quaternions, grippers between
-    0 and 1.
+    Serves the adapter for every embodiment and action type that its manifest declares, plays three steps of an episode
+    in which each action is executed, then asks for two environments in a batch, and checks each action step: exact
+    keys, dimensions, finite values, unit quaternions, grippers between 0 and 1.
 
     ## Why it matters
     A robot of another width gets truncated or shifted commands; a controller that meets a NaN stops, or worse, does
@@ -32,18 +32,22 @@ def action_structure(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for name, action_type in probe.combinations():
-        embodiment = get_embodiment(name)
-        with probe.served_as(name, action_type) as policy:
-            chunk = policy.act(probe.observation(embodiment=embodiment))
-        problem = structure_problem(chunk, embodiment, action_type)
-        if problem is not None:
-            yield blame(
-                f"{action_type} actions for {name} cannot be executed: {problem}",
-                expected=", ".join(f"{key} ({dim},)" for key, dim in embodiment.dims(action_type).items()),
-                got=shapes(chunk),
-                fix=Fix(
-                    "advice",
-                    "return flat rows of the embodiment's dimension from predict and let the base class unpack them",
-                ),
-            )
+    alike: dict[str, list[tuple[Motion, Answer]]] = {}
+    for motion in motions.all:
+        wrong = next(((answer, found) for answer in motion.answers if (found := motion.problem(answer))), None)
+        if wrong is not None:
+            answer, problem = wrong
+            alike.setdefault(problem, []).append((motion, answer))
+    for problem, ((motion, answer), *others) in alike.items():
+        too = [f"{other.action_type} for {other.embodiment.name}" for other, _ in others]
+        dims = motion.embodiment.dims(motion.action_type)
+        yield blame(
+            f"{motion.action_type} actions for {motion.embodiment.name} cannot be executed: {problem}"
+            + (f"; likewise {', '.join(too)}" if too else ""),
+            expected=", ".join(f"{key} ({dim},)" for key, dim in dims.items()),
+            got=f"{answer.where}: {shapes(answer.chunk)}",
+            fix=Fix(
+                "advice",
+                "return flat rows of the embodiment's dimension from predict and let the base class unpack them",
+            ),
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.compare import answers, difference, first_step
 from xpl_cli.audit.probe import Probe, blame
@@ -14,7 +15,8 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     """Environments of one batch influence each other.
 
     ## What it does
-    Runs three environments in one batch for three steps, then each of them alone, and compares the actions.
+    Runs three environments with one instruction in one batch for three steps, then each of them alone, and compares
+    the actions.
 
     ## Why it matters
     A shared history, cache, step counter or random generator makes results depend on how many environments ran beside.
@@ -31,14 +33,17 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     """
     probe.ready()
     envs = [0, 1, 2]
-    together = probe.batch_episode(envs)
+    # All with one instruction: whether each follows its own, `own-instruction` asks.
+    instruction = probe.observation()[spec.Obs.INSTRUCTION]
+    together = probe.batch_episode(envs, instruction=instruction)
     for env in envs:
-        for step, (alone, batch) in enumerate(zip(probe.batch_episode([env]), together, strict=True)):
+        by_itself = probe.batch_episode([env], instruction=instruction)
+        for step, (alone, batch) in enumerate(zip(by_itself, together, strict=True)):
             found = difference(alone, batch[env : env + 1] if answers(batch) else batch)
             if found is not None:
                 yield blame(
                     f"environment {env} acts differently beside others than alone, from step {step} on: "
-                    "state is shared",
+                    "state is shared, and results depend on how many run at once",
                     expected="the actions of a run by itself",
                     got=found,
                     evidence={

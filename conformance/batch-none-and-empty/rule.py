@@ -44,7 +44,7 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     found = difference(listed, implied)
     if found is not None:
         yield blame(
-            "get_action_batch(None) does not follow the order of the last batch",
+            "get_action_batch(None) does not follow the order of the last batch: robots receive each other's commands",
             expected=f"the answer for {envs}",
             got=found,
             fix=Fix("advice", "remember the order of the last update_obs_batch and use it for None"),

@@ -36,7 +36,7 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
     whole = probe.batch_answer(batch, envs)
     if not answers(whole, len(envs)):
         yield blame(
-            f"get_action_batch({envs}) does not give one chunk per environment",
+            f"get_action_batch({envs}) does not give one chunk per environment: robots get no command, or others'",
             expected=f"{len(envs)} chunks",
             got=brief(whole),
             fix=Fix("advice", "return one chunk per entry of env_idx_list"),
@@ -48,7 +48,7 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
         found = difference([alone[env] for env in wanted], answer)
         if found is not None:
             yield blame(
-                f"get_action_batch({wanted}) {mistaken(answer, alone, wanted)}: robots receive each other's commands",
+                f"get_action_batch({wanted}) {mistaken(answer, alone, wanted)}",
                 expected=f"the chunks of environments {wanted}, in this order",
                 got=found,
                 evidence={

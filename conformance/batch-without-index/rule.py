@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.compare import difference
+from xpl_cli.audit.compare import difference, error_code, same
 from xpl_cli.audit.probe import Probe, blame
 
 
@@ -15,7 +16,9 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
     """Observations without env_idx are mixed up or refused.
 
     ## What it does
-    Shows the same two observations with and without `env_idx` and compares the answers.
+    Shows the same two observations with and without `env_idx`, for two steps, asks for both and for the second alone,
+    and compares the answers. Then shows a batch of which only the first observation has an index, 1, the place of the
+    other one: environment 1 must not be answered from that.
 
     ## Why it matters
     `env_idx` is optional. Clients that leave it out, and there are some in the field, would see every robot receive the
@@ -31,13 +34,39 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.ready()
-    named = probe.observations([0, 1])
-    bare = [{key: value for key, value in obs.items() if key != spec.Obs.ENV_IDX} for obs in named]
-    found = difference(probe.batch_answer(named, [0, 1]), probe.batch_answer(bare, [0, 1]))
+    episodes = []
+    for bare in (False, True):
+        with probe.run() as policy:
+            policy.reset()
+            answered = []
+            for step, asked in enumerate(([0, 1], [1])):
+                batch = probe.observations([0, 1], step)
+                policy.update_obs_batch([_bare(obs) for obs in batch] if bare else batch)
+                answered.append(policy.get_action_batch(asked))
+            episodes.append(answered)
+    found = difference(*episodes)
     if found is not None:
         yield blame(
             "observations without env_idx are not told apart by their position: one environment overwrites another",
             expected="the same actions as with env_idx 0 and 1",
             got=found,
+            evidence={"asked": [[0, 1], [1]]},
             fix=Fix("advice", "number the observations of a batch by position if all of them lack env_idx"),
         )
+        return
+    named, unnamed = ({**obs, spec.Obs.ENV_IDX: 1} for obs in probe.observations([0, 1]))
+    mixed = probe.batch_answer([named, _bare(unnamed)], [1])
+    own, other = (probe.batch_answer([obs], [1]) for obs in (named, unnamed))
+    if same(mixed, other) and not same(own, other) and error_code(mixed) is None:
+        yield blame(
+            "in a batch of which only some observations have env_idx, environment 1 is answered from an observation "
+            "that has none: its own was overwritten",
+            expected="an error, or the actions for the observation with env_idx 1",
+            got="the actions for the observation without env_idx",
+            evidence={"indices": [1, None], "asked": [1]},
+            fix=Fix("advice", "refuse a batch of which only some observations have env_idx"),
+        )
+
+
+def _bare(obs: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in obs.items() if key != spec.Obs.ENV_IDX}

@@ -6,13 +6,12 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.compare import same
-from xpl_cli.audit.inputs import varied
 from xpl_cli.audit.probe import Probe
+from xpl_cli.audit.semantics import Semantics
 
 
 @rule(code="XPL212", slug="inputs-matter", gate="offline", requirement="XPL-OBS-6")
-def inputs_matter(probe: Probe) -> Iterator[Finding]:
+def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A required input has no effect on the actions.
 
     ## What it does
@@ -31,11 +30,10 @@ def inputs_matter(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
-    obs = probe.observation()
-    before = probe.answer(obs)
-    for name in probe.named_inputs():
-        if same(before, probe.answer(varied(obs, name))):
+    required = probe.named_inputs()
+    unseen = semantics.unseen()
+    for name in required:
+        if name in unseen:
             yield Finding(
                 message=f"{name} is declared as required, but changing it changes nothing: the policy does not see it",
                 path=spec.File.POLICY_YML,

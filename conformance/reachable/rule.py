@@ -12,7 +12,7 @@ from xpl_cli.audit.simulation import Simulation
 TOLERATED = 0.05
 
 
-@rule(code="XPL306", slug="reachable", gate="mujoco", requirement="XPL-SIM-6")
+@rule(code="XPL306", slug="reachable", gate="mujoco", requirement="XPL-SIM-6", profile="full")
 def reachable(simulation: Simulation) -> Iterator[Finding]:
     """End-effector targets are out of reach.
 

@@ -45,8 +45,10 @@ def reset_twice(probe: Probe) -> Iterator[Finding]:
             return
     found = difference(once, twice)
     if found is not None:
+        probe.require_repeatable_afresh()
         yield blame(
-            "resetting twice gives other actions than resetting once: clients in the field reset twice",
+            "resetting twice gives other actions than resetting once: clients in the field reset twice, and their "
+            "results cannot be compared with others",
             expected="the same actions",
             got=found,
             fix=Fix("advice", "advance episode counters when an observation arrives, not in reset"),

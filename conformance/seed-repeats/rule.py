@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.compare import difference
-from xpl_cli.audit.probe import Probe, blame
+from xpl_cli.audit.configurations import Configurations
+from xpl_cli.audit.probe import blame
 
 
 @rule(code="XPL214", slug="seed-repeats", gate="offline", requirement="XPL-CFG-2")
-def seed_repeats(probe: Probe) -> Iterator[Finding]:
+def seed_repeats(configurations: Configurations) -> Iterator[Finding]:
     """Two runs with one seed act differently.
 
     ## What it does
@@ -30,14 +30,10 @@ def seed_repeats(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    probe.ready()
-    probe.require_deterministic()
+    configurations.probe.require_deterministic()
     for seed in (0, 7):
-        answers = []
-        for _ in range(2):
-            with probe.fresh_session(seed=seed) as policy:
-                answers.append(probe.episode(policy))
-        found = difference(*answers)
+        first, second = (configurations.with_seed(seed, run) for run in range(2))
+        found = first.difference(second)
         if found is not None:
             yield blame(
                 f"two servers with seed {seed} act differently: a run cannot be repeated",

@@ -13,8 +13,9 @@ def serves(probe: Probe) -> Iterator[Finding]:
     """The policy cannot be served.
 
     ## What it does
-    Starts the real policy server on the adapter, in its own interpreter, and waits until the model is loaded. A missing
-    third-party module is reported as not run: it says nothing about the adapter.
+    Starts the real policy server on the adapter, in its own interpreter, and waits until the model is loaded. Where a
+    third-party module or the checkpoint is missing, the adapter is served without its model (shadow mode); where that
+    cannot be, this is reported as not run: it says nothing about the adapter.
 
     ## Why it matters
     A benchmark that queues for hours and then cannot load the policy has measured nothing.
@@ -33,8 +34,10 @@ def serves(probe: Probe) -> Iterator[Finding]:
     try:
         probe.server()
     except NotRun:
-        problem = probe.start_problem()
-        if "ModuleNotFoundError" in problem.reason:
+        problem = probe.start_problem
+        if problem is None:
+            return  # it started, and ended later: `worker-lives` says why
+        if problem.lacks is not None:
             raise
         yield blame(
             f"the policy cannot be served: {problem.reason}",
@@ -43,3 +46,6 @@ def serves(probe: Probe) -> Iterator[Finding]:
             evidence={"log": list(problem.log[-12:])},
             fix=Fix("command", f"xpl serve {probe.package.path}"),
         )
+        return
+    if probe.choice.is_made_of_stubs:
+        raise NotRun(f"the model was built of stubs in place of {', '.join(probe.choice.stubbed)}")

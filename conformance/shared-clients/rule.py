@@ -11,7 +11,8 @@ from xpl import _spec as spec
 from xpl.client import PolicyServerError
 from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, rule
 from xpl_cli.audit.compare import answers, brief, difference, first_step, same
-from xpl_cli.audit.probe import Probe, Session, blame
+from xpl_cli.audit.probe import Probe, blame
+from xpl_cli.audit.session import Session
 
 _ENVS = ([0, 1], [1, 0])  # of each client: the same numbers, which only the server tells apart
 _SCENES = ([0, 1], [2, 3])  # what each of these environments shows
@@ -108,7 +109,7 @@ def _finding(client: int, alone: _Turn, beside: _Turn, found: str, other: _Turn 
         place = next(at for at, pair in enumerate(zip(alone.answer, beside.answer, strict=True)) if not same(*pair))
     return blame(
         f"{beside.method} answers a client differently beside another one than alone, from step {beside.step} of its "
-        f"episode {beside.episode} on: clients share more than the model",
+        f"episode {beside.episode} on: clients share more than the model, and results depend on who else is served",
         expected="the answer to this client alone on the server",
         got=found,
         evidence={

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.facts import wanted
-from xpl_cli.audit.model import NotApplicable, NotRun, Outcome, Result
+from xpl_cli.audit.model import NotApplicable, NotRun, Outcome, Profile, Result
 from xpl_cli.audit.registry import RegistryError, needed
 
 if TYPE_CHECKING:
@@ -60,17 +60,29 @@ class Checks:
         for other in needed(rule):
             before = self.result(other)
             if before.outcome not in _HOLDS:
-                return _result(rule, Outcome.NOT_RUN, reason=f"it needs {other.code} {other.slug}, which does not hold")
+                why = "does not hold" if before.outcome is Outcome.FAIL else f"could not be checked: {before.reason}"
+                return _result(rule, Outcome.NOT_RUN, reason=f"it needs {other.code} {other.slug}, which {why}")
         return None
 
     def _checked(self, rule: Rule) -> Result:
         try:
+            self._require(rule)
             findings: tuple[Finding, ...] = tuple(self._facts.call(rule.check))
         except NotApplicable as why:
             return _result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
         except NotRun as why:
             return _result(rule, Outcome.NOT_RUN, reason=str(why))
         return _result(rule, outcome_of(findings, rule.severity), findings)
+
+    def _require(self, rule: Rule) -> None:
+        """Stop a rule that the profile of this run does not require.
+
+        Raises:
+            NotApplicable: if it judges the model itself, and the run has none.
+            NotRun: if the adapter cannot be served, so that the profile is not known.
+        """
+        if rule.profile is Profile.FULL and self._facts.get("profile").name is Profile.SHADOW:
+            raise NotApplicable("only the real model can satisfy or break it, and in shadow mode there is none")
 
 
 def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:

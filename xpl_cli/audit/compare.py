@@ -63,16 +63,16 @@ def answers(value: Any, count: int | None = None) -> bool:
 
 
 def mistaken(answer: Any, alone: dict[int, Any], wanted: Sequence[int]) -> str:
-    """Say for which environments a wrong batch answers, given what each of them answers."""
+    """Say for which environments a wrong batch answers, and what follows, given what each of them answers."""
     if not isinstance(answer, (list, tuple)):
-        return f"gives {brief(answer)}"
+        return f"gives {brief(answer)}: robots get no command"
     if len(answer) != len(wanted):
-        return f"gives {len(answer)} chunks"
+        return f"gives {len(answer)} chunks: robots receive each other's commands"
     actual = [next((env for env, chunk in alone.items() if same(chunk, item)), None) for item in answer]
     if None in actual:
-        return "answers with actions of no environment that was observed"
+        return "gives other actions than when all are asked for: what a robot does depends on the others in the list"
     plural = "environment" if len(actual) == 1 else "environments"
-    return f"answers for {plural} {', '.join(map(str, actual))}"
+    return f"answers for {plural} {', '.join(map(str, actual))}: robots receive each other's commands"
 
 
 def structure_problem(chunk: Any, embodiment: Embodiment, action_type: str) -> str | None:

@@ -19,7 +19,7 @@ from xpl_cli.audit.cache import Shelf
 from xpl_cli.audit.checks import Checks
 from xpl_cli.audit.facts import Facts
 from xpl_cli.audit.finish import fingerprint
-from xpl_cli.audit.model import Gate, GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.model import Gate, GateReport, Outcome, Profile, Result, TargetReport
 from xpl_cli.audit.registry import Entry, find, select
 from xpl_cli.audit.waivers import waive
 from xpl_cli.progress import Progress
@@ -100,7 +100,7 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
     report = GateReport(name=gate)
     target.gates.append(report)
     shelf = Shelf.of(options.cache, path) if options.cache is not None and gate is Gate.STATIC else None
-    given = {"path": path, "kind": target.kind, "gate": gate, "options": options}
+    given = {"path": path, "kind": target.kind, "gate": gate, "options": _as_before(target, options)}
     with Facts(given, providers.all_providers()) as facts:
         checks = Checks(facts, shelf)
         facts.give("checks", checks)
@@ -113,12 +113,22 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
             report.results.append(result if entry.closes else waive(result, waivers))
         if gate is Gate.STATIC:
             _note_contents(target, report, facts.get("source"))
+        probe = facts.known("probe")
+        report.served = probe.served if probe is not None else None
         report.digest = _digest(report, _records(gate, facts, shelf))
         if shelf is not None:
             shelf.save(facts.get("source"))
     report.results.sort(key=lambda result: result.code)
-    report.fingerprint = fingerprint(gate)
+    report.fingerprint = fingerprint(gate, "" if report.served is None else report.served.mark)
     report.seconds = time.perf_counter() - started
+
+
+def _as_before(target: TargetReport, options: Options) -> Options:
+    """Return the options with the profile that an earlier gate came to: what is missing there will be missing again."""
+    for gate in target.gates:
+        if gate.served is not None and gate.profile is Profile.SHADOW and options.profile is None:
+            return replace(options, profile=Profile.SHADOW, profile_reason=gate.served.reason)
+    return options
 
 
 @contextmanager

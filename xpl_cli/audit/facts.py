@@ -50,6 +50,10 @@ class Facts:
             raise
         return self._known[name]
 
+    def known(self, name: str) -> Any:
+        """Return a fact if it was computed or given, else None."""
+        return self._known.get(name)
+
     def records(self) -> list[str]:
         """Return what the computed facts recorded of the target's behaviour (their `record`), for the digest."""
         recorded = ((name, getattr(fact, "record", None)) for name, fact in sorted(self._known.items()))

@@ -1,40 +1,134 @@
-"""Observations with one input changed or left out, named as in a manifest (`instruction`, `vision.cam_head`)."""
+"""Observations with one thing changed, left out or damaged; inputs are named as in a manifest (`vision.cam_head`)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from xpl import _spec as sdk
 
-_POSES = (sdk.State.EE_POSE, sdk.State.TCP_POSE)
+Observation = dict[str, Any]
+
+_POSES = (sdk.State.EE_POSE, sdk.State.TCP_POSE, sdk.State.DELTA_EE_POSE)
+_NUDGE = 0.05
+"""How far one value is moved, rad, m or of a gripper's stroke: much for a policy, little for a robot's range."""
 
 
-def varied(obs: dict[str, Any], name: str) -> dict[str, Any]:
+def present(obs: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the inputs that an observation holds."""
+    leaves = {
+        sdk.Obs.INSTRUCTION: [""] if sdk.Obs.INSTRUCTION in obs else [],
+        sdk.Obs.VISION: list(obs.get(sdk.Obs.VISION, ())),
+        sdk.Obs.STATE: list(dict.fromkeys(map(_leaf, obs.get(sdk.Obs.STATE, ())))),
+    }
+    return tuple(f"{group}.{leaf}" if leaf else group for group, names in leaves.items() for leaf in names)
+
+
+def varied(obs: Observation, name: str) -> Observation:
     """Return the observation with one input changed, `name` as in the manifest (`instruction`, `vision.cam_head`)."""
     group, _, leaf = name.partition(".")
     if group == sdk.Obs.INSTRUCTION:
-        return {**obs, group: "do something else entirely, quickly"}
+        return {**obs, group: "do something else entirely, and quickly"}
     if group == sdk.Obs.VISION:
-        camera = obs[group][leaf]
-        image = camera[sdk.Camera.COLOR]
-        other = np.ascontiguousarray(255 - image[::-1, :, ::-1])
-        return {**obs, group: {**obs[group], leaf: {**camera, sdk.Camera.COLOR: other}}}
-    state = {key: _nudged(key, value) if key.endswith(leaf) else value for key, value in obs[group].items()}
-    return {**obs, group: state}
+        return _repainted(obs, leaf, lambda image: 255 - image[::-1, :, ::-1])
+    return _moved(obs, {key: _nudged(key, obs[group][key]) for key in state_keys(obs, leaf)})
 
 
-def without(obs: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return the observation without one input, `name` as in the manifest."""
-    group, _, leaf = name.partition(".")
-    if not leaf:
-        return {key: value for key, value in obs.items() if key != group}
-    return {**obs, group: {key: value for key, value in obs[group].items() if not key.endswith(leaf)}}
+def state_keys(obs: Mapping[str, Any], leaf: str) -> list[str]:
+    """Return the keys under which an observation holds one kind of state, one for each arm."""
+    return [key for key in obs[sdk.Obs.STATE] if _leaf(key) == leaf]
+
+
+def red_and_blue_exchanged(obs: Observation, name: str) -> Observation:
+    """Return the observation with the red and blue of one camera exchanged."""
+    return _repainted(obs, name.partition(".")[2], lambda image: image[:, :, ::-1])
+
+
+def cameras_exchanged(obs: Observation, first: str, second: str) -> Observation:
+    """Return the observation with the pictures of two cameras exchanged."""
+    names = [name.partition(".")[2] for name in (first, second)]
+    pictures = [obs[sdk.Obs.VISION][name][sdk.Camera.COLOR] for name in names]
+    changed = _repainted(obs, names[0], lambda _: pictures[1])
+    return _repainted(changed, names[1], lambda _: pictures[0])
+
+
+def sides_exchanged(obs: Observation, name: str) -> Observation:
+    """Return the observation of two arms with one kind of state exchanged between them."""
+    left, right = state_keys(obs, name.partition(".")[2])
+    state = obs[sdk.Obs.STATE]
+    return _moved(obs, {left: state[right], right: state[left]})
+
+
+def one_side_varied(obs: Observation, key: str) -> Observation:
+    """Return the observation with the state of one arm changed."""
+    return _moved(obs, {key: _nudged(key, obs[sdk.Obs.STATE][key])})
+
+
+def values_nudged(obs: Observation, key: str) -> Iterator[tuple[int, Observation]]:
+    """Yield each joint, gripper value or coordinate of a state by its index, with the observation in which it moved."""
+    values = obs[sdk.Obs.STATE][key]
+    for index in range(sdk.POSITION_DIM if _leaf(key) in _POSES else len(values)):
+        other = np.array(values)
+        other[index] += -_NUDGE if other[index] > 0.5 else _NUDGE
+        yield index, _moved(obs, {key: other})
+
+
+def antipodal(obs: Observation) -> Observation:
+    """Return the observation with every quaternion negated: the same rotations."""
+    state = obs[sdk.Obs.STATE]
+    sign = np.where(np.arange(sdk.POSE_DIM) < sdk.POSITION_DIM, 1, -1).astype(np.float32)
+    return _moved(obs, {key: state[key] * sign for leaf in _POSES for key in state_keys(obs, leaf)})
+
+
+def turned(obs: Observation, quaternion: np.ndarray) -> Observation:
+    """Return the observation with every end effector in one orientation, [qw, qx, qy, qz]."""
+    keys = [key for leaf in (sdk.State.EE_POSE, sdk.State.TCP_POSE) for key in state_keys(obs, leaf)]
+    state = obs[sdk.Obs.STATE]
+    return _moved(
+        obs, {key: np.concatenate([state[key][: sdk.POSITION_DIM], quaternion]).astype(np.float32) for key in keys}
+    )
+
+
+def with_grippers(obs: Observation, value: float) -> Observation:
+    """Return the observation with every gripper at one opening."""
+    keys = state_keys(obs, sdk.State.EE_JOINT_STATE)
+    return _moved(obs, {key: np.full_like(obs[sdk.Obs.STATE][key], value) for key in keys})
+
+
+def only(obs: Observation, names: tuple[str, ...]) -> Observation:
+    """Return the observation with these inputs and the environment's index, and nothing else."""
+    kept = {key: value for key, value in obs.items() if key in {*names, sdk.Obs.ENV_IDX}}
+    kept[sdk.Obs.VISION] = {
+        camera: {sdk.Camera.COLOR: entry[sdk.Camera.COLOR]}
+        for camera, entry in obs[sdk.Obs.VISION].items()
+        if f"{sdk.Obs.VISION}.{camera}" in names
+    }
+    kept[sdk.Obs.STATE] = {
+        key: value for key, value in obs[sdk.Obs.STATE].items() if f"{sdk.Obs.STATE}.{_leaf(key)}" in names
+    }
+    return kept
+
+
+def _leaf(key: str) -> str:
+    """Return the kind of a state key, without the prefix of its arm."""
+    sides = sdk.ARM_PREFIXES[2]
+    return next((key.removeprefix(side) for side in sides if key.startswith(side)), key)
+
+
+def _moved(obs: Observation, values: Mapping[str, Any]) -> Observation:
+    return {**obs, sdk.Obs.STATE: {**obs[sdk.Obs.STATE], **values}}
+
+
+def _repainted(obs: Observation, camera: str, paint: Callable[[np.ndarray], np.ndarray]) -> Observation:
+    vision = obs[sdk.Obs.VISION]
+    picture = np.ascontiguousarray(paint(vision[camera][sdk.Camera.COLOR]))
+    return {**obs, sdk.Obs.VISION: {**vision, camera: {**vision[camera], sdk.Camera.COLOR: picture}}}
 
 
 def _nudged(key: str, value: Any) -> Any:
-    if not key.endswith(_POSES):
+    if _leaf(key) not in _POSES:
         return value * 0.9 + 0.02
     moved = np.array(value)
     moved[: sdk.POSITION_DIM] += 0.02

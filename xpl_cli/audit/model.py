@@ -14,6 +14,8 @@ from xpl_cli.errors import ExitCode
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from xpl_cli.audit.profiles import Choice
+
 _NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
 
@@ -34,6 +36,17 @@ class Gate(StrEnum):
     STATIC = "static"
     OFFLINE = "offline"
     MUJOCO = "mujoco"
+
+
+class Profile(StrEnum):
+    """What a gate that serves the adapter runs on, and with it which rules are required.
+
+    `full` loads the real model. `shadow` skips that and puts a function of the encoded inputs in place of `predict`:
+    rules about the values of actions have nothing to judge then.
+    """
+
+    FULL = "full"
+    SHADOW = "shadow"
 
 
 class NotApplicable(Exception):  # noqa: N818 - an outcome, not an error
@@ -160,6 +173,7 @@ class GateReport:
     Attributes:
         finish: the deterministic finish line, where the gate ran.
         digest: hash of what the adapter did; equal for equal behaviour under an equal fingerprint.
+        served: the profile and what stood in for the model, where the gate served the adapter.
     """
 
     name: Gate
@@ -168,6 +182,7 @@ class GateReport:
     seconds: float = 0.0
     digest: str | None = None
     fingerprint: str | None = None
+    served: Choice | None = None
 
     @property
     def outcome(self) -> Outcome:
@@ -185,9 +200,20 @@ class GateReport:
             return None
         counts = counted(self.results)
         numbers = " ".join(f"{outcome}={counts[outcome]}" for outcome in Outcome if counts[outcome])
-        return (
+        line = (
             f"XPL-FINISH gate={self.name} {self.outcome} {numbers} digest={self.digest} fingerprint={self.fingerprint}"
         )
+        return line if self.served is None else f"{line}{self.served.mark}"
+
+    @property
+    def profile(self) -> Profile | None:
+        """The profile, where the gate served the adapter."""
+        return None if self.served is None else self.served.name
+
+    @property
+    def stood_in(self) -> str | None:
+        """What stood in for the model or for modules, and why; None where everything was real."""
+        return None if self.served is None else self.served.sentence or None
 
 
 @dataclass

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from xpl_cli.audit.model import Gate
+from xpl_cli.audit.model import Gate, Profile
 from xpl_cli.progress import Progress
 
 
@@ -20,6 +20,13 @@ class Options:
         keep_going: run a gate although an earlier one failed.
         overrides: keys of deploy.yml for the gates that serve the adapter.
         python, env: interpreter of the adapter, as for `xpl serve`.
+        profile: what the gates that serve the adapter run on; None for the full one, or where the model cannot be
+            loaded here for want of something, the shadow.
+        profile_reason: why an earlier gate chose the shadow; None if it was asked for.
+        stub_missing: stub modules that are not installed where nothing else helps.
+        memory_limit: what the adapter's processes may hold, as for `xpl serve`.
+        isolate: keep the adapter from the network and from writing.
+        trace: new folder for recordings of what was asked and answered (`xpl_cli.audit.recording`); None to keep none.
         cache: folder with passes of the static gate (`xpl_cli.audit.cache`); None to run every rule.
         progress: told what is being done, for a person who waits.
     """
@@ -31,5 +38,16 @@ class Options:
     overrides: dict[str, Any] = field(default_factory=dict)
     python: str | None = None
     env: str | None = None
+    profile: Profile | None = None
+    profile_reason: str | None = None
+    stub_missing: bool = False
+    memory_limit: str = "none"
+    isolate: bool = False
+    trace: Path | None = None
     cache: Path | None = None
     progress: Progress = field(default_factory=Progress)
+
+    @property
+    def confinement(self) -> tuple[str, ...]:
+        """Options of `xpl serve` that keep the adapter within bounds."""
+        return ("--memory-limit", self.memory_limit, *(("--isolate",) if self.isolate else ()))

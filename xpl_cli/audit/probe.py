@@ -12,164 +12,47 @@ from __future__ import annotations
 
 import contextlib
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
-from xpl import Client
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment
 from xpl_cli import environments, package
-from xpl_cli.audit.compare import error_code, same
-from xpl_cli.audit.finish import Recorder
-from xpl_cli.audit.model import Finding, NotApplicable, NotRun
-from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
+from xpl_cli.audit.checkpoints import Checkpoint
+from xpl_cli.audit.compare import same
+from xpl_cli.audit.model import Finding, Gate, NotApplicable, NotRun
+from xpl_cli.audit.profiles import Lacking
+from xpl_cli.audit.servers import Servers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
     from xpl_cli.audit.options import Options
+    from xpl_cli.audit.session import Session
+
+_UNSTEADY = "the policy acts differently each time, and nothing can be compared: seed-repeats says how"
 
 
-class Session:
-    """A client whose answers are recorded for the digest. Errors of the policy are returned, not raised."""
-
-    def __init__(self, client: Client, recorder: Recorder) -> None:
-        self._client = client
-        self._recorder = recorder
-
-    def reset(self) -> Any:
-        """Start an episode."""
-        return self._call(sdk.Method.RESET)
-
-    def update_obs(self, obs: Any) -> Any:
-        """Show one observation."""
-        return self._call(sdk.Method.UPDATE_OBS, obs)
-
-    def update_obs_batch(self, obs_list: Sequence[Any]) -> Any:
-        """Show observations of several environments."""
-        return self._call(sdk.Method.UPDATE_OBS_BATCH, list(obs_list))
-
-    def get_action(self) -> Any:
-        """Ask for a chunk."""
-        return self._call(sdk.Method.GET_ACTION)
-
-    def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
-        """Ask for the chunks of some environments."""
-        return self._call(sdk.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
-
-    def infer(self, obs: Any) -> Any:
-        """Show an observation and ask, as one unit."""
-        return self._recorded(sdk.Method.INFER, lambda: self._client.infer(obs))
-
-    def act(self, obs: Any) -> Any:
-        """Start an episode, show one observation and return the chunk."""
-        self.reset()
-        self.update_obs(obs)
-        return self.get_action()
-
-    def _call(self, name: str, obs: Any = None) -> Any:
-        return self._recorded(name, lambda: self._client.call(name, obs))
-
-    def _recorded(self, name: str, ask: Any) -> Any:
-        try:
-            answer = ask()
-        except PolicyServerError as error:
-            answer = error
-        # Texts of errors may hold addresses and paths; that there was one is what counts.
-        self._recorder.add(name, error_code(answer) if isinstance(answer, PolicyServerError) else answer)
-        return answer
-
-
-class Probe:
+class Probe(Servers):
     """One adapter being probed.
 
     Attributes:
-        package: the adapter.
-        config: its configuration.
         embodiment, action_type: what it is served for.
+        checkpoint: the checkpoint that the configuration names, None if there is none.
+        checkpoint_before: state of its files before anything was served.
     """
 
-    def __init__(self, target: package.Package, options: Options) -> None:
-        self.package = target
-        self.options = options
-        self.config = target.config(options.overrides)
+    def __init__(self, target: package.Package, options: Options, gate: Gate = Gate.OFFLINE) -> None:
+        super().__init__(target, options, gate)
         try:
             self.embodiment: Embodiment = get_embodiment(str(self.config[sdk.Deploy.ENV_CFG_TYPE]))
         except UnknownEmbodimentError as error:
             raise NotRun(f"{error}: name one with --set {sdk.Deploy.ENV_CFG_TYPE}=NAME") from None
         self.action_type: str = self.config[sdk.Deploy.ACTION_TYPE]
-        self.recorder = Recorder()
-        self._open = contextlib.ExitStack()
-        self._server: RunningServer | None = None
-        self._problem: ServerStartError | None = None
+        self.checkpoint = Checkpoint.of(target, self.config)
+        self.checkpoint_before = {} if self.checkpoint is None else self.checkpoint.state()
         self._answered: Any = None
         self._scenario = environments.module("offline", "scenario")
-
-    @classmethod
-    @contextlib.contextmanager
-    def start(cls, path: Path, options: Options) -> Iterator[Self]:
-        """Prepare to probe an adapter; its server is started when it is first asked for."""
-        started = cls(package.load(path), options)
-        with started._open:
-            yield started
-
-    def record(self) -> str:
-        """Return the hash of everything the adapter answered."""
-        return self.recorder.record()
-
-    def server(self) -> RunningServer:
-        """Return the server, started on first use.
-
-        Raises:
-            NotRun: if it did not start; the rule `serves` reports why.
-        """
-        if self._server is None:
-            try:
-                self._server = self.start_server()
-            except ServerStartError as error:
-                raise NotRun(f"the server did not start: {error}") from None
-        return self._server
-
-    def start_server(self) -> RunningServer:
-        """Start the server once; the same failure is raised again to whoever asks later.
-
-        Raises:
-            ServerStartError: with the adapter's output.
-        """
-        if self._problem is not None:
-            raise self._problem
-        try:
-            return self._open.enter_context(self._serving(self.options.overrides))
-        except ServerStartError as error:
-            self._problem = error
-            raise
-
-    @contextlib.contextmanager
-    def session(self) -> Iterator[Session]:
-        """Connect to the server for the length of a `with` block."""
-        with self._connected(self.server().url) as session:
-            yield session
-
-    @contextlib.contextmanager
-    def fresh_session(self, **overrides: Any) -> Iterator[Session]:
-        """Connect to a server of its own, in a new process, with other values of deploy.yml.
-
-        Raises:
-            NotRun: if it does not start.
-        """
-        with self._fresh_server(overrides) as server, self._connected(server.url) as session:
-            yield session
-
-    @contextlib.contextmanager
-    def fresh_sessions(self, count: int) -> Iterator[list[Session]]:
-        """Connect several clients to one server of their own, in a new process, where the adapter may be shared.
-
-        Raises:
-            NotRun: if it does not start, or refuses one of them.
-        """
-        with self._fresh_server({}) as server, contextlib.ExitStack() as clients:
-            yield [clients.enter_context(self._connected(server.url)) for _ in range(count)]
 
     @property
     def required(self) -> tuple[str, ...]:
@@ -186,17 +69,24 @@ class Probe:
             raise NotApplicable(f"no {sdk.File.POLICY_YML} declares a required input")
         return self.required
 
-    def observation(self, env: int = 0, step: int = 0, embodiment: Embodiment | None = None) -> dict[str, Any]:
-        """Return the scripted observation of one environment at one step, with every input the manifest requires."""
+    def observation(
+        self, env: int = 0, step: int = 0, embodiment: Embodiment | None = None, **options: Any
+    ) -> dict[str, Any]:
+        """Return the scripted observation of one environment at one step, with every input the manifest requires.
+
+        Further options are those of `envs/offline/scenario.py`, such as the `size` of images.
+        """
         if sdk.Obs.PRIVILEGED in self.required:
             raise NotApplicable("the adapter needs privileged observations, which only a simulator can give")
         cameras = [name.partition(".")[2] for name in self.required if name.startswith(sdk.Obs.VISION)]
-        result: dict[str, Any] = self._scenario.observation(embodiment or self.embodiment, env, step, cameras=cameras)
+        robot = embodiment or self.embodiment
+        result: dict[str, Any] = self._scenario.observation(robot, env, step, cameras=cameras, **options)
         return result
 
-    def observations(self, envs: Sequence[int], step: int = 0) -> list[dict[str, Any]]:
-        """Return the scripted observations of several environments."""
-        return [self.observation(env, step) for env in envs]
+    def observations(self, envs: Sequence[int], step: int = 0, instruction: str | None = None) -> list[dict[str, Any]]:
+        """Return the scripted observations of several environments, each with its own instruction or all with one."""
+        told = {} if instruction is None else {sdk.Obs.INSTRUCTION: instruction}
+        return [{**self.observation(env, step), **told} for env in envs]
 
     def require_deterministic(self) -> None:
         """Stop a rule that compares answers where the manifest says that they differ anyway.
@@ -207,15 +97,40 @@ class Probe:
         if not self.package.manifest.get("deterministic", True):
             raise NotApplicable("the manifest declares the policy not deterministic")
 
+    def require_repeatable(self) -> None:
+        """Stop a rule that compares the answers of several runs where these differ anyway.
+
+        Raises:
+            NotApplicable: if the policy is declared not deterministic.
+            NotRun: if it is not, against its declaration; the rule `seed-repeats` reports that.
+        """
+        self.require_deterministic()
+        if not (self.repeats_in_place or self.repeats_renewed or self.repeats_afresh):
+            raise NotRun(_UNSTEADY)
+
+    def require_repeatable_afresh(self) -> None:
+        """Drop what a rule found by comparing two servers where any two of them differ.
+
+        Raises:
+            NotRun: if they do, against the declaration of the manifest; the rule `seed-repeats` reports that.
+        """
+        if not self.repeats_afresh:
+            raise NotRun(_UNSTEADY)
+
     @contextlib.contextmanager
     def run(self) -> Iterator[Session]:
         """Connect for an experiment whose answers are compared with those of another.
 
-        Where the policy draws other random numbers in every episode, each experiment gets a server of its own, so that
-        both see the first episode of a process.
+        Where the policy draws other random numbers in every episode, each experiment gets a model that was just built:
+        in the same process where that gives the same, or else in a server of its own.
         """
-        self.require_deterministic()
-        with self.session() if self.repeats_in_place else self.fresh_session() as session:
+        self.require_repeatable()
+        if self.repeats_in_place or self.repeats_renewed:
+            server = self.server() if self.repeats_in_place else self.renewing
+            opened = self.connected(server.url)
+        else:
+            opened = self.fresh_session()
+        with opened as session:
             yield session
 
     @cached_property
@@ -223,6 +138,25 @@ class Probe:
         """Whether one server answers the same in its second and third episode."""
         with self.session() as policy:
             return same(self.episode(policy), self.episode(policy))
+
+    @cached_property
+    def repeats_renewed(self) -> bool:
+        """Whether a model that is built anew in one process answers the same as the first one there."""
+        try:
+            first, second = (self._first_episode() for _ in range(2))
+        except (ClientError, NotRun):  # some models cannot be built twice in one process
+            return False
+        return same(first, second)
+
+    @cached_property
+    def repeats_afresh(self) -> bool:
+        """Whether two servers answer the same."""
+        with self.fresh_session() as first, self.fresh_session() as second:
+            return same(self.episode(first), self.episode(second))
+
+    def _first_episode(self) -> list[Any]:
+        with self.connected(self.renewing.url) as policy:
+            return self.episode(policy)
 
     def answer(self, obs: Any) -> Any:
         """Return the comparable answer to one observation in a new episode."""
@@ -236,13 +170,16 @@ class Probe:
             policy.update_obs_batch(observations)
             return policy.get_action_batch(wanted)
 
-    def batch_episode(self, envs: Sequence[int], steps: int = 3) -> list[Any]:
-        """Play a comparable episode of some environments in one batch; return the answer of every step."""
+    def batch_episode(self, envs: Sequence[int], steps: int = 3, instruction: str | None = None) -> list[Any]:
+        """Play a comparable episode of some environments in one batch; return the answer of every step.
+
+        Each environment has its own instruction, or all have the one that is given.
+        """
         answered = []
         with self.run() as policy:
             policy.reset()
             for step in range(steps):
-                policy.update_obs_batch(self.observations(envs, step))
+                policy.update_obs_batch(self.observations(envs, step, instruction))
                 answered.append(policy.get_action_batch(envs))
         return answered
 
@@ -274,11 +211,6 @@ class Probe:
             chunks.append(policy.get_action())
         return chunks
 
-    def start_problem(self) -> ServerStartError:
-        """Return why the server did not start."""
-        assert self._problem is not None  # noqa: S101 - asked for only after a failed start
-        return self._problem
-
     def ready(self) -> None:
         """Check once that the adapter answers at all; rules about how it answers make no sense otherwise.
 
@@ -287,32 +219,14 @@ class Probe:
         """
         if self._answered is None:
             with self.session() as policy:
-                self._answered = policy.act(self.observation())
+                try:
+                    self._answered = policy.act(self.observation())
+                except Lacking as why:
+                    if not why.is_stub:
+                        raise
+                    self._answered = why  # it answers up to where the stubbed module begins
         if isinstance(self._answered, PolicyServerError):
             raise NotRun(f"the adapter does not answer a plain observation: {self._answered}")
-
-    @contextlib.contextmanager
-    def _fresh_server(self, overrides: dict[str, Any]) -> Iterator[RunningServer]:
-        try:
-            with self._serving({**self.options.overrides, **overrides}) as server:
-                yield server
-        except ServerStartError as error:
-            values = ", ".join(f"{key}={value}" for key, value in overrides.items())
-            raise NotRun(f"the server did not start with {values or 'the same configuration'}: {error}") from None
-
-    def _serving(self, overrides: dict[str, Any]) -> contextlib.AbstractContextManager[RunningServer]:
-        return serving(self.package.path, overrides, python=self.options.python, env=self.options.env)
-
-    @contextlib.contextmanager
-    def _connected(self, url: str) -> Iterator[Session]:
-        try:
-            client = Client(
-                url, config={**self.config, sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1}
-            )
-        except ClientError as error:
-            raise NotRun(str(error)) from None
-        with client:
-            yield Session(client, self.recorder)
 
 
 def blame(message: str, **details: Any) -> Finding:

@@ -11,8 +11,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.audit.advice import Remark
+    from xpl_cli.audit.configurations import Configurations
+    from xpl_cli.audit.model import Gate
+    from xpl_cli.audit.motion import Motions
     from xpl_cli.audit.options import Options
     from xpl_cli.audit.probe import Probe
+    from xpl_cli.audit.profiles import Choice
+    from xpl_cli.audit.rehearsal import Rehearsal
+    from xpl_cli.audit.semantics import Semantics
+    from xpl_cli.audit.service import Service
     from xpl_cli.audit.simulation import Simulation
     from xpl_cli.audit.waivers import Waiver
 
@@ -22,7 +29,20 @@ def all_providers() -> dict[str, Callable[..., Any]]:
 
     `path`, `kind`, `gate`, `options` and `checks` are given by the engine.
     """
-    return {"source": source, "probe": probe, "simulation": simulation, "waivers": waivers, "ruff": ruff, "mypy": mypy}
+    return {
+        "configurations": configurations,
+        "motions": motions,
+        "mypy": mypy,
+        "probe": probe,
+        "profile": profile,
+        "rehearsal": rehearsal,
+        "ruff": ruff,
+        "semantics": semantics,
+        "service": service,
+        "simulation": simulation,
+        "source": source,
+        "waivers": waivers,
+    }
 
 
 def source(path: Path) -> Source:
@@ -51,17 +71,57 @@ def mypy(source: Source) -> tuple[Remark, ...]:
     return mypy(source)
 
 
-def probe(path: Path, options: Options) -> Iterator[Probe]:
-    """A real server and a real client, for the offline gate."""
+def probe(path: Path, options: Options, gate: Gate) -> Iterator[Probe]:
+    """A real server and a real client."""
     from xpl_cli.audit.probe import Probe
 
-    with Probe.start(path, options) as started:
+    with Probe.start(path, options, gate) as started:
         yield started
 
 
-def simulation(path: Path, options: Options) -> Iterator[Simulation]:
+def profile(probe: Probe) -> Choice:
+    """What the gate runs on: the real model, or a shadow of it."""
+    return probe.profile
+
+
+def rehearsal(probe: Probe) -> Rehearsal:
+    """What the adapter does in one process without a server, where what a client cannot see can be seen."""
+    from xpl_cli.audit.rehearsal import rehearse
+
+    probe.ready()
+    return rehearse(probe)
+
+
+def simulation(probe: Probe) -> Simulation:
     """A real server driven by MuJoCo, for the MuJoCo gate."""
     from xpl_cli.audit.simulation import Simulation
 
-    with Simulation.start(path, options) as started:
-        yield started
+    return Simulation(probe)
+
+
+def semantics(probe: Probe) -> Semantics:
+    """What the actions depend on, for the offline gate."""
+    from xpl_cli.audit.semantics import Semantics
+
+    return Semantics(probe)
+
+
+def motions(probe: Probe) -> Motions:
+    """A short episode with every declared robot and action type, for the offline gate."""
+    from xpl_cli.audit.motion import Motions
+
+    return Motions(probe)
+
+
+def configurations(probe: Probe, service: Service) -> Configurations:
+    """The adapter under other values of deploy.yml."""
+    from xpl_cli.audit.configurations import Configurations
+
+    return Configurations(probe, service)
+
+
+def service(probe: Probe) -> Service:
+    """One server of the adapter from its start to its end, with the processes that it had."""
+    from xpl_cli.audit.service import Service
+
+    return Service.of(probe)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from xpl_cli import content, spec
-from xpl_cli.audit.model import Finding, Gate
+from xpl_cli.audit.model import Finding, Gate, Profile
 from xpl_cli.errors import UserError
 
 Check = Callable[..., Iterator[Finding]]
@@ -34,6 +34,8 @@ class Rule:
         check: the function; its parameters name the facts it needs.
         folder: the rule's folder.
         after: slugs of rules of the same gate that have to hold first; where one does not, this one is not run.
+        profile: the smaller profile that requires it: `shadow` where it holds of any model, so that both profiles
+            require it; `full` where it judges the values that the real model answers.
     """
 
     code: str
@@ -44,6 +46,7 @@ class Rule:
     check: Check
     folder: Path
     after: tuple[str, ...] = ()
+    profile: Profile = Profile.SHADOW
 
     @property
     def severity(self) -> str:
@@ -62,17 +65,25 @@ class Rule:
 
 
 def rule(  # noqa: PLR0913 - a declaration, by keyword
-    *, code: str, slug: str, gate: str, requirement: str, target: str = "policy", after: tuple[str, ...] = ()
+    *,
+    code: str,
+    slug: str,
+    gate: str,
+    requirement: str,
+    target: str = "policy",
+    after: tuple[str, ...] = (),
+    profile: str = "shadow",
 ) -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
     Its docstring is what `xpl explain` prints: a summary line, then the headings What it does, Why it matters, Example,
-    Use instead, Fix safety. `after` names rules of the same gate without which this one would prove nothing.
+    Use instead, Fix safety. `after` names rules of the same gate without which this one would prove nothing;
+    `profile="full"` says that only the real model can satisfy or break it.
     """
 
     def declare(check: Check) -> Check:
         folder = Path(inspect.getfile(check)).parent
-        declared = Rule(code, slug, Gate(gate), requirement, target, check, folder, after)
+        declared = Rule(code, slug, Gate(gate), requirement, target, check, folder, after, Profile(profile))
         check.__dict__["xpl_rule"] = declared
         return check
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,15 +13,13 @@ from xpl.action import ActionError, pack
 from xpl.client import PolicyServerError
 from xpl_cli import environments, evaluation
 from xpl_cli.audit.model import NotApplicable, NotRun
-from xpl_cli.audit.probe import Probe
 from xpl_cli.errors import UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Sequence
 
-    from xpl_cli.audit.options import Options
-    from xpl_cli.audit.probe import Session
+    from xpl_cli.audit.probe import Probe
+    from xpl_cli.audit.session import Session
 
 ENVIRONMENT = "mujoco"
 STEPS = 40
@@ -68,13 +66,6 @@ class Simulation:
         self._rollouts: dict[tuple[str, tuple[int, ...], int | None, int | None], Rollout] = {}
         folder = environments.find(ENVIRONMENT)
         self._manifest = environments.manifest(folder)
-
-    @classmethod
-    @contextlib.contextmanager
-    def start(cls, path: Path, options: Options) -> Iterator[Self]:
-        """Prepare to drive an adapter; its server is started when it is first asked for."""
-        with Probe.start(path, options) as probe:
-            yield cls(probe)
 
     def record(self) -> str:
         """Return the digests of all trajectories."""

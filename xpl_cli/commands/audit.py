@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import typer
 
+from xpl_cli.commands.serve import ISOLATE_HELP, MEMORY_HELP
+
 _GATES = ("static", "offline", "mujoco")
 _FAIL_ON = ("fail", "warn")
+_PROFILES = ("full", "shadow")
 
 
 def audit(
     paths: list[Path] = typer.Argument(None, metavar="PATH...", help="Folders of adapters or environments."),
     every: bool = typer.Option(False, "--all", help="Every package below policy/ and envs/ of this folder."),
     gate: list[str] = typer.Option([], "--gate", help="Run only this gate; may be repeated. static, offline, mujoco."),
-    selected: list[str] = typer.Option([], "--select", help="Run only these rules: codes, code prefixes, slugs, `advice`."),
+    selected: list[str] = typer.Option(
+        [], "--select", help="Run only these rules: codes, code prefixes, slugs, `advice`."
+    ),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
     report_format: str = typer.Option(
         "human", "--format", help="human, concise, json, jsonl, sarif, github, gitlab, rdjson, junit or markdown."
@@ -40,6 +46,18 @@ def audit(
     fail_on: str = typer.Option("fail", help="Mildest outcome that is an error for the exit code: fail or warn."),
     exit_zero: bool = typer.Option(False, "--exit-zero", help="Exit with 0 whatever is found; 5 if a rule crashed."),
     no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
+    profile: str | None = typer.Option(
+        None, metavar="PROFILE", help="full demands the real model, shadow does without; full where it can be had."
+    ),
+    shadow: bool = typer.Option(False, "--shadow", help="The same as --profile shadow: neither weights nor a GPU."),
+    stub_missing: bool = typer.Option(
+        False, "--stub-missing", help="Stub modules that are not installed, where nothing else makes an adapter run."
+    ),
+    trace: Path | None = typer.Option(
+        None, metavar="DIR", help="Keep what is asked and answered in a new folder, for `xpl replay`."
+    ),
+    memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
     settings: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml."),
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     policy_env: str | None = typer.Option(None, "--policy-env", "--env", help="conda:NAME, uv:DIR, venv:DIR or none."),
@@ -54,20 +72,27 @@ def audit(
     from xpl_cli.audit.engine import audit_all
     from xpl_cli.audit.formats.delivery import Delivery
     from xpl_cli.audit.formats.listing import Context
-    from xpl_cli.audit.model import Gate, Outcome, exit_code
+    from xpl_cli.audit.model import Gate, Outcome, Profile, exit_code
     from xpl_cli.audit.options import Options
     from xpl_cli.audit.targets import asked
     from xpl_cli.errors import ExitCode, UserError
     from xpl_cli.progress import progress
+    from xpl_cli.serving import sandbox
 
     delivery = Delivery.asked("json" if as_json else report_format, output)
-    for option, given, known in (("--gate", gate, _GATES), ("--fail-on", [fail_on], _FAIL_ON)):
+    profile = _profile(profile, shadow=shadow)
+    for option, given, known in (
+        ("--gate", gate, _GATES),
+        ("--fail-on", [fail_on], _FAIL_ON),
+        ("--profile", [profile or _PROFILES[0]], _PROFILES),
+    ):
         if unknown := set(given).difference(known):
             raise UserError(f"{option} is one of {', '.join(known)}, got {min(unknown)!r}")
     if unsafe_fixes and not (fix or diff):
         raise UserError("--unsafe-fixes says which edits, and goes with --fix or --diff", hint="--fix --unsafe-fixes")
     targets = asked(paths or (), every=every, changed_since=changed_since)
-    with progress() as say:
+    sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
+    with progress() as say, _new_folder(trace):
         options = Options(
             gates=tuple(Gate(name) for name in _GATES if not gate or name in gate),
             names=tuple(selected),
@@ -76,6 +101,11 @@ def audit(
             overrides=package.parse_overrides(settings),
             python=python,
             env=policy_env,
+            profile=Profile(profile) if profile else None,
+            stub_missing=stub_missing,
+            memory_limit=memory_limit,
+            isolate=isolate,
+            trace=trace,
             cache=None if no_cache else cache.default_folder(),
             progress=say,
         )
@@ -100,6 +130,9 @@ def audit(
             *_repeated("--ignore", ignored),
             *(("--keep-going",) if keep_going else ()),
             *(() if fail_on == Outcome.FAIL else ("--fail-on", fail_on)),
+            *(("--profile", profile) if profile else ()),
+            *(("--stub-missing",) if stub_missing else ()),
+            *(("--isolate",) if isolate else ()),
         ),
         running=(
             *_repeated("--set", settings),
@@ -111,6 +144,25 @@ def audit(
     crashed = any(result.outcome is Outcome.ERROR for report in reports for result in report.results)
     forgiving = ExitCode.INTERNAL if crashed else ExitCode.CLEAN
     raise typer.Exit(int(forgiving if exit_zero else exit_code(reports, Outcome(fail_on))))
+
+
+def _profile(name: str | None, *, shadow: bool) -> str | None:
+    """Return the profile that two options ask for, None where neither does."""
+    from xpl_cli.errors import UserError
+
+    if not shadow:
+        return name
+    if name not in {None, _PROFILES[1]}:
+        raise UserError(f"--shadow and --profile {name} contradict each other: give one of them")
+    return _PROFILES[1]
+
+
+def _new_folder(trace: Path | None) -> contextlib.AbstractContextManager[None]:
+    if trace is None:
+        return contextlib.nullcontext()
+    from xpl_cli.audit.recording import new_folder  # which needs numpy, and most audits need neither
+
+    return new_folder(trace)
 
 
 def _repeated(option: str, values: list[str]) -> tuple[str, ...]:

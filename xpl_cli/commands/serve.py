@@ -12,6 +12,9 @@ POLICY_ENV = typer.Option(
     None, "--policy-env", "--env", metavar="ENV", help="conda:NAME, uv:DIR, venv:DIR or none (this interpreter)."
 )
 
+MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
+ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
+
 
 def serve(
     policy: str = POLICY,
@@ -29,14 +32,27 @@ def serve(
     debug: bool = typer.Option(False, "--debug", help="Send tracebacks to clients."),
     metrics: bool = typer.Option(False, "--metrics", help="Offer /metrics in Prometheus' format on the same port."),
     trace: Path | None = typer.Option(None, metavar="FILE", help="Append one JSON line for each request to FILE."),
+    shadow: bool = typer.Option(
+        False, "--shadow", help="Do not load the model: a function of its inputs answers, for trying all the rest."
+    ),
+    stub_missing: bool = typer.Option(
+        False, "--stub-missing", help="Stub third-party modules that are not installed, for trying what needs none."
+    ),
     until_stdin_ends: bool = typer.Option(
         False, "--until-stdin-ends", help="End when standard input ends, for whoever starts servers."
     ),
+    unset: list[str] = typer.Option([], "--unset", metavar="KEY", help="Leave a key of deploy.yml out."),
+    chdir: Path | None = typer.Option(None, metavar="DIR", help="The adapter's working directory; its own by default."),
+    memory_limit: str = typer.Option("none", metavar="SIZE", help=MEMORY_HELP),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
+    renew: bool = typer.Option(False, "--renew", help="Build the model anew for every client, as if served afresh."),
 ) -> None:
     """Serve a policy until interrupted; prints one JSON line on stdout when it is ready."""
     from xpl import _spec as spec
     from xpl_cli import package
     from xpl_cli.serving.run import Options, run_server
+    from xpl_cli.serving.sandbox import MemoryLimit
+    from xpl_cli.serving.stand_in import StandIn
 
     overrides = package.parse_overrides(settings)
     if host is not None:
@@ -56,5 +72,10 @@ def serve(
         metrics=metrics,
         trace=trace,
         until_stdin_ends=until_stdin_ends,
+        stand_in=StandIn(shadow=shadow, stub_missing=stub_missing),
+        working_directory=chdir,
+        memory_limit=MemoryLimit.parse(memory_limit),
+        isolate=isolate,
+        renew=renew,
     )
-    run_server(package.load(policy), overrides, options)
+    run_server(package.load(policy).without(unset), overrides, options)

@@ -35,10 +35,14 @@ class Desk:
         debug: show tracebacks to clients.
         observer: told about every request, or None.
         on_change: told whenever an answer was given.
+        renew: build the model anew for every client, not only reset it.
     """
 
-    def __init__(self, *, debug: bool, observer: Observer | None, on_change: Callable[[], None]) -> None:
+    def __init__(
+        self, *, debug: bool, observer: Observer | None, on_change: Callable[[], None], renew: bool = False
+    ) -> None:
         self._debug = debug
+        self._renew = renew
         self._observer = observer
         self._on_change = on_change
 
@@ -106,7 +110,9 @@ class Desk:
                 "state is elsewhere; reset and begin anew",
                 spec.ErrorReason.NO_EPISODE,
             )
-        if place.stale and job.method != spec.Method.RESET:
+        if place.stale and self._renew:
+            worker.renew()
+        elif place.stale and job.method != spec.Method.RESET:
             # The client that had this place before left its episode there.
             worker.submit(Job(wire.Frame(spec.Message.RESET, ""), spec.Method.RESET, place, payload=_NOTHING))
         place.stale = False
@@ -149,15 +155,17 @@ class Desk:
     def raised(self, job: Job, error: dict[str, Any]) -> None:
         """Send what the adapter raised: one sentence, and the traceback only to the log."""
         text = error["message"]
+        # What the machine lacks, or what stands in for the model: no fault of the adapter.
+        lacks = {"lacks": error["lacks"]} if error.get("lacks") else {}
         if error.get("unserialisable"):
             log(text)
-            refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {text}")
+            refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {text}", **lacks)
         elif error.get("refused"):
             refused = RequestError(spec.ErrorCode.INVALID_FRAME, text)
         else:
             log(error["traceback"].rstrip())
             shown = error["traceback"] if self._debug else f"{error['type']}: {text}"
-            refused = RequestError(failure_code(job.frame), shown)
+            refused = RequestError(failure_code(job.frame), shown, **lacks)
         self.refused(job, refused)
 
     def refused(self, job: Job, error: RequestError) -> None:

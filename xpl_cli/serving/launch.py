@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 STOP_S = 10.0
 LOG_LINES = 400
+_ERROR = "error: "
 
 
 class ServerStartError(UserError):
@@ -31,12 +32,14 @@ class ServerStartError(UserError):
     Attributes:
         reason: the sentence.
         log: last lines of its output.
+        lacks: what the machine lacks, if that is why the model could not be loaded: `kind` and `name` (`xpl.lacking`).
     """
 
-    def __init__(self, reason: str, log: list[str]) -> None:
+    def __init__(self, reason: str, log: list[str], lacks: Mapping[str, str] | None = None) -> None:
         super().__init__(reason, code=ExitCode.NOT_RUN)
         self.reason = reason
         self.log = log
+        self.lacks = lacks
 
 
 @dataclass
@@ -47,11 +50,27 @@ class RunningServer:
         url: where it answers.
         pid: process of its front end.
         log: last lines of what it and the adapter printed.
+        stubbed: modules that were stubbed, where that was asked for.
+        stop_seconds: how long it took to end when it was told to, s.
+        process: its front end, for whoever started it.
     """
 
     url: str
     pid: int
     log: collections.deque[str] = field(default_factory=lambda: collections.deque(maxlen=LOG_LINES))
+    stubbed: tuple[str, ...] = ()
+    stop_seconds: float | None = None
+    process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def ended(self) -> int | None:
+        """Exit code, None as long as it runs."""
+        return None if self.process is None else self.process.poll()
+
+    @property
+    def last_error(self) -> str | None:
+        """What it printed last about an error that ended it."""
+        return _last_error(self.log)
 
 
 @contextlib.contextmanager
@@ -92,17 +111,20 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
     )
-    server = RunningServer(url="", pid=process.pid)
+    server = RunningServer(url="", pid=process.pid, process=process)
     assert process.stdin is not None  # noqa: S101 - for the type checker: PIPE was asked for
     assert process.stdout is not None  # noqa: S101
     assert process.stderr is not None  # noqa: S101
     reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
     reader.start()
     try:
-        server.url = _wait_ready(process, process.stdout, load_timeout, reader, server.log)
+        ready = _wait_ready(process, process.stdout, load_timeout, reader, server.log)
+        server.url, server.stubbed = ready["url"], tuple(ready.get("stubbed", ()))
         yield server
     finally:
+        started = time.monotonic()
         _stop(process)
+        server.stop_seconds = time.monotonic() - started
         reader.join()
         process.stdin.close()
         process.stdout.close()
@@ -115,20 +137,25 @@ def _wait_ready(
     timeout: float,
     reader: threading.Thread,
     log: collections.deque[str],
-) -> str:
+) -> dict[str, Any]:
+    """Return what the server says when it is ready."""
     deadline = time.monotonic() + timeout
     with selectors.DefaultSelector() as selector:
         selector.register(stdout, selectors.EVENT_READ)
         if not selector.select(max(0.0, deadline - time.monotonic())):
             raise ServerStartError(f"the model was not ready within {timeout:g} s", list(log))
     line = stdout.readline()
-    if not line:
+    told: dict[str, Any] = json.loads(line) if line else {}
+    if "url" not in told:
         process.wait()
         reader.join()
-        reason = next((text for text in reversed(log) if text.startswith("error: ")), "error: it printed nothing")
-        raise ServerStartError(reason.removeprefix("error: "), list(log))
-    url: str = json.loads(line)["url"]
-    return url
+        raise ServerStartError(_last_error(log) or "it printed nothing", list(log), told.get("lacks"))
+    return told
+
+
+def _last_error(log: Sequence[str]) -> str | None:
+    found = next((text for text in reversed(log) if text.startswith(_ERROR)), None)
+    return None if found is None else found.removeprefix(_ERROR)
 
 
 def _collect(stream: IO[bytes], log: collections.deque[str], echo: bool) -> None:  # noqa: FBT001 - private

@@ -12,6 +12,7 @@ from xpl import _spec as spec
 from xpl.link import LinkError
 from xpl_cli.serving.line import Line
 from xpl_cli.serving.session import RequestError
+from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.serving.worker_process import WorkerDiedError
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 STACKS_S = 0.2
 """What a worker that hangs gets to print where it is, before its time is up."""
+_REAL = StandIn()
 _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
 
@@ -43,7 +45,15 @@ class Desk(Protocol):
 
 
 class LoadError(Exception):
-    """The model could not be loaded."""
+    """The model could not be loaded.
+
+    Attributes:
+        lacks: what the machine lacks, if that is why: `kind` and `name` (`xpl.lacking`).
+    """
+
+    def __init__(self, reason: str, lacks: Mapping[str, str] | None = None) -> None:
+        super().__init__(reason)
+        self.lacks = lacks
 
 
 class Worker:
@@ -70,6 +80,7 @@ class Worker:
         self.line = Line()
         self.failed = False
         self.shares_memory = True
+        self.stubbed: tuple[str, ...] = ()
         self._timeout = timeout
         self._stacks_after = max(0.0, 0.5 * (timeout or 0.0), (timeout or 0.0) - STACKS_S)
         self._desk = desk
@@ -78,6 +89,7 @@ class Worker:
         self._errands: collections.deque[tuple[dict[str, Any], Callable[[dict[str, Any]], None]]] = collections.deque()
         self._running: list[Job] = []
         self._later: list[tuple[Place, Callable[[], None]]] = []
+        self._loading: dict[str, Any] = {}
         self._busy = False
         self._started = 0.0
         self._watch: asyncio.TimerHandle | None = None
@@ -85,25 +97,34 @@ class Worker:
         self._wait: asyncio.TimerHandle | None = None
         process.died.add_done_callback(lambda died: self.fail(died.result()))
 
-    async def load(self, policy_dir: Path, config: Mapping[str, Any], manifest: Mapping[str, Any]) -> None:
+    async def load(
+        self, policy_dir: Path, config: Mapping[str, Any], manifest: Mapping[str, Any], stand_in: StandIn = _REAL
+    ) -> None:
         """Load the adapter.
 
         Raises:
             LoadError: with one sentence that says why it could not be loaded.
         """
         request = {"policy_dir": str(policy_dir), "config": dict(config), "manifest": dict(manifest)}
+        self._loading = {"op": "load", **request, **stand_in.message}
         self._busy, self._started = True, time.monotonic()
         try:
-            answer = await self.process.ask(op="load", **request)
+            answer = await self.process.ask(**self._loading)
         except (WorkerDiedError, LinkError) as error:
             raise LoadError(f"the model could not be loaded: {error}") from None
         if "error" in answer:
             raised = answer["error"]
             sys.stderr.write(raised["traceback"])
-            raise LoadError(f"the model could not be loaded: {raised['type']}: {raised['message']}")
+            told = f"the model could not be loaded: {raised['type']}: {raised['message']}"
+            raise LoadError(told, raised.get("lacks"))
         self._busy = False
+        self.stubbed = tuple(answer["ok"].get("stubbed", ()))
         serving = manifest.get("serving") or {}
         self.line = Line(shared=bool(answer["ok"]["shared"]), most=serving.get("max_batch"))
+
+    def renew(self) -> None:
+        """Build the model anew before the next request."""
+        self.errand(self._loading, self._renewed)
 
     def busy_for(self) -> float:
         """Return for how long the model has been at work, s; 0 if it is idle."""
@@ -197,6 +218,10 @@ class Worker:
         _, on_answer = self._errands.popleft()
         on_answer(answer)
         self.pump()
+
+    def _renewed(self, answer: dict[str, Any]) -> None:
+        if "error" in answer:
+            self.fail(f"the model could not be built a second time: {answer['error']['message']}")
 
     def _look_again(self, now: float) -> None:
         """Look after what runs when it should have ended: one timer for all, because most requests take no time."""

@@ -9,7 +9,7 @@ import json
 import os
 import signal
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -19,16 +19,20 @@ from xpl_cli import interpreter
 from xpl_cli.errors import ExitCode, UserError
 from xpl_cli.progress import progress
 from xpl_cli.secrets import read_token, server_tls_context
+from xpl_cli.serving import family
 from xpl_cli.serving.connection import Timing
 from xpl_cli.serving.observe import Observer
-from xpl_cli.serving.pool import STACKS_S, LoadError
+from xpl_cli.serving.pool import STACKS_S, LoadError, log
+from xpl_cli.serving.sandbox import isolated
 from xpl_cli.serving.server import FrontEnd, Settings
+from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.serving.worker_process import WorkerProcess
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from xpl_cli.package import Package
+    from xpl_cli.serving.sandbox import Isolation, MemoryLimit
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _PROGRESS_S = 5.0
@@ -52,6 +56,11 @@ class Options:
         metrics: offer /metrics.
         trace: file that gets one line for each request.
         until_stdin_ends: end when standard input ends.
+        stand_in: what is not real.
+        working_directory: of the adapter; its own folder by default.
+        memory_limit: what each worker may hold; None means what the machine has.
+        isolate: keep the adapter from the network, and from writing to anything but a temporary folder.
+        renew: build the model anew for every client.
     """
 
     python: str | None = None
@@ -66,22 +75,33 @@ class Options:
     metrics: bool = False
     trace: Path | None = None
     until_stdin_ends: bool = False
+    stand_in: StandIn = field(default_factory=StandIn)
+    working_directory: Path | None = None
+    memory_limit: MemoryLimit | None = None
+    isolate: bool = False
+    renew: bool = False
 
 
 def run_server(package: Package, overrides: Mapping[str, Any], options: Options) -> None:
     """Serve an adapter until SIGINT or SIGTERM.
 
-    Prints one JSON line `{"event": "ready", "url": ..., ...}` on stdout when the models are loaded.
+    Prints one JSON line on stdout: `{"event": "ready", "url": ..., ...}` when the models are loaded, or
+    `{"event": "failed", "reason": ..., "lacks": ...}` if they cannot be.
 
     Raises:
         UserError: if an option is wrong, the model cannot be loaded, the address cannot be bound, or no worker is left.
     """
     config = package.config(overrides)
     settings = _settings(package, config, options)
-    python = interpreter.resolve(package.path, package.manifest, python=options.python, env=options.env)
-    with _trace(options.trace) as trace:
+    try:
+        python = interpreter.resolve(package.path, package.manifest, python=options.python, env=options.env)
+    except UserError as error:
+        _failed(package, str(error), {"kind": "environment", "name": str(error)})
+        raise
+    confined = isolated(package.path) if options.isolate else contextlib.nullcontext()
+    with _trace(options.trace) as trace, confined as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
-        run = _Run(package, config, settings, options, python, observer)
+        run = _Run(package, config, settings, options, python, observer, isolation)
         reason = asyncio.run(_serve(run))
     if reason is not None:
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)
@@ -111,10 +131,11 @@ def _settings(package: Package, config: Mapping[str, Any], options: Options) -> 
         handshake_timeout=config[spec.Deploy.HANDSHAKE_TIMEOUT_S] or None,
         request_timeout=config[spec.Deploy.REQUEST_TIMEOUT_S],
         grace=spec.DEPLOY_DEFAULTS[spec.Deploy.CLOSE_TIMEOUT_S] if close is None else close,
-        policy=agreement.needs(package.manifest, config),
+        policy={**agreement.needs(package.manifest, config), **options.stand_in.message},
         token=token,
         tls=server_tls_context(options.tls_cert, options.tls_key),
         debug=options.debug,
+        renew=options.renew,
     )
 
 
@@ -163,6 +184,7 @@ class _Run:
     options: Options
     python: str
     observer: Observer | None
+    isolation: Isolation | None
 
 
 async def _serve(run: _Run) -> str | None:
@@ -170,13 +192,11 @@ async def _serve(run: _Run) -> str | None:
     ending = _Ending()
     ending.listen(until_stdin_ends=run.options.until_stdin_ends)
     segment.sweep()  # what a server that was killed left behind
+    family.adopt_orphans()
     processes: list[WorkerProcess] = []
-    gpus: Sequence[str | None] = run.options.gpu or [None]
     try:
         for number in range(run.options.workers):
-            label = f"[{number}] " if run.options.workers > 1 else ""
-            gpu = gpus[number % len(gpus)]
-            processes.append(await WorkerProcess.start(run.python, cwd=run.package.path, gpu=gpu, label=label))
+            processes.append(await _start(run, number))  # noqa: PERF401 - those before one that fails are ended
         front_end = FrontEnd(processes, run.settings, run.observer)
         if run.observer is not None:
             run.observer.watch(front_end.health)
@@ -190,6 +210,22 @@ async def _serve(run: _Run) -> str | None:
             server.close()
     finally:
         await asyncio.gather(*(process.stop(grace=1.0) for process in processes))
+        for stray in family.end_descendants():
+            log(f"ended process {stray.pid} ({stray.name}), which had left the adapter's process group")
+
+
+async def _start(run: _Run, number: int) -> WorkerProcess:
+    options = run.options
+    process = await WorkerProcess.start(
+        run.python,
+        cwd=options.working_directory or run.package.path,
+        gpu=options.gpu[number % len(options.gpu)] if options.gpu else None,
+        label=f"[{number}] " if options.workers > 1 else "",
+        isolation=run.isolation,
+    )
+    if options.memory_limit is not None:
+        process.until_it_ends(options.memory_limit.hold(process))
+    return process
 
 
 async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, ending: _Ending) -> str | None:
@@ -203,8 +239,9 @@ async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, e
         return None
     problem = loading.result()
     if problem is not None:
-        await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], problem)
-        return problem
+        _failed(run.package, str(problem), problem.lacks)
+        await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], str(problem))
+        return str(problem)
     # What there is now stays: looking through it again and again would make some requests slow.
     gc.collect()
     gc.freeze()
@@ -217,9 +254,11 @@ async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, e
         "policy": run.package.name,
         "url": f"{scheme}://{host}:{port}",
         "port": port,
+        **run.options.stand_in.message,
     }
-    sys.stdout.write(json.dumps(ready) + "\n")
-    sys.stdout.flush()
+    if run.options.stand_in.stub_missing:
+        ready["stubbed"] = sorted({name for worker in front_end.workers.values() for name in worker.stubbed})
+    _announce(ready)
     await _first(asked, front_end.failed)
     if front_end.failed.done():
         reason = front_end.failed.result()
@@ -229,6 +268,16 @@ async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, e
     await _first(asyncio.create_task(front_end.drain(run.settings.grace)), asyncio.create_task(ending.insisted.wait()))
     await _dismiss(front_end, ending, _GOING_AWAY, "the policy server was stopped")
     return None
+
+
+def _failed(package: Package, reason: str, lacks: Mapping[str, str] | None) -> None:
+    _announce({"event": "failed", "policy": package.name, "reason": reason, "lacks": lacks})
+
+
+def _announce(event: Mapping[str, Any]) -> None:
+    """Tell whoever started the server; nothing else is ever written there."""
+    sys.stdout.write(json.dumps(event) + "\n")
+    sys.stdout.flush()
 
 
 async def _dismiss(front_end: FrontEnd, ending: _Ending, code: int, reason: str) -> None:
@@ -241,12 +290,12 @@ async def _first(*futures: asyncio.Future[Any]) -> None:
     await asyncio.wait(futures, return_when=asyncio.FIRST_COMPLETED)
 
 
-async def _load(run: _Run, front_end: FrontEnd) -> str | None:
+async def _load(run: _Run, front_end: FrontEnd) -> LoadError | None:
     """Load every model and say how it goes; return why it failed, or None."""
     limit = run.config[spec.Deploy.MAX_CONNECT_SECONDS] or None  # nobody waits longer than that for a connection
     package = run.package
     loads = [
-        asyncio.create_task(worker.load(package.path, run.config, package.manifest))
+        asyncio.create_task(worker.load(package.path, run.config, package.manifest, run.options.stand_in))
         for worker in front_end.workers.values()
     ]
     with progress() as said:
@@ -260,13 +309,13 @@ async def _load(run: _Run, front_end: FrontEnd) -> str | None:
     for load in done:
         error = load.exception()
         if isinstance(error, LoadError):
-            return str(error)
+            return error
         load.result()
     if running:
         for worker in front_end.workers.values():
             worker.process.show_stacks()
         await asyncio.sleep(STACKS_S)
-        return f"the model could not be loaded within {limit:g} s (max_connect_seconds)"
+        return LoadError(f"the model could not be loaded within {limit:g} s (max_connect_seconds)")
     return None
 
 

@@ -46,6 +46,7 @@ class Settings:
         token: bearer token, or None.
         tls: TLS context, or None.
         debug: send tracebacks to clients.
+        renew: build the model anew for every client.
     """
 
     host: str
@@ -58,6 +59,7 @@ class Settings:
     token: str | None = None
     tls: ssl.SSLContext | None = None
     debug: bool = False
+    renew: bool = False
 
 
 class FrontEnd:
@@ -77,7 +79,7 @@ class FrontEnd:
     def __init__(self, processes: list[WorkerProcess], settings: Settings, observer: Observer | None = None) -> None:
         self._settings = settings
         self._changed = asyncio.Event()
-        self._desk = Desk(debug=settings.debug, observer=observer, on_change=self._changed.set)
+        self._desk = Desk(debug=settings.debug, observer=observer, on_change=self._changed.set, renew=settings.renew)
         self._observer = observer
         self._instance = uuid.uuid4().hex
         self._loop = asyncio.get_running_loop()

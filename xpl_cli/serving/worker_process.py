@@ -16,28 +16,28 @@ from typing import TYPE_CHECKING, Any
 import xpl
 from xpl import link
 from xpl.link import Inbox
+from xpl_cli.serving import family
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Coroutine, Sequence
 
     from xpl.arrays import Data
+    from xpl_cli.serving.sandbox import Isolation
 
     Answered = Callable[[dict[str, Any], list[memoryview]], None]
 
-# Makes `import xpl` work in any interpreter without putting a folder on its path: nothing but the SDK becomes
-# importable. Python 3.9, standard library.
-_BOOTSTRAP = """
+SDK_START = """
 import importlib.util, sys
 sys.path[:] = [p for p in sys.path if p]
-folder, fd = sys.argv[1], int(sys.argv[2])
+folder = sys.argv[1]
 found = importlib.util.spec_from_file_location("xpl", folder + "/__init__.py", submodule_search_locations=[folder])
 module = sys.modules["xpl"] = importlib.util.module_from_spec(found)
 found.loader.exec_module(module)
-from xpl.worker import main
-main(fd)
 """
+"""Makes `import xpl` work in any interpreter without putting a folder on its path: nothing but the SDK becomes
+importable. Its first argument is the SDK's folder; further code may follow. Python 3.9, standard library."""
+_BOOTSTRAP = SDK_START + "from xpl.worker import main; main(int(sys.argv[2]))"
 _BUFFER = 1 << 22
-_PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class WorkerDiedError(Exception):
@@ -53,8 +53,11 @@ class WorkerProcess:
         died: resolves with the reason when the link breaks.
     """
 
-    def __init__(self, process: asyncio.subprocess.Process, channel: socket.socket, label: str) -> None:
+    def __init__(
+        self, process: asyncio.subprocess.Process, channel: socket.socket, label: str, *, wrapped: bool = False
+    ) -> None:
         self._process = process
+        self._wrapped = wrapped
         self._channel = channel
         self._label = label
         self._inbox = Inbox()
@@ -62,6 +65,7 @@ class WorkerProcess:
         self._on_answer: Answered | None = None
         self._output = asyncio.create_task(self._copy_output())
         self._end = asyncio.create_task(self._notice_end())
+        self._watches: list[asyncio.Task[None]] = []
         self._writing = False
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(channel, self._read)
@@ -70,7 +74,9 @@ class WorkerProcess:
         self.died: asyncio.Future[str] = self._loop.create_future()
 
     @classmethod
-    async def start(cls, python: str, *, cwd: Path, gpu: str | None = None, label: str = "") -> WorkerProcess:
+    async def start(
+        cls, python: str, *, cwd: Path, gpu: str | None = None, label: str = "", isolation: Isolation | None = None
+    ) -> WorkerProcess:
         """Start a worker in the interpreter `python`; it loads nothing yet.
 
         Args:
@@ -78,6 +84,7 @@ class WorkerProcess:
             cwd: working directory of the adapter.
             gpu: device made visible to it.
             label: put before every line that it prints.
+            isolation: how it is kept from the network and from writing, or None.
         """
         ours, theirs = socket.socketpair()
         ours.settimeout(0.0)
@@ -89,9 +96,12 @@ class WorkerProcess:
         environment.pop("PYTHONHOME", None)
         if gpu is not None:
             environment["CUDA_VISIBLE_DEVICES"] = gpu
+        if isolation is not None:
+            environment = isolation.environment(environment)
         sdk = str(Path(xpl.__file__).parent)
         with theirs:
             process = await asyncio.create_subprocess_exec(
+                *(() if isolation is None else isolation.prefix),
                 python,
                 "-c",
                 _BOOTSTRAP,
@@ -105,7 +115,7 @@ class WorkerProcess:
                 cwd=cwd,
                 start_new_session=True,  # a group of its own, so that its children end with it
             )
-        return cls(process, ours, label)
+        return cls(process, ours, label, wrapped=isolation is not None and isolation.wraps)
 
     def send(self, head: dict[str, Any], buffers: Sequence[Data], on_answer: Answered) -> None:
         """Send a message; the answer arrives later, or never if the worker dies.
@@ -140,15 +150,24 @@ class WorkerProcess:
 
     def memory(self) -> int:
         """Return the memory that the worker uses itself, bytes; 0 where the system does not tell."""
-        try:
-            return int(Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()[1]) * _PAGE
-        except (OSError, IndexError, ValueError):
-            return 0
+        return family.resident(self._interpreter())
+
+    def until_it_ends(self, watch: Coroutine[Any, Any, None]) -> None:
+        """Run something beside the worker, until it has ended; the worker ends if that fails."""
+        task = asyncio.create_task(watch)
+        task.add_done_callback(self._watched)
+        self._watches.append(task)
 
     def show_stacks(self) -> None:
         """Have the worker print where each of its threads is, also while it hangs."""
         with contextlib.suppress(ProcessLookupError):
-            self._process.send_signal(signal.SIGUSR1)
+            os.kill(self._interpreter(), signal.SIGUSR1)
+
+    def kill(self, reason: str) -> None:
+        """End the worker and all its children at once, and give a reason for it."""
+        self._break(reason)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
 
     async def stop(self, grace: float) -> None:
         """End the worker and all its children: close the link, wait `grace` seconds, then kill the group."""
@@ -169,6 +188,16 @@ class WorkerProcess:
             return f"the worker ended with exit code {code}"
         names = {number.value: number.name for number in signal.Signals}
         return f"the worker was ended by signal {names.get(-code, -code)}"
+
+    def _watched(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self.kill(f"the worker could not be watched: {type(error).__name__}: {error}")
+
+    def _interpreter(self) -> int:
+        """Return the process that runs the adapter: the one that was started, or the one below it."""
+        below = family.descendants(self.pid) if self._wrapped else ()
+        return next((member.pid for member in below if member.parent == self.pid), self.pid)
 
     def _write(self) -> None:
         """Send what there is to send, now or when the worker has read some of it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, joined, listed, one_line, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, joined, listed, notes, one_line, unproved
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,6 +16,7 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
     """Return the lines; paths are relative to the working directory, so that a terminal can open them."""
     lines = [f"{_where(entry)}: {entry.result.code} {entry.finding.message}" for entry in listed(reports, context)]
     lines += [f"{entry.target.path}: {entry.text}" for entry in unproved(reports, context)]
+    lines += [f"{path}: {note}" for path, _, note in notes(reports, context)]
     return "".join(f"{one_line(line)}\n" for line in lines)
 
 

@@ -79,6 +79,9 @@ def _gate(gate: GateReport, entries: Iterator[Listed], folder: str) -> dict[str,
         "finish": gate.finish,
         "digest": gate.digest,
         "fingerprint": gate.fingerprint,
+        "profile": gate.profile.value if gate.profile is not None else None,
+        "stood_in": gate.stood_in,
+        "stubbed": list(gate.served.stubbed) if gate.served is not None else [],
         "results": [_result(result, entries, folder) for result in gate.results],
     }
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, unproved
 from xpl_cli.audit.formats.steps import audit_again
 from xpl_cli.audit.model import Outcome
 
@@ -25,6 +26,8 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
         counts[kind] += 1
         if counts[kind] <= CAP:
             shown.append(line)
+    said = (command("notice", f"{path}: {note}", title="xpl audit") for path, _, note in notes(reports, context))
+    shown += itertools.islice(said, CAP)
     left_out = [amount(count - CAP, f"more {kind}") for kind, count in counts.items() if count > CAP]
     if left_out:
         again = audit_again(reports, context)

@@ -130,7 +130,7 @@ def _unproved(gate: GateReport) -> list[Painted]:
     if gate.reason is not None:  # the line of the gate says it
         return []
     outcomes = {Outcome.ERROR, Outcome.NOT_RUN} | ({gate.outcome} & {Outcome.NOT_APPLICABLE})
-    lines = []
+    lines = [] if gate.stood_in is None else [Painted.of("  ", (one_line(gate.stood_in), _COLOURS[Outcome.WARN]))]
     for (outcome, reason), (first, *others) in by_reason(gate, outcomes).items():
         who = f"{first.code} {first.slug}" + (f" and {len(others)} more" if others else "")
         lines.append(Painted.of("  ", (who, _COLOURS[outcome]), f": {_MARKS[outcome]}: {one_line(reason)}"))

@@ -47,6 +47,9 @@ def _suite(report: TargetReport, gate: GateReport, entries: Iterator[Listed]) ->
             "time": f"{gate.seconds:.3f}",
         },
     )
+    if gate.stood_in is not None:
+        properties = ET.SubElement(suite, "properties")
+        ET.SubElement(properties, "property", {"name": "stood_in", "value": _legal(gate.stood_in)})
     suite.extend(cases)
     return suite
 

@@ -138,6 +138,15 @@ def unproved(reports: Sequence[TargetReport], context: Context) -> Iterator[Unpr
                 yield Unproved(target, gate, outcome, reason, tuple(results), path)
 
 
+def notes(reports: Sequence[TargetReport], context: Context) -> Iterator[tuple[str, GateReport, str]]:
+    """Yield what was not real: the target's folder in the repository, the gate, and what stood in, with the reason."""
+    for target in reports:
+        path = in_repository(context.here / target.path, context.here)
+        for gate in target.gates:
+            if gate.stood_in is not None:
+                yield path, gate, f"{gate.name} gate, {gate.stood_in}"
+
+
 def by_reason(gate: GateReport, outcomes: set[Outcome]) -> dict[tuple[Outcome, str], list[Result]]:
     """Return the results of a gate that have some outcomes, those with one reason together."""
     found: dict[tuple[Outcome, str], list[Result]] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, one_line, shortened, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, one_line, shortened, unproved
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.model import Outcome, TargetReport, counted
 
@@ -44,6 +44,9 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
     if open_ends:
         lines += ["", "### Not proved", ""]
         lines += [f"- {code(item.path)}, {item.gate.name} gate: {escaped(item.text)}" for item in open_ends]
+    told = list(notes(reports, context))
+    if told:
+        lines += ["", "### Without the model", "", *(f"- {code(path)}, {escaped(note)}" for path, _, note in told)]
     commands = next_commands(reports, context)
     if commands:
         lines += ["", "### Next", "", *(f"    {one_line(command)}" for command in commands)]

@@ -13,7 +13,7 @@ from urllib.parse import quote_from_bytes
 
 from xpl_cli import __version__, spec
 from xpl_cli.audit.formats.linehash import line_hashes
-from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, shortened, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, notes, shortened, unproved
 from xpl_cli.audit.model import Outcome
 
 if TYPE_CHECKING:
@@ -50,7 +50,13 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
         "invocations": [
             {
                 "executionSuccessful": all(entry.outcome is not Outcome.ERROR for entry in open_ends),
-                "toolExecutionNotifications": [_notification(entry, places) for entry in open_ends],
+                "toolExecutionNotifications": [
+                    *(_notification(entry, places) for entry in open_ends),
+                    *(
+                        {"level": "note", "message": {"text": f"{path}: {note}"}}
+                        for path, _, note in notes(reports, context)
+                    ),
+                ],
             }
         ],
         "columnKind": "unicodeCodePoints",

@@ -1,0 +1,99 @@
+"""How far a robot moves in one control step, and where its joints end: what commands are held against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from xpl.embodiment import Embodiment
+
+_ROUNDING = 1e-3
+"""Share by which a limit may be passed: float32 and the rounding of regressed values."""
+
+
+@dataclass(frozen=True)
+class Excess:
+    """A command beyond a limit.
+
+    Attributes:
+        what: where, as in `left_arm_joint_state[2]`, or `position of left_ee_pose`.
+        value: how much there is of it.
+        limit: how much is possible.
+        unit: of both.
+    """
+
+    what: str
+    value: float
+    limit: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.value:.3g} {self.unit}, possible are {self.limit:.3g}"
+
+
+def jumps(
+    embodiment: Embodiment, before: Mapping[str, Any], after: Mapping[str, Any], frequency: float
+) -> Iterator[Excess]:
+    """Yield what changes more between two states or actions than the robot can move in one control step.
+
+    Grippers may jump: they are told to close, not how far.
+
+    Args:
+        embodiment: the robot.
+        before: arm values by key.
+        after: an action step; its keys decide what is compared.
+        frequency: control rate, Hz.
+    """
+    for arm in embodiment.arms:
+        joints, pose = arm.prefix + sdk.State.ARM_JOINT_STATE, arm.prefix + sdk.State.EE_POSE
+        if joints in after:
+            speed = np.full(arm.dof, sdk.JOINT_SPEED) if arm.velocity is None else arm.velocity
+            change = np.abs(_values(after[joints]) - _values(before[joints]))
+            limit = speed / frequency * (1 + _ROUNDING) + sdk.JOINT_TOLERANCE
+            worst = int(np.argmax(change / limit))
+            if change[worst] > limit[worst]:
+                yield Excess(f"{joints}[{worst}]", float(change[worst]), float(limit[worst]), "rad")
+        if pose in after:
+            yield from _pose_jumps(pose, _values(before[pose]), _values(after[pose]), frequency)
+
+
+def outside(embodiment: Embodiment, action: Mapping[str, Any]) -> Iterator[Excess]:
+    """Yield the joints of an action step that are commanded past their limits, where these are known."""
+    for arm in embodiment.arms:
+        key = arm.prefix + sdk.State.ARM_JOINT_STATE
+        if key not in action or arm.lower is None or arm.upper is None:
+            continue
+        values = _values(action[key])
+        for index in np.flatnonzero(values > arm.upper + sdk.JOINT_TOLERANCE):
+            yield Excess(f"{key}[{index}]", float(values[index]), float(arm.upper[index]), "rad")
+        for index in np.flatnonzero(values < arm.lower - sdk.JOINT_TOLERANCE):
+            yield Excess(f"{key}[{index}]", float(values[index]), float(arm.lower[index]), "rad")
+
+
+def _pose_jumps(key: str, before: np.ndarray, after: np.ndarray, frequency: float) -> Iterator[Excess]:
+    shift = float(np.linalg.norm(after[: sdk.POSITION_DIM] - before[: sdk.POSITION_DIM]))
+    turn = float(rotation.angle_between(_orientation(before), _orientation(after)))
+    for what, value, speed, unit in (
+        (f"position of {key}", shift, sdk.POSITION_SPEED, "m"),
+        (f"orientation of {key}", turn, sdk.ROTATION_SPEED, "rad"),
+    ):
+        limit = speed / frequency * (1 + _ROUNDING) + sdk.POSITION_TOLERANCE
+        if value > limit:
+            yield Excess(what, value, limit, unit)
+
+
+def _orientation(pose: np.ndarray) -> np.ndarray:
+    return rotation.normalise(pose[sdk.POSITION_DIM :])
+
+
+def _values(values: Any) -> np.ndarray:
+    return np.asarray(values, dtype=np.float64)

@@ -1,0 +1,97 @@
+"""A relay between a client and a server that cuts the connection when it is told to."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import urllib.parse
+from typing import Final, Self
+
+_CHUNK = 1 << 16
+PAUSE_S: Final = 0.3
+"""How long nobody gets through after a cut."""
+_REQUEST, _ANSWER = "request", "answer"
+
+
+class Relay:
+    """Passes bytes on between clients and a server, until a cut; use it as a context.
+
+    Args:
+        url: the server's address.
+
+    Attributes:
+        url: where clients connect.
+    """
+
+    def __init__(self, url: str) -> None:
+        there = urllib.parse.urlsplit(url)
+        self._address = (there.hostname or "localhost", there.port or 0)
+        self._due: str | None = None
+        self._ended = threading.Event()
+        self._held: list[socket.socket] = []
+        self._lock = threading.Lock()
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self._accepting = threading.Thread(target=self._accept, daemon=True)
+        self.url = f"{there.scheme}://127.0.0.1:{self._listening.getsockname()[1]}"
+
+    def cut_answer(self) -> str:
+        """Lose what the server sends next, and the connection; return that in words."""
+        self._due = _ANSWER
+        return "the answer was lost"
+
+    def cut_request(self) -> str:
+        """Lose the connection in the middle of what the client sends next; return that in words."""
+        self._due = _REQUEST
+        return "the request broke off in the middle"
+
+    def __enter__(self) -> Self:
+        self._accepting.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._close()
+        with contextlib.suppress(OSError):  # wakes who waits for a client
+            self._listening.shutdown(socket.SHUT_RDWR)
+        self._accepting.join()
+        self._listening.close()
+
+    def _accept(self) -> None:
+        while not self._ended.is_set():
+            try:
+                client, _ = self._listening.accept()
+                server = socket.create_connection(self._address)
+            except OSError:
+                return
+            with self._lock:
+                self._held += [client, server]
+            pumps = [
+                threading.Thread(target=self._pump, args=(*ends, what), daemon=True)
+                for ends, what in (((client, server), _REQUEST), ((server, client), _ANSWER))
+            ]
+            for pump in pumps:
+                pump.start()
+            for pump in pumps:
+                pump.join()
+            self._ended.wait(PAUSE_S)  # one client at a time: who comes back after a cut waits
+
+    def _pump(self, source: socket.socket, target: socket.socket, what: str) -> None:
+        """Pass bytes on in one direction."""
+        with contextlib.suppress(OSError):
+            while data := source.recv(_CHUNK):
+                if self._due == what:
+                    self._due = None
+                    if what == _REQUEST:
+                        target.sendall(data[: len(data) // 2])
+                    break
+                target.sendall(data)
+        self._close()
+
+    def _close(self) -> None:
+        with self._lock:
+            held, self._held = self._held, []
+        for end in held:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()

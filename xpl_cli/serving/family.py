@@ -1,0 +1,153 @@
+"""The processes of an adapter: which there are, what memory they hold, and the end of those that broke away.
+
+Read from /proc; where the system has none, there are no processes to be seen.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable, Iterator
+
+_PROC = Path("/proc")
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+_SET_CHILD_SUBREAPER = 36  # prctl(2)
+_ZOMBIE = "Z"
+
+
+@dataclass(frozen=True)
+class Member:
+    """A process.
+
+    Attributes:
+        pid: its number.
+        parent: the process that started it, or adopted it.
+        group: its process group; a worker leads one of its own.
+        started: when it started, in the system's ticks; with the number, it names a process for good.
+        name: what it runs, in at most 15 characters.
+    """
+
+    pid: int
+    parent: int
+    group: int
+    started: int
+    name: str
+
+    @property
+    def command(self) -> str:
+        """Its command line, in at most 80 characters."""
+        with contextlib.suppress(OSError):
+            words = (_PROC / str(self.pid) / "cmdline").read_bytes().decode(errors="replace").split("\0")
+            return " ".join(word for word in words if word)[:80] or self.name
+        return self.name
+
+    @property
+    def lives(self) -> bool:
+        """Whether it has not ended yet."""
+        found = _member(self.pid)
+        return found is not None and found.started == self.started
+
+
+def descendants(pid: int) -> list[Member]:
+    """Return the processes below one, and those of its group: children of children too."""
+    return _below(pid, _members())
+
+
+def with_descendants(pid: int) -> list[int]:
+    """Return the numbers of a process and of those below it."""
+    return [pid, *(member.pid for member in descendants(pid))]
+
+
+def resident(pid: int) -> int:
+    """Return the resident memory of one process, bytes; 0 where the system does not tell."""
+    try:
+        return int((_PROC / str(pid) / "statm").read_text(encoding="ascii").split()[1]) * _PAGE
+    except (OSError, IndexError, ValueError):
+        return 0
+
+
+def shared_out_memory(pid: int) -> int:
+    """Return the resident memory of a process and of those below it, bytes; a page that they share counts once.
+
+    Takes the system some milliseconds for a large process.
+    """
+    return sum(_proportional(one) for one in with_descendants(pid))
+
+
+def adopt_orphans() -> None:
+    """Become the parent of whatever processes below this one lose theirs, so that none gets out of sight."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, ctypes.c_ulong(1), *[ctypes.c_ulong(0)] * 3)
+
+
+def end_descendants() -> list[Member]:
+    """Kill the processes below this one and return them."""
+    return _ended(descendants(os.getpid()))
+
+
+def end_adopted(before: Container[int]) -> list[Member]:
+    """Kill the processes that this one has got as children, with all below them, and return them.
+
+    Args:
+        before: numbers of those that it had already.
+    """
+    adopted = [one.pid for one in descendants(os.getpid()) if one.parent == os.getpid() and one.pid not in before]
+    below = {member.pid: member for pid in adopted for member in descendants(pid)}
+    children = {one.pid: one for one in descendants(os.getpid()) if one.pid in adopted}
+    return _ended([*children.values(), *below.values()])
+
+
+def _ended(members: list[Member]) -> list[Member]:
+    for member in members:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.kill(member.pid, signal.SIGKILL)
+    for member in members:
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(member.pid, 0)
+    return members
+
+
+def _below(pid: int, members: Iterable[Member]) -> list[Member]:
+    known = list(members)
+    inside = {pid}
+    while True:
+        found = {one.pid for one in known if one.parent in inside or one.group == pid} | {pid}
+        if found == inside:
+            return [one for one in known if one.pid in inside and one.pid != pid]
+        inside = found
+
+
+def _members() -> Iterator[Member]:
+    for name in os.listdir(_PROC) if _PROC.is_dir() else ():  # noqa: PTH208 - many, and often: names are enough
+        member = _member(int(name)) if name.isdecimal() else None
+        if member is not None:
+            yield member
+
+
+def _member(pid: int) -> Member | None:
+    try:
+        text = (_PROC / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    # The name stands in parentheses and may hold any character, parentheses and spaces too.
+    before, _, after = text.rpartition(")")
+    fields = after.split()
+    if fields[0] == _ZOMBIE:
+        return None
+    return Member(pid, int(fields[1]), int(fields[2]), int(fields[19]), before.partition("(")[2])
+
+
+def _proportional(pid: int) -> int:
+    try:
+        text = (_PROC / str(pid) / "smaps_rollup").read_text(encoding="ascii", errors="replace")
+        return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith("Pss:"))
+    except (OSError, StopIteration, IndexError, ValueError):
+        return resident(pid)
