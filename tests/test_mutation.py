@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SHARE = 0.95
-ESCAPE: dict[str, str] = {}
+ESCAPE = {
+    "will-not-end": "the server ends by force who ignores the signal, and nothing is left behind",
+    "works-at-import": "the adapter finds its files from any working directory, so a change of it changes nothing",
+}
 """Mutants that no rule catches, and why."""
 SAMPLE = {
     "list-by-position",
@@ -31,6 +34,7 @@ SAMPLE = {
     "null-defeats-the-default",
     "missing-step-loads-another",
     "listens-on-a-port",
+    "ends-the-process",
 }
 """One or two of each class for the quick tests."""
 

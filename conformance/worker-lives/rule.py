@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.probe import blame
+from xpl_cli.audit.probe import Probe, blame
 from xpl_cli.audit.service import Service
 
 
 @rule(code="XPL243", slug="worker-lives", gate="offline", requirement="XPL-SRV-5")
-def worker_lives(service: Service) -> Iterator[Finding]:
+def worker_lives(probe: Probe, service: Service) -> Iterator[Finding]:
     """The adapter's process ends, or breaks its link to the server, while it is asked.
 
     ## What it does
-    Serves the adapter in a new process and asks it for eight chunks. Printing is fine, on every stream: the link is a
+    Looks whether the process is still there after all that other rules asked of it. Serves the adapter once more, in a
+    new process, and asks it for eight chunks. Printing is fine, on every stream: the link is a
     descriptor of its own.
 
     ## Why it matters
@@ -32,6 +33,14 @@ def worker_lives(service: Service) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
+    if probe.ended is not None:
+        yield blame(
+            f"the adapter's process ended over a question that it may refuse: {probe.ended}; every environment that it "
+            "serves loses its episode",
+            expected="an exception, which is sent to whoever asked",
+            got=probe.ended,
+            fix=Fix("advice", "raise an exception where a request is wrong, and never end the process"),
+        )
     if service.trouble is not None:
         yield blame(
             f"the adapter's process cannot go on after {len(service.seconds)} answers: {service.trouble}; "

@@ -72,8 +72,8 @@ class Servers(ABC):
                 self._server = self.start_server()
             except ServerStartError as error:
                 raise NotRun(self.choice.told(error)) from None
-        if self._server.ended is not None:
-            raise NotRun(f"the server has ended: {self._server.last_error or 'it printed no reason'}")
+        if self.ended is not None:
+            raise NotRun(f"the server has ended: {self.ended}")
         return self._server
 
     def start_server(self) -> RunningServer:
@@ -152,6 +152,13 @@ class Servers(ABC):
     def served(self) -> Choice | None:
         """What is served, None as long as nothing is."""
         return None if self._server is None else self.choice
+
+    @property
+    def ended(self) -> str | None:
+        """Why the server ended after it had started; None as long as it runs."""
+        if self._server is None or self._server.ended is None:
+            return None
+        return self._server.last_error or "it printed no reason"
 
     @property
     def start_problem(self) -> ServerStartError | None:
