@@ -2,8 +2,8 @@
 
     python -m tests.mutation.trial [NAME...] [--write]
 
-`--write` notes which rule caught what in `caught_by.json`. The note only decides which rule is tried first; what is caught
-by a rule that looks at what others did has none.
+`--write` notes which rule caught what in `caught_by.json`. The note only decides which rule is tried first; what a rule
+catches that looks at what others did has none.
 """
 
 from __future__ import annotations
