@@ -83,6 +83,7 @@ class Relay:
                 if self._due == what:
                     self._due = None
                     if what == _REQUEST:
+                        source.shutdown(socket.SHUT_RDWR)  # first: no answer to the half may reach the client
                         target.sendall(data[: len(data) // 2])
                     break
                 target.sendall(data)
