@@ -148,8 +148,9 @@ def test_joints_end_where_the_embodiment_says() -> None:
     assert [excess.what for excess in limits.outside(ROBOT, action)] == ["left_arm_joint_state[1]"]
     _, action = moved(-10.0, 1)
     assert [excess.limit for excess in limits.outside(ROBOT, action)] == [ROBOT.arms[0].lower[1]]  # type: ignore[index]
-    unknown = get_embodiment("franka_single")
-    assert not list(limits.outside(unknown, {"arm_joint_state": np.full(7, 99.0)}))
+    unknown = get_embodiment("tianji_marvin_wuji")
+    assert unknown.arms[0].lower is None
+    assert not list(limits.outside(unknown, {"left_arm_joint_state": np.full(7, 99.0)}))
 
 
 def test_motions_differ_by_more_than_the_sign_of_a_quaternion() -> None:

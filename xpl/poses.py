@@ -18,6 +18,8 @@ __all__ = ["compose", "invert", "pose", "transform"]
 def pose(position: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
     """Return the pose (..., 7) of positions (..., 3) and quaternions (..., 4)."""
     place, turn = np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)
+    if place.ndim == turn.ndim == 1:  # one pose: broadcasting would cost ten times the rest
+        return np.concatenate((place, turn))
     leading = np.broadcast_shapes(place.shape[:-1], turn.shape[:-1])
     split = spec.POSITION_DIM
     parts = np.broadcast_to(place, (*leading, split)), np.broadcast_to(turn, (*leading, spec.POSE_DIM - split))

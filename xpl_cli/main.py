@@ -10,7 +10,20 @@ from typing import NoReturn
 import typer
 
 from xpl_cli import __version__
-from xpl_cli.commands import audit, demo, evaluate, hook, lifecycle, metrics, new_policy, replay, sdk, serve, spec
+from xpl_cli.commands import (
+    audit,
+    demo,
+    env,
+    evaluate,
+    hook,
+    lifecycle,
+    metrics,
+    new_policy,
+    replay,
+    sdk,
+    serve,
+    spec,
+)
 from xpl_cli.commands.plain import PlainCommand, PlainGroup
 from xpl_cli.errors import ExitCode, UserError
 
@@ -37,6 +50,7 @@ app.command("install")(lifecycle.install)
 app.command("prepare")(lifecycle.prepare)
 app.command("train")(lifecycle.train)
 app.command("demo")(demo.demo)
+app.add_typer(env.app, name="env")
 app.add_typer(spec.app, name="spec")
 app.add_typer(sdk.app, name="sdk")
 

@@ -86,6 +86,7 @@ def requirements(version: str = CURRENT) -> dict[str, Requirement]:
 
 @cache
 def embodiments(version: str = CURRENT) -> dict[str, dict[str, Any]]:
-    """Return every embodiment's data by name."""
+    """Return every embodiment's data by name, each whole: what it has from the one it is `like` is filled in."""
     paths = sorted((folder(version) / "embodiments").glob("*.yml"))
-    return {path.stem: read_yaml(path) for path in paths}
+    entries = {path.stem: read_yaml(path) for path in paths}
+    return {name: entries.get(entry.pop("like", None), {}) | entry for name, entry in entries.items()}

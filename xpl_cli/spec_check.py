@@ -99,9 +99,12 @@ def _embodiments(version: str) -> Iterator[Problem]:
         yield from problems
         if problems:
             continue
-        joints = data["arm"]["joints"]
         if data["name"] != path.stem:
             yield Problem(("name",), f"expected the file's name {path.stem}, got {data['name']!r}", file=path.name)
+        other = path.with_name(f"{data.get('like', path.stem)}.yml")
+        if "like" in data and not (other.is_file() and "arm" in spec.read_yaml(other)):
+            yield Problem(("like",), f"no embodiment {data['like']!r} has an arm of its own", file=path.name)
+        joints = data["arm"]["joints"] if "arm" in data else None
         if joints is not None and len(joints) != data["arm"]["dof"]:
             yield Problem(("arm", "joints"), f"{len(joints)} joints, but dof is {data['arm']['dof']}", file=path.name)
         for name in (data["name"], *data.get("aliases", ())):

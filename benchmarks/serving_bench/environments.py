@@ -18,18 +18,19 @@ class BuildError(RuntimeError):
     """An environment cannot be made; the text is why."""
 
 
-def python_of(lock: str | None) -> str:
+def python_of(lock: str | None, locks: Path = LOCKS) -> str:
     """Return the interpreter of a contender, making its environment if there is none of exactly this lock file.
 
     Args:
-        lock: name of a file in `locks` without its ending, or None for this environment.
+        lock: name of a lock file without its ending, or None for this environment.
+        locks: folder of the lock files.
 
     Raises:
         BuildError: if it cannot be made.
     """
     if lock is None:
         return sys.executable
-    requirements = LOCKS / f"{lock}.txt"
+    requirements = locks / f"{lock}.txt"
     digest = hashlib.sha256(requirements.read_bytes() + sys.version.encode()).hexdigest()[:12]
     folder = PEERS / f"{lock}-{digest}"
     python = folder / "bin" / "python"

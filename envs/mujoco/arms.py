@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LIGHT, _DARK, _FINGER = (0.9, 0.9, 0.92, 1.0), (0.3, 0.32, 0.36, 1.0), (0.5, 0.53, 0.6, 1.0)
-_BASE_RADIUS, _BASE_HALF_HEIGHT = 0.05, 0.03
+_BASE_RADIUS, _LEAST_BASE_HEIGHT = 0.05, 0.06
 _LINK_RADII = (0.042, 0.028)  # from the shoulder to the wrist, evenly
 _SHORTEST_CAPSULE = 0.02
 _LEAST_MASS = 0.05
 _ARMATURE, _DAMPING = 0.02, 0.5
-# Stiffness for each N m of torque a joint may exert, 1/rad: full torque at 1/30 rad of error. Torques above the bound
-# are placeholders in the sources.
-_STIFFNESS, _TRUSTED_TORQUE = 30.0, 40.0
+# Stiffness for each N m of torque a joint may exert, 1/rad: full torque at 1/30 rad of error; no joint is stiffer than
+# that of 40 N m, which is enough for every load here. A torque of 100 N m is a placeholder in its source.
+_STIFFNESS, _STIFFEST, _PLACEHOLDER_TORQUE, _USUAL_TORQUE = 30.0, 40.0, 100.0, 40.0
 # Tool, in its own axes (x to the fingertips, y along the slide), from the tcp.
 _PALM_CENTER, _PALM_HALF_DEPTH, _PALM_HALF_HEIGHT, _PALM_MASS = -0.085, 0.02, 0.022, 0.2
 _FINGER_CENTER, _FINGER_HALF, _FINGER_MASS = -0.03, (0.04, 0.006, 0.012), 0.03
@@ -77,14 +77,11 @@ def add_arm(scene: Any, data: Mapping[str, Any], prefix: str, base: NDArray[np.f
     """
     skin = {"contype": bits.own, "conaffinity": bits.others, "friction": list(_SKIN_FRICTION), "condim": 4}
     body = scene.worldbody.add_body(name=f"{prefix}base", pos=base[:3], quat=base[3:])
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[_BASE_RADIUS, _BASE_HALF_HEIGHT, 0],
-        pos=[0, 0, _BASE_HALF_HEIGHT],
-        rgba=_DARK,
-        **skin,
-    )
     joints = _nearest_origins(data["arm"]["joints"])
+    half = max(_LEAST_BASE_HEIGHT, float(joints[0]["xyz"][2])) / 2  # a column up to the shoulder
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[_BASE_RADIUS, half, 0], pos=[0, 0, half], rgba=_DARK, **skin
+    )
     forward = np.array(data["end_effector"]["forward_axis"])
     tips = [np.array(joint["xyz"]) for joint in joints[1:]] + [forward * _reach_to_palm(data)]
     names = []
@@ -151,17 +148,16 @@ def _add_joint(scene: Any, body: Any, name: str, joint: Mapping[str, Any]) -> No
         armature=_ARMATURE,
         damping=_DAMPING,
     )
-    torque = min(joint["effort"] or _TRUSTED_TORQUE, _TRUSTED_TORQUE)
+    known = joint["effort"] is not None and joint["effort"] < _PLACEHOLDER_TORQUE
+    torque = joint["effort"] if known else _USUAL_TORQUE
     actuator = scene.add_actuator(
         name=name,
         target=name,
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        ctrlrange=limits,
-        ctrllimited=True,
         forcerange=[-torque, torque],
         forcelimited=True,
     )
-    actuator.set_to_position(kp=_STIFFNESS * torque, dampratio=1.0)
+    _follow(actuator, _STIFFNESS * min(torque, _STIFFEST), limits)
 
 
 def _link_shape(tip: NDArray[np.float64], radius: float) -> dict[str, Any]:
@@ -184,8 +180,9 @@ def _add_gripper(
         rgba=_DARK,
         **skin,
     )
-    # The tcp's frame is parallel to the flange: undo the turn of the tool.
-    tool.add_site(name=f"{prefix}tcp", size=[0.005], quat=rotation.conjugate(tool_rotation(effector)))
+    # The tcp's rotation is given in the flange: undo the turn of the tool first.
+    tcp = rotation.multiply(rotation.conjugate(tool_rotation(effector)), rotation.from_rpy(effector["tcp"]["rpy"]))
+    tool.add_site(name=f"{prefix}tcp", size=[0.005], quat=tcp)
     names = (f"{prefix}finger_left", f"{prefix}finger_right")
     for name, sign in zip(names, (1, -1), strict=True):
         finger = tool.add_body(name=name, pos=[_FINGER_CENTER, sign * _FINGER_HALF[1], 0], gravcomp=1)
@@ -217,15 +214,20 @@ def _add_gripper(
         data=[0.0, 1.0] + [0.0] * (mujoco.mjNEQDATA - 2),
         solref=[0.005, 1],
     )
-    force = effector["effort"] or _FINGER_FORCE
+    # One actuator drives both fingers, each with the force that the spec gives for one.
+    force = 2 * (effector["effort"] or _FINGER_FORCE)
     actuator = scene.add_actuator(
         name=f"{prefix}gripper",
         target=names[0],
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        ctrlrange=[0, travel],
-        ctrllimited=True,
         forcerange=[-force, force],
         forcelimited=True,
     )
-    actuator.set_to_position(kp=_FINGER_STIFFNESS, dampratio=1.0)
+    _follow(actuator, _FINGER_STIFFNESS, [0.0, travel])
     return names
+
+
+def _follow(actuator: Any, stiffness: float, limits: Sequence[float]) -> None:
+    """Let an actuator pull its joint to a target within limits; what is commanded is the speed of that target."""
+    actuator.set_to_intvelocity(kp=stiffness, dampratio=1.0)
+    actuator.actrange, actuator.actlimited = limits, True

@@ -39,6 +39,7 @@ class Config:
         privileged: whether observations show the simulator's truth.
         seed: of the first environment where `reset` is given none; the others count on from it.
         setting: a setting of env.yml.
+        renderer: "raycast", which needs no graphics library, or "egl" or "osmesa", for looks.
     """
 
     task: str
@@ -50,6 +51,7 @@ class Config:
     privileged: bool = False
     seed: int = 0
     setting: str = "clean"
+    renderer: str = "raycast"
 
     def __post_init__(self) -> None:
         """Check names and ranges.
@@ -63,9 +65,13 @@ class Config:
         _one_of("embodiment", robot.name, facts["ready"])
         _one_of(spec.Deploy.ACTION_TYPE, self.action_type, facts["action_types"])
         _one_of("setting", self.setting, facts["settings"])
+        _one_of("renderer", self.renderer, facts["renderers"])
         arms = facts["tasks"][self.task]["arms"]
         if len(robot.arms) not in arms:
             raise ValueError(f"task {self.task} is for {arms} arms; {robot.name} has {len(robot.arms)}")
+        reason = facts["tasks"][self.task].get("unsupported", {}).get(robot.name)
+        if reason is not None:
+            raise ValueError(f"task {self.task} is not offered with {robot.name}: {reason}")
         if self.num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {self.num_envs}")
         if self.max_steps is not None and self.max_steps < 1:
@@ -86,6 +92,11 @@ class MujocoEnv:
         self._episodes: list[Episode] = []
         self._last: dict[int, dict[str, Any]] = {}
 
+    @property
+    def episodes(self) -> tuple[Episode, ...]:
+        """The episodes of all environments, for tools that look behind the observations; empty before `reset`."""
+        return tuple(self._episodes)
+
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Start a new episode in every environment.
 
@@ -95,6 +106,7 @@ class MujocoEnv:
 
         Raises:
             ValueError: wrong number of seeds, or an unknown option or value.
+            RendererMissingError: this machine lacks what the renderer needs.
         """
         config = replace(self._config, **_known(options or {}, _RESET_OPTIONS, "reset option"))
         seeds = range(self._next_seed, self._next_seed + config.num_envs) if seed is None else [int(s) for s in seed]
@@ -102,6 +114,7 @@ class MujocoEnv:
             raise ValueError(f"reset needs {config.num_envs} seeds (>= 0), one per environment, got {list(seeds)}")
         from .episode import Episode
 
+        self.close()
         self._config = config
         setup = _setup(config)
         self._episodes = [Episode(setup, number, index) for index, number in enumerate(seeds)]
@@ -135,7 +148,7 @@ class MujocoEnv:
 
     def take_action(self, action: Mapping[str, Any]) -> dict[str, Any]:
         """Execute one action step in the only environment; return its report (see `take_action_batch`)."""
-        return self.take_action_batch([action], [self._single()])[0]
+        return self._episode(self._single()).step(action)
 
     def take_action_batch(
         self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]
@@ -181,6 +194,8 @@ class MujocoEnv:
 
     def close(self) -> None:
         """Drop all episodes."""
+        for episode in self._episodes:
+            episode.close()
         self._episodes = []
         self._last = {}
 
@@ -231,6 +246,8 @@ def _setup(config: Config) -> Any:
         max_steps=config.max_steps or manifest()["tasks"][config.task]["max_steps"],
         camera_size=size,
         privileged=config.privileged,
+        setting=config.setting,
+        renderer=config.renderer,
     )
 
 

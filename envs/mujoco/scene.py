@@ -28,13 +28,15 @@ GHOST: dict[str, Any] = {"contype": 0, "conaffinity": 0}
 """Contact bits of what is only seen, such as goal markers."""
 
 BACKDROP_GROUP = 1
-"""Geom group of room and table: large, still, convex. Cameras see them without casting rays through MuJoCo."""
+"""Geom group of room and table, which stand still: a camera that does, too, sees them once."""
 
 _TABLE, _FLOOR, _WALL = (0.74, 0.6, 0.44, 1.0), (0.47, 0.49, 0.52, 1.0), (0.72, 0.75, 0.77, 1.0)
 # MuJoCo's cameras look along -z with y up.
 _LOOKING_ALONG_Y = rotation.from_rpy([math.pi / 2, 0.0, 0.0])
 _LOOKING_ALONG_X = rotation.from_rpy([math.pi / 2, 0.0, -math.pi / 2])
 _OBJECT_FRICTION = (1.0, 0.02, 0.001)
+# Brightness is what falls on a surface from everywhere, and from one light as far away as the sun.
+_AMBIENT, _DIFFUSE, _FROM_LIGHT = (0.4, 0.4, 0.4), (0.6, 0.6, 0.6), (-0.35, 0.45, -0.82)
 
 
 Color = tuple[float, float, float, float]
@@ -108,6 +110,7 @@ def build_scene(embodiment: Embodiment, facts: Mapping[str, Any]) -> Scene:
     scene = mujoco.MjSpec()
     scene.compiler.degree = False
     _set_physics(scene.option, facts["physics"]["timestep"])
+    _add_light(scene)
     _add_room(scene.worldbody, facts["scene"])
     table_top = facts["scene"]["table"]["top"]
     bases = mounts(embodiment, table_top)
@@ -137,6 +140,21 @@ def _set_physics(option: Any, timestep: float) -> None:
     option.impratio = 10.0
     # A diverging simulation must be seen and reported; MuJoCo would silently start again from the first state.
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def _add_light(scene: Any) -> None:
+    """Add the one light; every renderer takes direction and colours from the model."""
+    headlight = scene.visual.headlight
+    headlight.ambient, headlight.diffuse, headlight.specular = _AMBIENT, [0.0] * 3, [0.0] * 3
+    scene.worldbody.add_light(
+        name="light",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[-2.0 * part for part in _FROM_LIGHT],
+        dir=_FROM_LIGHT,
+        ambient=[0.0] * 3,
+        diffuse=_DIFFUSE,
+        specular=[0.1] * 3,
+    )
 
 
 def _add_room(world: Any, scene: Mapping[str, Any]) -> None:

@@ -29,6 +29,7 @@ class Task(ABC):
     Attributes:
         objects: names of the free bodies that must be at rest.
         stages: whether each stage has been reached, in order.
+        words: what stands for the names in braces in the instruction; known once the scene is laid out.
     """
 
     objects: tuple[str, ...] = ()
@@ -38,6 +39,7 @@ class Task(ABC):
         self._success = success
         self._held = 0
         self.stages = dict.fromkeys(self._weights, False)
+        self.words: dict[str, str] = {}
         *self._on_the_way, self._goal = self._weights
 
     @abstractmethod
@@ -51,6 +53,9 @@ class Task(ABC):
     @abstractmethod
     def solved(self, physics: Physics) -> bool:
         """Return whether the goal's condition is met at this moment, rest aside."""
+
+    def act(self, physics: Physics) -> None:  # noqa: B027 - most tasks leave the world alone
+        """Let the world do what it does by itself after a control step."""
 
     @abstractmethod
     def truth(self, physics: Physics) -> dict[str, Any]:
@@ -68,6 +73,7 @@ class Task(ABC):
 
     def update(self, physics: Physics) -> None:
         """Judge the state after a control step."""
+        self.act(physics)
         now = self.reached(physics)
         for name in self._on_the_way:
             self.stages[name] = self.stages[name] or now[name]

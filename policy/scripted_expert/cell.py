@@ -15,7 +15,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import rotation
 from xpl.kinematics import Chain
-from xpl.poses import compose, invert, pose
+from xpl.poses import compose, invert, pose, transform
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -24,6 +24,7 @@ Program = Iterator[None]
 
 _TRAVEL, _TURN = 0.013, 0.055  # m and rad of one control step, on average over a motion
 _SHORTEST = 4  # control steps
+_COARSE = 6.0  # control steps between the points at which a motion is foreseen
 
 
 class Hand:
@@ -74,25 +75,22 @@ class Hand:
         """
         candidates = []
         for turn in (0.0, math.pi, -math.pi):
-            joints, worst = self.joints, 0.0
+            at, joints, worst = self.target, self.joints, 0.0
             for position, yaw in waypoints:
-                joints, error = self._solve(self.pointing_down(position, yaw + turn), joints, search=True)
-                worst = max(worst, error)
+                goal = self.pointing_down(position, yaw + turn)
+                joints, error = self._foresee(at, goal, joints)
+                at, worst = goal, max(worst, error)
             effort = float(np.max(np.abs(joints - self.joints)))
             candidates.append((round(worst, 3), effort, turn))
         return min(candidates)[2]
 
     def move(self, goal: np.ndarray, speed: float = 1.0) -> Program:
         """Move the tcp on a straight line to a pose (7,), starting and ending gently."""
-        start, split = self.target, spec.POSITION_DIM
-        travel = float(np.sqrt(np.sum((goal[:split] - start[:split]) ** 2)))
-        turn = float(rotation.angle_between(start[split:], goal[split:]))
-        steps = max(_SHORTEST, math.ceil(max(travel / _TRAVEL, turn / _TURN) / speed))
+        start = self.target
+        steps = max(_SHORTEST, math.ceil(_duration(start, goal) / speed))
         for step in range(1, steps + 1):
             part = step / steps
-            part = part * part * (3.0 - 2.0 * part)
-            place = start[:split] + part * (goal[:split] - start[:split])
-            self.target = pose(place, rotation.slerp(start[split:], goal[split:], part))
+            self.target = _between(start, goal, part * part * (3.0 - 2.0 * part))
             yield
 
     def shift(self, offset: ArrayLike, speed: float = 1.0) -> Program:
@@ -106,9 +104,19 @@ class Hand:
         self.opening = opening
         yield from pause(steps)
 
-    def _solve(self, target: np.ndarray, start: np.ndarray, *, search: bool = False) -> tuple[np.ndarray, float]:
+    def _foresee(self, start: np.ndarray, goal: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the joints after a straight motion, as `follow` would find them, and the error that is left.
+
+        Following keeps to one branch: it can end at a joint's limit where another branch would reach the goal.
+        """
+        error, steps = 0.0, math.ceil(_duration(start, goal) / _COARSE) or 1
+        for step in range(1, steps + 1):
+            joints, error = self._solve(_between(start, goal, step / steps), joints)
+        return joints, error
+
+    def _solve(self, target: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, float]:
         flange = compose(invert(self.base), self.chain.flange_from_tcp(target))
-        solution = self.chain.search(flange, start, attempts=4) if search else self.chain.solve(flange, start)
+        solution = self.chain.solve(flange, start)
         return solution.joints, solution.position_error + 0.2 * solution.rotation_error
 
 
@@ -129,6 +137,11 @@ class Cell:
         """Height of the table, m."""
         return float(self.truth["table_top"])
 
+    def nearest(self, place: ArrayLike) -> Hand:
+        """Return the hand whose base is nearest to a place in the horizontal plane; only x and y count."""
+        target = np.asarray(place)[:2]
+        return min(self.hands, key=lambda hand: float(np.sum((hand.base[:2] - target) ** 2)))
+
     def object_position(self, name: str) -> np.ndarray:
         """Return where an object's centre is now, (3,)."""
         return np.array(self.truth["objects"][name]["pose"], dtype=np.float64)[: spec.POSITION_DIM]
@@ -139,13 +152,27 @@ class Cell:
         along = rotation.rotate(quaternion, [1.0, 0.0, 0.0])
         return math.atan2(float(along[1]), float(along[0]))
 
+    def object_axis(self, name: str) -> np.ndarray:
+        """Return the direction (3,) of an object's z axis, which is up while it stands."""
+        quaternion = np.array(self.truth["objects"][name]["pose"], dtype=np.float64)[spec.POSITION_DIM :]
+        return rotation.rotate(quaternion, [0.0, 0.0, 1.0])
+
     def half_size(self, name: str) -> np.ndarray:
         """Return half the extents of an object, (3,), m."""
         return np.array(self.truth["objects"][name]["half_size"], dtype=np.float64)
 
+    def object_points(self, name: str, points: str) -> np.ndarray:
+        """Return named points (n, 3) of an object, which are known in its frame, in the world."""
+        entry = self.truth["objects"][name]
+        return transform(np.array(entry["pose"], dtype=np.float64), np.array(entry[points], dtype=np.float64))
+
     def goal_position(self, name: str) -> np.ndarray:
         """Return where a goal is, (3,)."""
         return np.array(self.truth["goals"][name]["position"], dtype=np.float64)
+
+    def goal_yaw(self, name: str) -> float:
+        """Return the direction of a goal's x axis in the horizontal plane, rad."""
+        return float(self.truth["goals"][name]["yaw"])
 
 
 def pause(steps: int) -> Program:
@@ -164,6 +191,21 @@ def together(*programs: Program) -> Program:
 
 
 _ENDED = object()
+
+
+def _duration(start: np.ndarray, goal: np.ndarray) -> float:
+    """Return how many control steps a motion between two poses (7,) takes at the usual pace."""
+    split = spec.POSITION_DIM
+    travel = float(np.sqrt(np.sum((goal[:split] - start[:split]) ** 2)))
+    turn = float(rotation.angle_between(start[split:], goal[split:]))
+    return max(travel / _TRAVEL, turn / _TURN)
+
+
+def _between(start: np.ndarray, goal: np.ndarray, part: float) -> np.ndarray:
+    """Return the pose (7,) that is `part` of the way, 0 to 1, between two."""
+    split = spec.POSITION_DIM
+    place = start[:split] + part * (goal[:split] - start[:split])
+    return pose(place, rotation.slerp(start[split:], goal[split:], part))
 
 
 def _axes(forward: np.ndarray, slide: np.ndarray) -> np.ndarray:

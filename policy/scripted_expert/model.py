@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,6 @@ from xpl import _spec as spec
 from xpl.observation import ObservationError, pack_state
 
 from .cell import Cell, Hand, Program
-
-_PROGRAMS = ("lift_cube", "handover_block")
 
 
 class Model(Policy):
@@ -53,8 +52,9 @@ class Model(Policy):
 
     def _begin(self, truth: Mapping[str, Any], joints: np.ndarray) -> tuple[Cell, Program]:
         task = truth["task"]
-        if task not in _PROGRAMS:
-            raise ObservationError(f"scripted_expert has no program for task {task!r}; it knows {', '.join(_PROGRAMS)}")
+        known = programs()
+        if task not in known:
+            raise ObservationError(f"scripted_expert has no program for task {task!r}; it knows {', '.join(known)}")
         hands, at = [], 0
         for arm in self.embodiment.arms:
             base = np.array(truth[arm.prefix + spec.State.BASE_POSE], dtype=np.float64)
@@ -68,3 +68,8 @@ class Model(Policy):
         hand.follow()
         arm = hand.joints if self.action_type == spec.ACTION_TYPES[0] else hand.flange()
         return np.append(arm, hand.opening)
+
+
+def programs() -> list[str]:
+    """Return the names of the tasks that there is a program for."""
+    return sorted(file.stem for file in Path(__file__).with_name("programs").glob("*.py"))

@@ -1,0 +1,129 @@
+"""How fast the MuJoCo environment is, beside raw `mj_step`, gym-aloha, gymnasium-robotics and robosuite.
+
+Physics: a control step (reading the action, limits, physics, digest, judging the task) beside as many physics steps by
+`mj_step` alone in the same state, in processor time. What is compared is measured in turn, and the median round counts.
+Episodes are of 10 simulated seconds, reset included, so that tasks of different length compare; `x real time` is
+simulated by processor time. Peers run on their nearest task in environments of their own, made on first use from
+`environments_bench/locks`; one that cannot be made or run here is `not_run`, with the reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.environments_bench import ours
+from benchmarks.serving_bench.environments import BuildError, python_of
+
+HERE = Path(__file__).resolve().parent / "environments_bench"
+PEERS = ("gym-aloha", "gymnasium-robotics", "robosuite")
+TASKS = (("lift_cube", "joint"), ("handover_block", "joint"), ("handover_block", "ee"))
+RENDERERS = (ours.RAYCAST, "egl", "osmesa")
+LEAST_RATIO = 0.8
+MOST_MS = {(224, 224): 10.0, (480, 640): 60.0}
+EPISODE_S = 10.0
+PEER_S = 300.0
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--no-peers", action="store_true", help="our environment only")
+    parser.add_argument("--json", type=Path, help="write the figures to this file, too")
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = [{"environment": "xpl mujoco", **ours.figures(*task)} for task in TASKS]
+    _show_physics(rows)
+    cameras = _cameras(TASKS[1][0])
+    peers = [] if options.no_peers else [{"environment": name, **_peer(name)} for name in PEERS]
+    fastest = min(row["ms"] for row in cameras if row["ms"] is not None and row["size"] == ours.SIZES[0])
+    rows = [{**row, "pictures": "3x224x224", "picture_ms": fastest} for row in rows]
+    _show_environments([*rows, *peers])
+    if options.json is not None:
+        options.json.write_text(json.dumps({"environments": [*rows, *peers], "cameras": cameras}, indent=2) + "\n")
+
+
+def _cameras(task: str) -> list[dict[str, Any]]:
+    """Measure and print three cameras by renderer and size."""
+    print(f"\n{'three cameras of ' + task:<34} {'renderer':>9} {'ms':>8} {'target':>9}")
+    rows = []
+    for size in ours.SIZES:
+        for renderer in RENDERERS:
+            name, goal = f"{size[0]}x{size[1]}", MOST_MS[size]
+            try:
+                taken: float | None = ours.pictures(task, size, renderer)
+                verdict = f"{taken:>8.1f}" + (
+                    f" {'met' if taken < goal else 'missed':>9}" if renderer == ours.RAYCAST else ""
+                )
+            except RuntimeError as error:
+                taken, verdict = None, f" not_run: {error}"
+            print(f"{name:<34} {renderer:>9} {verdict}")
+            rows.append({"size": size, "renderer": renderer, "ms": taken})
+    return rows
+
+
+def _peer(name: str) -> dict[str, Any]:
+    """Return a peer's figures, or why there are none."""
+    try:
+        python = python_of(name, HERE / "locks")
+        done = subprocess.run(
+            [python, str(HERE / "peer.py"), name],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=PEER_S,
+            env=_env(),
+        )
+    except (BuildError, subprocess.TimeoutExpired) as error:
+        return {"not_run": str(error)}
+    if done.returncode:
+        return {"not_run": (done.stderr.strip().splitlines() or ["it failed"])[-1]}
+    figures: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+    return figures
+
+
+def _env() -> dict[str, str]:
+    """Return this process's variables, with a way to draw without a window."""
+    import os
+
+    return {**os.environ, "MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl")}
+
+
+def _show_physics(rows: list[dict[str, Any]]) -> None:
+    print(f"{'physics':<34} {'control us':>10} {'mj_step us':>10} {'ratio':>6}   target {LEAST_RATIO} in joint control")
+    for row in rows:
+        act, raw = 1e3 * row["act_ms"], 1e3 * row["raw_ms"]
+        print(f"{row['task']:<34} {act:>10.0f} {raw:>10.0f} {raw / act:>6.2f}")
+
+
+def _show_environments(rows: list[dict[str, Any]]) -> None:
+    print("\nsteps: control steps with the observed state; pictures: those of one observation")
+    head = ("environment", "task", "Hz", "mj_step/step", "steps/s", "x real time", "episodes/h", "pictures", "ms")
+    widths = (19, 29, 4, 13, 8, 12, 11, 10, 7)
+    print(" ".join(f"{text:<{width}}" for text, width in zip(head, widths, strict=True)))
+    for row in rows:
+        if "not_run" in row:
+            print(f"{row['environment']:<{widths[0]}} not_run: {row['not_run']}")
+            continue
+        step, steps = row["step_ms"], EPISODE_S * row["hz"]
+        cells = (
+            row["environment"],
+            row["task"],
+            row["hz"],
+            f"{row['raw_ms'] / step:.2f}",
+            f"{1e3 / step:.0f}",
+            f"{1e3 / step / row['hz']:.0f}",
+            f"{3.6e6 / (row['reset_ms'] + steps * step):.0f}",
+            row["pictures"] or "-",
+            "-" if row["picture_ms"] is None else f"{row['picture_ms']:.1f}",
+        )
+        print(" ".join(f"{cell!s:<{width}}" for cell, width in zip(cells, widths, strict=True)))
+
+
+if __name__ == "__main__":
+    main()

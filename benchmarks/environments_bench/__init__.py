@@ -1,0 +1,1 @@
+"""What `benchmarks/environments.py` measures, here and in the environments of others."""
