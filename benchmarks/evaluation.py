@@ -20,12 +20,13 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from xpl_cli import environments, package
-from xpl_cli.suite import evaluate, plan, records, runner
-from xpl_cli.suite.backend import Job
-from xpl_cli.suite.backends import Room, make
-from xpl_cli.suite.plan import Wishes
-from xpl_cli.suite.schedule import Schedule
+from xpl_cli.evaluation.lanes.backend import Job
+from xpl_cli.evaluation.lanes.backends import Room, make
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.runs import evaluate, plan, runner
+from xpl_cli.evaluation.runs.plan import Wishes
+from xpl_cli.evaluation.runs.schedule import Schedule
+from xpl_cli.packages import environments, package
 
 ROOT = Path(__file__).resolve().parent.parent
 POLICY, ENVIRONMENT, TASK = "scripted_expert", "mujoco", "lift_cube"

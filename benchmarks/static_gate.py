@@ -25,8 +25,8 @@ import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from xpl_cli import scaffold
-from xpl_cli.audit.source import Source
+from xpl_cli.audit.static.source import Source
+from xpl_cli.scaffold import adapter as scaffold
 
 BIN = Path(sys.executable).parent
 CORES, ADAPTERS, FILES = 2, 40, 4000

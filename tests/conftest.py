@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from tests.peer import MARK, processes, wait_until
+from tests.support.peer import MARK, processes, wait_until
 from xpl_cli.serving.launch import RunningServer, serving
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from xpl.action import ActionError
-    from xpl.aio import AsyncClient
-    from xpl.client import Client
+    from xpl.client.aio import AsyncClient
+    from xpl.client.client import Client
     from xpl.embodiment import Embodiment, get_embodiment
     from xpl.observation import ObservationError
     from xpl.policy import Policy
@@ -22,8 +22,8 @@ __version__ = "0.1.0"
 
 _HOME = {
     "ActionError": "xpl.action",
-    "AsyncClient": "xpl.aio",
-    "Client": "xpl.client",
+    "AsyncClient": "xpl.client.aio",
+    "Client": "xpl.client.client",
     "Embodiment": "xpl.embodiment",
     "ObservationError": "xpl.observation",
     "Policy": "xpl.policy",

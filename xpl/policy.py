@@ -19,10 +19,10 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.action import ActionError, check_chunk, pack
-from xpl.arrays import as_array
 from xpl.decoding import decode_rows, ensemble, quaternion_columns
 from xpl.embodiment import get_embodiment
 from xpl.observation import env_index, env_indices
+from xpl.wire.arrays import as_array
 
 Observation = Mapping[str, Any]
 ActionStep = dict[str, np.ndarray]

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from xpl import _spec as spec
-from xpl.crew import Crew, Limits
-from xpl.env_process import EnvLostError
+from xpl.simulator.crew import Crew, Limits
+from xpl.simulator.process import EnvLostError
 
 INFRASTRUCTURE = "infrastructure"
 """`end_reason` of an episode that says nothing about the policy: what it was played with failed."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.errors import ExitCode, UserError
+from xpl_cli.basics.errors import ExitCode, UserError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -84,7 +84,7 @@ class Demo:
         """Serve the adapter in its own process and ask it for one chunk."""
         from xpl import Client, get_embodiment
         from xpl import _spec as spec
-        from xpl_cli import environments, package
+        from xpl_cli.packages import environments, package
         from xpl_cli.serving.launch import serving
 
         step = Step("Serve it in its own process and ask for an action chunk", ["serve", policy])
@@ -102,8 +102,8 @@ class Demo:
         self.say(f"{server.url} answered {len(chunk)} action step(s): {', '.join(chunk[0])}")
 
     def _break(self, target: Path) -> None:
-        from xpl_cli.audit.registry import find
-        from xpl_cli.audit.subjects import build, subjects
+        from xpl_cli.audit.engine.subjects import build, subjects
+        from xpl_cli.audit.rules.registry import find
 
         slug, case = _BROKEN_BY
         build(next(subject for subject in subjects(find(slug)) if subject.folder.name == case), target)

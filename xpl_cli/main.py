@@ -9,39 +9,17 @@ from typing import Any, NoReturn
 
 import typer
 
-from xpl_cli import __version__, console, failures
-from xpl_cli.commands import (
-    adopt,
-    answers,
-    audit,
-    checkpoint,
-    compare,
-    container,
-    demo,
-    doctor,
-    env,
-    evaluate,
-    hook,
-    leaderboard,
-    lifecycle,
-    mcp,
-    metrics,
-    new_env,
-    new_policy,
-    replay,
-    report,
-    review,
-    sdk,
-    serve,
-    skills,
-    spec,
-    status,
-    submit,
-    update,
-)
+from xpl_cli import __version__
+from xpl_cli.basics import console, failures
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.commands.agents import answers, mcp, skills, status
 from xpl_cli.commands.command import endings, equip
+from xpl_cli.commands.maintain import sdk, spec
 from xpl_cli.commands.plain import PlainGroup
-from xpl_cli.errors import ExitCode, UserError
+from xpl_cli.commands.prove import audit, hook, metrics, replay, review
+from xpl_cli.commands.report import compare, leaderboard, report, submit
+from xpl_cli.commands.run import checkpoint, container, demo, doctor, env, evaluate, lifecycle, serve
+from xpl_cli.commands.scaffold import adopt, new_env, new_policy, update
 
 _UsageError: Any = typer.BadParameter.__base__
 """What the parser raises for a command line that it does not understand."""

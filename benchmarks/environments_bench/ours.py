@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.environments_bench.clock import alternate, wall
 from xpl import get_embodiment
-from xpl_cli.content import load_module, room
+from xpl_cli.basics.content import load_module, room
 
 ROBOT = "arx_x5"
 RAYCAST = "raycast"

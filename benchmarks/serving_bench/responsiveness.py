@@ -18,7 +18,7 @@ from benchmarks.serving_bench.contenders import XPL, Contender
 from benchmarks.serving_bench.latency import percentile
 from benchmarks.serving_bench.model import Model
 from xpl import _spec as spec
-from xpl import wire
+from xpl.wire import codec
 
 MODEL = Model(fixed_ms=500)
 PAUSE_S = 0.02
@@ -126,16 +126,16 @@ def _socket(address: str) -> ClientConnection:
     return connect(address, compression=None, max_size=None, proxy=None, open_timeout=ANSWER_S)
 
 
-def _send(socket: ClientConnection, message_type: str, payload: dict[str, Any]) -> wire.Frame:
-    frame = wire.Frame(message_type, "benchmark", payload)
-    socket.send(wire.encode(frame))
+def _send(socket: ClientConnection, message_type: str, payload: dict[str, Any]) -> codec.Frame:
+    frame = codec.Frame(message_type, "benchmark", payload)
+    socket.send(codec.encode(frame))
     return frame
 
 
-def _receive(socket: ClientConnection) -> wire.Frame:
+def _receive(socket: ClientConnection) -> codec.Frame:
     data = socket.recv(timeout=ANSWER_S)
     assert isinstance(data, bytes)
-    answer = wire.decode(data)
+    answer = codec.decode(data)
     if answer.message_type == spec.Message.ERROR:
         raise processes.EndError(str(answer.payload))
     return answer

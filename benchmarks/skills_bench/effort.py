@@ -25,11 +25,11 @@ def written_lines(task: Task, folder: Path) -> int:
 
 def model_lines(folder: Path) -> int | None:
     """Return the lines of code of all model.py with the files that they import, as `xpl metrics` counts them."""
-    from xpl_cli import metrics
-    from xpl_cli.audit.targets import find_target
+    from xpl_cli.audit.metrics import measure
+    from xpl_cli.packages.targets import find_target
 
     policies = sorted(path.parent for path in folder.glob("policy/*/model.py"))
-    counted = [metrics.measure(find_target(path)).reached for path in policies]
+    counted = [measure.measure(find_target(path)).reached for path in policies]
     known = [lines for lines in counted if lines is not None]
     return sum(known) if known else None
 
@@ -46,12 +46,12 @@ def _written(package: Path, given: Counter[str]) -> int:
 
 def _scaffold(package: Path) -> Iterable[str]:
     """Return the files that the scaffold of a package wrote; none if it was not scaffolded."""
-    from xpl_cli import lock, scaffold
-    from xpl_cli.errors import UserError
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.scaffold import adapter, lock
 
     try:
         kept = lock.read(package)
-        files = scaffold.render(scaffold.recorded(kept), kept.template) if kept else {}
+        files = adapter.render(adapter.recorded(kept), kept.template) if kept else {}
     except UserError:
         files = {}
     return [content.decode() for name, content in files.items() if Path(name).suffix in SUFFIXES]

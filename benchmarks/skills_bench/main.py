@@ -12,8 +12,8 @@ from benchmarks.skills_bench import cases, report, runs
 from benchmarks.skills_bench.agent import Agent
 from benchmarks.skills_bench.project import CONDITIONS
 from benchmarks.skills_bench.runs import Plan, Result
-from xpl_cli import atomic
-from xpl_cli.skills.bundle import Bundle, bundles
+from xpl_cli.agents.skills.bundle import Bundle, bundles
+from xpl_cli.basics import atomic
 
 PARTS = ("triggers", "tasks")
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from benchmarks.skills_bench.runs import RAN, Result
 from xpl_cli import __version__
-from xpl_cli.suite.statistics import wilson
+from xpl_cli.evaluation.statistics.intervals import wilson
 
 SCHEMA: Final = "xpl.skill-evals/1"
 

@@ -16,7 +16,7 @@ from benchmarks.skills_bench.cases import Query, Task
 from benchmarks.skills_bench.project import SetupError, project
 
 if TYPE_CHECKING:
-    from xpl_cli.skills.bundle import Bundle
+    from xpl_cli.agents.skills.bundle import Bundle
 
 NOT_RUN: Final = "not run"
 RAN: Final = "ran"

@@ -8,16 +8,16 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli import spec
 from xpl_cli.adopt.facts import Confidence, Evidence, Fact, Finding, Question, certain, likely
 from xpl_cli.adopt.values import UNKNOWN
-from xpl_cli.audit.adapter import ACTING, LOADING, OBSERVING
-from xpl_cli.audit.manifests import key_line
-from xpl_cli.audit.syntax import always_raises, called, dotted, key_read, last, names, self_attribute
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING
+from xpl_cli.audit.static.manifests import key_line
+from xpl_cli.audit.static.syntax import always_raises, called, dotted, key_read, last, names, self_attribute
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.adopt.values import Values
-    from xpl_cli.audit.adapter import Function
+    from xpl_cli.audit.static.adapter import Function
 
 _CHUNK: Final = re.compile(r"chunk|horizon|replan|n_action|action_steps|num_actions", re.IGNORECASE)
 _HISTORY: Final = re.compile(r"history|n_obs|obs_steps|window", re.IGNORECASE)

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli import spec
 from xpl_cli.adopt.facts import Evidence, Finding, Question, certain, likely
-from xpl_cli.audit import reading
-from xpl_cli.audit.manifests import key_line
-from xpl_cli.audit.model import NotRun
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.static import reading
+from xpl_cli.audit.static.manifests import key_line
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.source import Source
+    from xpl_cli.audit.static.source import Source
 
 _ARXIV: Final = re.compile(r"https?://arxiv\.org/(?:abs|pdf)/(\d{4}\.\d{4,5})(?:v\d+)?")
 _LABELLED: Final = re.compile(r"(?i)^(?:[-*>#]\s*)?\**\s*(?:paper|publication|title)\**\s*:\**\s*(.+?)\s*$")

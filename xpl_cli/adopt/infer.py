@@ -6,17 +6,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
-from xpl_cli import spec
 from xpl_cli.adopt import actions, documents, inputs, runtime
 from xpl_cli.adopt.facts import Evidence, Fact, Finding, Question, certain
 from xpl_cli.adopt.values import Values
-from xpl_cli.audit.model import NotApplicable, NotRun
-from xpl_cli.errors import UserError
+from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.basics.errors import UserError
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from xpl_cli.audit.source import Source
+    from xpl_cli.audit.static.source import Source
 
 
 _VERSION: Final = "spec"
@@ -113,7 +113,7 @@ def _gap(key: str, entry: Mapping[str, Any], known: Iterable[str]) -> Iterator[Q
 
 
 def _check_key(key: str) -> None:
-    from xpl_cli.problems import nearest
+    from xpl_cli.standard.problems import nearest
 
     schema: Any = spec.schema("policy")
     for part in key.split("."):

@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli import spec
 from xpl_cli.adopt.facts import Confidence, Evidence, Fact, Finding, Question, weakest
 from xpl_cli.adopt.values import UNKNOWN
-from xpl_cli.audit.adapter import ACTING, OBSERVING, RESET
-from xpl_cli.audit.blanks import blanks
-from xpl_cli.audit.keys import entries
-from xpl_cli.audit.syntax import called, constant, enclosing, key_read, last, names, parameters
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, RESET
+from xpl_cli.audit.static.blanks import blanks
+from xpl_cli.audit.static.keys import entries
+from xpl_cli.audit.static.syntax import called, constant, enclosing, key_read, last, names, parameters
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.adopt.values import Values
-    from xpl_cli.audit.adapter import Function
+    from xpl_cli.audit.static.adapter import Function
 
 _PACKS: Final = re.compile(r"_*pack(_\w+)?_state")
 _LOOKS: Final = re.compile(r"image|camera|rgb|img|frame|view|cam_|color|colour", re.IGNORECASE)

@@ -6,15 +6,15 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli import spec
 from xpl_cli.adopt.facts import Fact, Question
-from xpl_cli.errors import UserError
+from xpl_cli.basics.errors import UserError
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from xpl_cli.adopt.infer import Draft
-    from xpl_cli.problems import Problem
+    from xpl_cli.standard.problems import Problem
 
 _SCHEMA = "policy"
 _WIDTH = 118
@@ -69,7 +69,7 @@ def addition(draft: Draft, existing: Mapping[str, Any]) -> tuple[str, list[str]]
 
 def unexplained(content: str, draft: Draft) -> list[Problem]:
     """Return the problems of a manifest that no open question explains: values given by the user that do not fit."""
-    from xpl_cli.validate import validate_yaml
+    from xpl_cli.standard.validate import validate_yaml
 
     _, problems = validate_yaml(content.encode(), sdk.File.POLICY_YML, _SCHEMA)
     return [problem for problem in problems if not any(_concerns(problem, key) for key in draft.questions)]

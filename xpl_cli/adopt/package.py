@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli import atomic, manifests, package, spec
 from xpl_cli.adopt import infer, manifest
-from xpl_cli.audit.source import Source
-from xpl_cli.errors import UserError
+from xpl_cli.audit.static.source import Source
+from xpl_cli.basics import atomic
+from xpl_cli.basics.errors import UserError
+from xpl_cli.packages import manifests, package
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -108,14 +110,14 @@ def _only(draft: infer.Draft, names: list[str]) -> infer.Draft:
 
 def _scripts(folder: Path, draft: infer.Draft) -> dict[str, bytes]:
     """Return the scripts of the template that the adapter lacks."""
-    from xpl_cli import scaffold
+    from xpl_cli.scaffold import adapter
 
-    chosen = scaffold.defaults()
+    chosen = adapter.defaults()
     for key, answer in (("embodiments", "embodiment"), ("action_types", sdk.Deploy.ACTION_TYPE)):
         if key in draft.facts:
             chosen[answer] = draft.facts[key].value[0]
     chosen["eval_only"] = "evaluation_only" not in draft.facts or bool(draft.facts["evaluation_only"].value)
-    rendered = scaffold.render(scaffold.Answers(name=folder.name, **chosen))
+    rendered = adapter.render(adapter.Answers(name=folder.name, **chosen))
     wanted = spec.data("package")["scripts"].keys() | {sdk.File.INSTALL_SH}
     return {name: content for name, content in rendered.items() if name in wanted and not (folder / name).exists()}
 

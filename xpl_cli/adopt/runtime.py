@@ -8,16 +8,16 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli import spec
 from xpl_cli.adopt.documents import environment_name
 from xpl_cli.adopt.facts import Confidence, Evidence, Fact, Finding, Question, certain, likely
-from xpl_cli.audit.loop import asked, loops
-from xpl_cli.audit.model import NotRun
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.static.loops.functions import asked, loops
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.adopt.documents import Documents
-    from xpl_cli.audit.shell import Command
-    from xpl_cli.audit.source import Source
+    from xpl_cli.audit.static.shell import Command
+    from xpl_cli.audit.static.source import Source
 
 _HERE: Final = "."
 _CONDA, _UV, _VENV = "conda", "uv", "venv"

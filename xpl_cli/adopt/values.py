@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.adopt.facts import Evidence
-from xpl_cli.audit.manifests import key_line
-from xpl_cli.audit.syntax import called, constant, key_read, last, self_attribute, targets
+from xpl_cli.audit.static.manifests import key_line
+from xpl_cli.audit.static.syntax import called, constant, key_read, last, self_attribute, targets
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.adapter import Adapter, Function
-    from xpl_cli.audit.source import Source
-    from xpl_cli.audit.syntax import KeyRead
+    from xpl_cli.audit.static.adapter import Adapter, Function
+    from xpl_cli.audit.static.source import Source
+    from xpl_cli.audit.static.syntax import KeyRead
 
 UNKNOWN: Final = object()
 _DEEPEST: Final = 12

@@ -13,9 +13,9 @@ from typing import Any, Final, TypeVar
 
 import typer
 
-from xpl_cli import console
+from xpl_cli.basics import console
+from xpl_cli.basics.errors import ExitCode
 from xpl_cli.commands.plain import PlainCommand
-from xpl_cli.errors import ExitCode
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -28,7 +28,7 @@ class Command(PlainCommand):
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write what stands below the options."""
-        from xpl_cli import answers
+        from xpl_cli.standard import answers
 
         names = answers.of_command(ctx.command_path)
         with formatter.indentation():

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from picows import WSFrame, WSTransport
 
-    from xpl.segment import Segment
+    from xpl.wire.segment import Segment
     from xpl_cli.serving.places import Place
 
 _CLEAN = (1000, 1001)

@@ -8,7 +8,7 @@ import traceback
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl import packed, wire
+from xpl.wire import codec, packed
 from xpl_cli.serving.line import Job
 from xpl_cli.serving.payloads import has_images, pack, without_images
 from xpl_cli.serving.pool import log
@@ -48,7 +48,7 @@ class Desk:
 
     # -- in ------------------------------------------------------------------------------------------------------------
 
-    def take(self, connection: Connection, place: Place, worker: Worker, frame: wire.Frame, size: int) -> None:
+    def take(self, connection: Connection, place: Place, worker: Worker, frame: codec.Frame, size: int) -> None:
         """Decide at once what becomes of a request, so that requests run in the order in which they came.
 
         Args:
@@ -90,7 +90,7 @@ class Desk:
             self.refuse(connection, place, frame, entry, fault(error))
 
     def refuse(
-        self, connection: Connection, place: Place | None, frame: wire.Frame, entry: Entry | None, error: RequestError
+        self, connection: Connection, place: Place | None, frame: codec.Frame, entry: Entry | None, error: RequestError
     ) -> None:
         """Answer a request that no worker was asked."""
         data = refusal(frame, error)
@@ -114,7 +114,7 @@ class Desk:
             worker.renew()
         elif place.stale and job.method != spec.Method.RESET:
             # The client that had this place before left its episode there.
-            worker.submit(Job(wire.Frame(spec.Message.RESET, ""), spec.Method.RESET, place, payload=_NOTHING))
+            worker.submit(Job(codec.Frame(spec.Message.RESET, ""), spec.Method.RESET, place, payload=_NOTHING))
         place.stale = False
         place.begun = place.begun or job.method not in spec.HOOKS
         if job.payload is None and has_images(frame.payload):
@@ -145,7 +145,7 @@ class Desk:
         finished = time.monotonic()
         try:
             data = _encoded(job, result, finished)
-        except wire.WireError as error:
+        except codec.WireError as error:
             self.refused(job, RequestError(spec.ErrorCode.INTERNAL, str(error)))
         except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
             self.refused(job, fault(error))
@@ -183,14 +183,14 @@ class Desk:
             self._observer.answered(job, finished, len(data), outcome)
 
 
-def acknowledged(frame: wire.Frame, payload: dict[str, Any]) -> bytes:
+def acknowledged(frame: codec.Frame, payload: dict[str, Any]) -> bytes:
     """Return the frame that answers a request."""
-    return wire.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload))
+    return codec.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload))
 
 
-def refusal(frame: wire.Frame, error: RequestError) -> bytes:
+def refusal(frame: codec.Frame, error: RequestError) -> bytes:
     """Return the error frame that answers a request."""
-    return wire.encode(frame.answer(spec.Message.ERROR, error.payload()))
+    return codec.encode(frame.answer(spec.Message.ERROR, error.payload()))
 
 
 def fault(error: Exception) -> RequestError:
@@ -205,11 +205,11 @@ def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
     if frame.message_type in _TIMED:
         payload[spec.Payload.LATENCY_MS] = 1000.0 * (finished - job.arrived)
     if job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]:
-        return wire.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload), [result])
+        return codec.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload), [result])
     return acknowledged(frame, {**payload, **packed.decode(result)})
 
 
-def _count(place: Place, frame: wire.Frame) -> None:
+def _count(place: Place, frame: codec.Frame) -> None:
     """Check that no request is missing, or came a second time under another id."""
     number = frame.payload.get(spec.Payload.SEQUENCE)
     if number != place.sequence:

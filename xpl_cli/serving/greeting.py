@@ -6,8 +6,8 @@ import itertools
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl import agreement
-from xpl.segment import Segment, SegmentError
+from xpl.client import agreement
+from xpl.wire.segment import Segment, SegmentError
 from xpl_cli import __version__
 from xpl_cli.serving.pool import log
 from xpl_cli.serving.session import RequestError
@@ -15,7 +15,7 @@ from xpl_cli.serving.session import RequestError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from xpl import wire
+    from xpl.wire import codec
     from xpl_cli.serving.connection import Connection
     from xpl_cli.serving.pool import Worker
 
@@ -23,13 +23,13 @@ _segments = itertools.count(1)
 _TRY_AGAIN = 1012  # service restart; registered in the WebSocket close code registry
 
 
-def capabilities(frame: wire.Frame) -> Mapping[str, Any]:
+def capabilities(frame: codec.Frame) -> Mapping[str, Any]:
     """Return what a client announced in hello."""
     given = frame.payload.get(spec.Payload.CAPABILITIES)
     return given if isinstance(given, dict) else {}
 
 
-def greeting(policy: dict[str, Any], state: str, frame: wire.Frame) -> dict[str, Any]:
+def greeting(policy: dict[str, Any], state: str, frame: codec.Frame) -> dict[str, Any]:
     """Return the answer to hello, but for what depends on the client's place.
 
     Raises:

@@ -15,7 +15,7 @@ import time
 from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING, Any
 
-from xpl_cli.errors import ExitCode, UserError
+from xpl_cli.basics.errors import ExitCode, UserError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -32,7 +32,8 @@ class ServerStartError(UserError):
     Attributes:
         reason: the sentence.
         log: last lines of its output.
-        lacks: what the machine lacks, if that is why the model could not be loaded: `kind` and `name` (`xpl.lacking`).
+        lacks: what the machine lacks, if that is why the model could not be loaded: `kind` and `name`
+            (`xpl.worker.lacking`).
     """
 
     def __init__(self, reason: str, log: list[str], lacks: Mapping[str, str] | None = None) -> None:

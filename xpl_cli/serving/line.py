@@ -10,7 +10,7 @@ from xpl import _spec as spec
 from xpl_cli.serving.session import is_optional
 
 if TYPE_CHECKING:
-    from xpl.wire import Frame
+    from xpl.wire.codec import Frame
     from xpl_cli.serving.places import Place
     from xpl_cli.serving.session import Entry
 

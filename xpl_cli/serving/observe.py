@@ -11,7 +11,7 @@ from xpl import _spec as spec
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from xpl import wire
+    from xpl.wire import codec
     from xpl_cli.serving.line import Job
 
 _METHODS = frozenset((*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER))
@@ -78,7 +78,7 @@ class Observer:
             self._trace.write(json.dumps(line) + "\n")
             self._trace.flush()
 
-    def refused(self, frame: wire.Frame, code: str) -> None:
+    def refused(self, frame: codec.Frame, code: str) -> None:
         """Take note of a request that no worker was asked."""
         if self._metrics is not None:
             self._metrics.refused(frame.message_type, code)

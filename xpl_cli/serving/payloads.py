@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from xpl import _spec as spec
-from xpl import images, packed
+from xpl import images
 from xpl.observation import ObservationError
+from xpl.wire import packed
 from xpl_cli.serving.session import RequestError
 
 

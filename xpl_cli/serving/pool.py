@@ -9,20 +9,20 @@ import time
 from typing import TYPE_CHECKING, Any, Protocol
 
 from xpl import _spec as spec
-from xpl.link import LinkError
+from xpl.process.link import LinkError
 from xpl_cli.serving.line import Line
 from xpl_cli.serving.session import RequestError
 from xpl_cli.serving.stand_in import StandIn
-from xpl_cli.serving.worker_process import WorkerDiedError
+from xpl_cli.serving.worker import WorkerDiedError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from xpl.arrays import Data
+    from xpl.wire.arrays import Data
     from xpl_cli.serving.line import Job
     from xpl_cli.serving.places import Place
-    from xpl_cli.serving.worker_process import Answered, WorkerProcess
+    from xpl_cli.serving.worker import Answered, WorkerProcess
 
 STACKS_S = 0.2
 """What a worker that hangs gets to print where it is, before its time is up."""
@@ -48,7 +48,7 @@ class LoadError(Exception):
     """The model could not be loaded.
 
     Attributes:
-        lacks: what the machine lacks, if that is why: `kind` and `name` (`xpl.lacking`).
+        lacks: what the machine lacks, if that is why: `kind` and `name` (`xpl.worker.lacking`).
     """
 
     def __init__(self, reason: str, lacks: Mapping[str, str] | None = None) -> None:

@@ -15,25 +15,27 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl import agreement, segment
-from xpl_cli import console, interpreter
-from xpl_cli.errors import ExitCode, UserError
-from xpl_cli.progress import progress
-from xpl_cli.secrets import read_token, server_tls_context
-from xpl_cli.serving import family
+from xpl.client import agreement
+from xpl.wire import segment
+from xpl_cli.basics import console
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.progress import progress
+from xpl_cli.isolation import family
+from xpl_cli.isolation.sandbox import isolated
+from xpl_cli.lifecycle import interpreter
 from xpl_cli.serving.connection import Timing
 from xpl_cli.serving.observe import Observer
 from xpl_cli.serving.pool import STACKS_S, LoadError, log
-from xpl_cli.serving.sandbox import isolated
+from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server import FrontEnd, Settings
 from xpl_cli.serving.stand_in import StandIn
-from xpl_cli.serving.worker_process import WorkerProcess
+from xpl_cli.serving.worker import WorkerProcess
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from xpl_cli.package import Package
-    from xpl_cli.serving.sandbox import Isolation, MemoryLimit
+    from xpl_cli.isolation.sandbox import Isolation, MemoryLimit
+    from xpl_cli.packages.package import Package
 
 SCHEMA = "xpl.serve/1"
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from picows import ws_create_server
 
 from xpl import _spec as spec
-from xpl import wire
+from xpl.wire import codec
 from xpl_cli.serving.admission import Admission
 from xpl_cli.serving.connection import Connection, Timing
 from xpl_cli.serving.desk import Desk, acknowledged, refusal
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from picows import WSUpgradeRequest
 
     from xpl_cli.serving.observe import Observer
-    from xpl_cli.serving.worker_process import WorkerProcess
+    from xpl_cli.serving.worker import WorkerProcess
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Settings:
         handshake_timeout: longest time for the opening handshake.
         request_timeout: longest time for one batch.
         grace: how long a place waits for a client whose connection was cut.
-        policy: what the policy needs (`xpl.agreement`).
+        policy: what the policy needs (`xpl.client.agreement`).
         token: bearer token, or None.
         tls: TLS context, or None.
         debug: send tracebacks to clients.
@@ -84,7 +84,7 @@ class FrontEnd:
         self._instance = uuid.uuid4().hex
         self._loop = asyncio.get_running_loop()
         self._connections: set[Connection] = set()
-        self._waiting: list[tuple[Connection, wire.Frame]] = []
+        self._waiting: list[tuple[Connection, codec.Frame]] = []
         self._places = Places(len(processes), 1, settings.grace)
         self._started = time.monotonic()
         self.state: str = spec.ServerState.LOADING
@@ -207,13 +207,13 @@ class FrontEnd:
     def received(self, connection: Connection, data: bytes | memoryview) -> None:
         """Answer a message, now or when a worker has."""
         try:
-            frame = wire.decode(data)
-        except wire.WireError as error:
+            frame = codec.decode(data)
+        except codec.WireError as error:
             log(f"refused a frame: {error}")
             if error.message_id is not None:
                 known = {spec.Frame.EVALUATION_ID: "", **error.identifiers}
                 refused = RequestError(spec.ErrorCode.INVALID_FRAME, str(error), spec.ErrorReason.UNREADABLE)
-                connection.send(wire.encode(wire.Frame(spec.Message.ERROR, payload=refused.payload(), **known)))
+                connection.send(codec.encode(codec.Frame(spec.Message.ERROR, payload=refused.payload(), **known)))
             return
         kind = frame.message_type
         if kind == spec.Message.CLOSE:
@@ -233,10 +233,10 @@ class FrontEnd:
 
     # -- answers that need no worker -----------------------------------------------------------------------------------
 
-    def _heartbeat(self, connection: Connection, frame: wire.Frame) -> None:
+    def _heartbeat(self, connection: Connection, frame: codec.Frame) -> None:
         connection.answer(acknowledged(frame, {spec.Payload.OK: True, **self._state()}))
 
-    def _hello(self, connection: Connection, frame: wire.Frame) -> None:
+    def _hello(self, connection: Connection, frame: codec.Frame) -> None:
         """Greet a client: while the models load without a place."""
         asked = capabilities(frame)
         connection.packs = bool(asked.get(spec.Capability.PACKED))
@@ -259,7 +259,7 @@ class FrontEnd:
             answer[spec.Payload.CAPABILITIES][spec.Capability.SHARED_MEMORY] = shared
         connection.answer(acknowledged(frame, answer))
 
-    def _request(self, connection: Connection, frame: wire.Frame, size: int) -> None:
+    def _request(self, connection: Connection, frame: codec.Frame, size: int) -> None:
         """Hand a request to the desk, if there is a place for it."""
         try:
             place = self._place_for(connection, frame)
@@ -268,7 +268,7 @@ class FrontEnd:
         else:
             self._desk.take(connection, place, self.workers[place.worker], frame, size)
 
-    def _place_for(self, connection: Connection, frame: wire.Frame) -> Place:
+    def _place_for(self, connection: Connection, frame: codec.Frame) -> Place:
         """Return the place that a request is about.
 
         Raises:
@@ -286,7 +286,7 @@ class FrontEnd:
 
     # -- places and workers --------------------------------------------------------------------------------------------
 
-    def _place(self, connection: Connection, frame: wire.Frame) -> Place:
+    def _place(self, connection: Connection, frame: codec.Frame) -> Place:
         place = self._places.of(connection)
         if place is not None:
             return place

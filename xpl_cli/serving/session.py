@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl import packed, wire
+from xpl.wire import codec, packed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,7 +47,7 @@ _FAILURES = {
 _PRIVATE = frozenset((spec.Method.INFER, spec.Method.RESET_ENVS))
 
 
-def method_of(frame: wire.Frame) -> str:
+def method_of(frame: codec.Frame) -> str:
     """Return the method that a reset, infer, call, prepare_case or trial_end frame is about.
 
     Raises:
@@ -62,17 +62,17 @@ def method_of(frame: wire.Frame) -> str:
     return name
 
 
-def is_optional(frame: wire.Frame) -> bool:
+def is_optional(frame: codec.Frame) -> bool:
     """Tell whether an adapter without the method of a request answers nothing."""
     return frame.message_type in _HOOKS
 
 
-def failure_code(frame: wire.Frame) -> str:
+def failure_code(frame: codec.Frame) -> str:
     """Return the error code for a request whose method raised."""
     return _FAILURES.get(frame.message_type, spec.ErrorCode.CALL_FAILED)
 
 
-def packed_payload(frame: wire.Frame) -> bytes | None:
+def packed_payload(frame: codec.Frame) -> bytes | None:
     """Return the packed entries of a request, or None if it has none; they are read in the worker.
 
     Raises:
@@ -119,7 +119,7 @@ class Replay:
     def __len__(self) -> int:
         return len(self._entries)
 
-    def find(self, frame: wire.Frame) -> Entry | None:
+    def find(self, frame: codec.Frame) -> Entry | None:
         """Return the running or finished request of this id, or None if it is new.
 
         Raises:
@@ -131,7 +131,7 @@ class Replay:
             raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.DUPLICATE_ID)
         return known
 
-    def begin(self, frame: wire.Frame) -> Entry:
+    def begin(self, frame: codec.Frame) -> Entry:
         """Remember a request that runs now."""
         entry = self._entries[frame.message_id] = Entry(frame.message_type)
         return entry

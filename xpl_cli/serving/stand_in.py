@@ -10,8 +10,8 @@ class StandIn:
     """What is not real; nothing by default.
 
     Attributes:
-        shadow: the model is not loaded, a function of its inputs answers (`xpl.shadow`).
-        stub_missing: third-party modules that cannot be imported are stubbed (`xpl.stubs`).
+        shadow: the model is not loaded, a function of its inputs answers (`xpl.worker.shadow`).
+        stub_missing: third-party modules that cannot be imported are stubbed (`xpl.worker.stubs`).
     """
 
     shadow: bool = False

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli import __version__, spec
-from xpl_cli.errors import ExitCode, UserError
+from xpl_cli import __version__
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.standard import spec
+from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive
-from xpl_cli.validate import validate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -6,15 +6,15 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli import environments
-from xpl_cli.errors import UserError
-from xpl_cli.suite.cells import cells
+from xpl_cli.basics.errors import UserError
+from xpl_cli.evaluation.records.cells import cells
+from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from xpl_cli.suite.cells import Cell
-    from xpl_cli.suite.records import Run
+    from xpl_cli.evaluation.records.cells import Cell
+    from xpl_cli.evaluation.records.records import Run
 
 _WORD = re.compile(r"[A-Za-z0-9_-]+")
 

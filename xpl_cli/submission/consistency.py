@@ -7,14 +7,14 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.suite import fingerprints
-from xpl_cli.suite.cells import INFRASTRUCTURE, cells
-from xpl_cli.validate import validate
+from xpl_cli.evaluation.records import fingerprints
+from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
+from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.suite.records import Line, Run
+    from xpl_cli.evaluation.records.records import Line, Run
 
 _SCHEMA = "record"
 _SUCCESS_OF = {None: (True, None), "task": (False,), "policy": (False, None), INFRASTRUCTURE: (None,)}

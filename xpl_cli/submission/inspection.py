@@ -7,19 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli import env_check, environments, package
-from xpl_cli.audit.model import Gate
-from xpl_cli.checkpoints import specification
-from xpl_cli.errors import NotFoundError, UserError
+from xpl_cli.audit.rules.model import Gate
+from xpl_cli.basics.errors import NotFoundError, UserError
+from xpl_cli.environments import check
+from xpl_cli.evaluation.records import fingerprints, records
+from xpl_cli.lifecycle.checkpoints import specification
+from xpl_cli.packages import environments, package
 from xpl_cli.submission import bundle, claims, consistency
-from xpl_cli.suite import fingerprints, records
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.progress import Progress
+    from xpl_cli.basics.progress import Progress
+    from xpl_cli.evaluation.records.records import Run
     from xpl_cli.submission.bundle import Bundle
-    from xpl_cli.suite.records import Run
 
 _Look = Callable[["Bundle", list["Run"]], Iterator[str]]
 _GREEN = "green"
@@ -153,7 +154,7 @@ def _unlike(folder: Path, run: Run) -> Iterator[str]:
     for cell in run.plan["cells"]:
         if cell["task"] not in tasks:
             yield f"{folder.name} has no task {cell['task']}"
-        elif cell["frozen"] and not set(cell["seeds"]) <= set(env_check.seeds(folder, cell["task"], cell["setting"])):
+        elif cell["frozen"] and not set(cell["seeds"]) <= set(check.seeds(folder, cell["task"], cell["setting"])):
             yield f"the seeds of {cell['task']} ({cell['setting']}) are not those that {folder.name} has frozen"
 
 

@@ -8,9 +8,9 @@ import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli import interpreter
-from xpl_cli.errors import ExitCode, UserError
-from xpl_cli.python_env import installers
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.lifecycle import interpreter
+from xpl_cli.lifecycle.python_env import installers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

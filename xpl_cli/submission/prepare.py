@@ -10,21 +10,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli import environments
-from xpl_cli.checkpoints import specification
-from xpl_cli.errors import ExitCode, NotFoundError
-from xpl_cli.progress import Progress
+from xpl_cli.basics.errors import ExitCode, NotFoundError
+from xpl_cli.basics.progress import Progress
+from xpl_cli.evaluation.records import fingerprints, records
+from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
+from xpl_cli.lifecycle.checkpoints import specification
+from xpl_cli.packages import environments
 from xpl_cli.submission import archive, bundle, claims, consistency
 from xpl_cli.submission.locks import lock_of
-from xpl_cli.suite import fingerprints, records
-from xpl_cli.suite.cells import INFRASTRUCTURE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from xpl_cli.audit.model import TargetReport
-    from xpl_cli.package import Package
-    from xpl_cli.suite.records import Run
+    from xpl_cli.audit.rules.model import TargetReport
+    from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.packages.package import Package
 
 EXTRAS = ("trace", "film")
 """What a line of an episode may name besides itself."""
@@ -161,10 +161,10 @@ def described(run: Run) -> dict[str, str]:
 
 def _audited(request: Request, runs: Sequence[Run]) -> tuple[TargetReport, ExitCode]:
     """Carry the adapter through all gates with the real model, configured as in the runs."""
-    from xpl_cli.audit.engine import audit
-    from xpl_cli.audit.model import Profile, exit_code
-    from xpl_cli.audit.options import Options
-    from xpl_cli.package import POLICY
+    from xpl_cli.audit.engine.engine import audit
+    from xpl_cli.audit.rules.model import Profile, exit_code
+    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.packages.package import POLICY
 
     options = Options(
         overrides=overrides(request.package, [run.plan["policy"]["config"] for run in runs]),

@@ -14,13 +14,13 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.suite.cells import INFRASTRUCTURE, cells
-from xpl_cli.suite.statistics import CONFIDENCE, Interval, Pairs, exact, mcnemar, paired
+from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
+from xpl_cli.evaluation.statistics.intervals import CONFIDENCE, Interval, Pairs, exact, mcnemar, paired
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from xpl_cli.suite.records import Line, Run
+    from xpl_cli.evaluation.records.records import Line, Run
 
 MARGIN = 0.1
 """Success rates that are surely no farther apart than this agree, on machines of which nothing exact can be asked."""

@@ -8,24 +8,25 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli import environments, package
-from xpl_cli.checkpoints import specification, store
-from xpl_cli.errors import ExitCode, UserError
-from xpl_cli.progress import Progress
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.progress import Progress
+from xpl_cli.evaluation.lanes.backend import Job
+from xpl_cli.evaluation.lanes.local import LocalBackend
+from xpl_cli.evaluation.records import fingerprints, records
+from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
+from xpl_cli.evaluation.runs import evaluate, runner
+from xpl_cli.lifecycle.checkpoints import specification, store
+from xpl_cli.packages import environments, package
 from xpl_cli.submission import claims
 from xpl_cli.submission.replay import Pair
-from xpl_cli.suite import evaluate, fingerprints, records, runner
-from xpl_cli.suite.backend import Job
-from xpl_cli.suite.cells import INFRASTRUCTURE
-from xpl_cli.suite.local import LocalBackend
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from xpl_cli.package import Package
-    from xpl_cli.suite.lane import Orders
-    from xpl_cli.suite.records import Line, Run, Slot
-    from xpl_cli.suite.servers import ServerOrders
+    from xpl_cli.evaluation.lanes.lane import Orders
+    from xpl_cli.evaluation.lanes.servers import ServerOrders
+    from xpl_cli.evaluation.records.records import Line, Run, Slot
+    from xpl_cli.packages.package import Package
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli import spec
-from xpl_cli.errors import ExitCode, UserError
-from xpl_cli.progress import Progress
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.progress import Progress
+from xpl_cli.standard import spec
 from xpl_cli.submission import bundle, inspection, replay
 from xpl_cli.submission.replaying import Player
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl_cli.evaluation.records.records import Run
     from xpl_cli.submission.bundle import Bundle
     from xpl_cli.submission.inspection import Check
-    from xpl_cli.suite.records import Run
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.formats.listing import Context
-from xpl_cli.errors import one_of
+from xpl_cli.basics.errors import one_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import TextIO
 
-    from xpl_cli.audit.model import TargetReport
+    from xpl_cli.audit.rules.model import TargetReport
 
 __all__ = ["FORMATS", "Context", "as_json", "check_format", "for_people", "render"]
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.formats.listing import Context, Listed, joined, listed, notes
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.audit.model import TargetReport
+    from xpl_cli.audit.rules.model import TargetReport
 
 
 def render(reports: Sequence[TargetReport], context: Context) -> str:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from xpl_cli import console, output_file
 from xpl_cli.audit.formats import FORMATS, Context, check_format, for_people, render
+from xpl_cli.basics import console
+from xpl_cli.basics import output as output_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.audit.model import TargetReport
+    from xpl_cli.audit.rules.model import TargetReport
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli import __version__, spec
+from xpl_cli import __version__
 from xpl_cli.audit.formats.listing import Context, Listed, in_repository, joined, listed
 from xpl_cli.audit.formats.steps import next_commands
-from xpl_cli.audit.model import Finding, Fix, GateReport, Outcome, Result, TargetReport, counted, exit_code
+from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, Result, TargetReport, counted, exit_code
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

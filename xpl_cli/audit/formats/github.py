@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, unproved
 from xpl_cli.audit.formats.steps import audit_again
-from xpl_cli.audit.model import Outcome
+from xpl_cli.audit.rules.model import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.audit.model import TargetReport
+    from xpl_cli.audit.rules.model import TargetReport
 
 CAP = 10
 """GitHub shows this many annotations of a kind for a step and drops the rest without a word."""

@@ -7,12 +7,12 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, unproved
-from xpl_cli.audit.model import Outcome
+from xpl_cli.audit.rules.model import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.audit.model import TargetReport
+    from xpl_cli.audit.rules.model import TargetReport
 
 _SEVERITIES = {Outcome.ERROR: "blocker", Outcome.FAIL: "critical", Outcome.NOT_RUN: "major", Outcome.WARN: "minor"}
 

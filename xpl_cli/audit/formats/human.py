@@ -19,7 +19,7 @@ from xpl_cli.audit.formats.listing import (
 )
 from xpl_cli.audit.formats.painted import Painted, Terminal
 from xpl_cli.audit.formats.steps import audit_again, next_commands
-from xpl_cli.audit.model import GateReport, Outcome, TargetReport, counted
+from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport, counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

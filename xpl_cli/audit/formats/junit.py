@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 from xpl_cli.audit.formats.listing import Context, Listed, listed
-from xpl_cli.audit.model import Outcome
+from xpl_cli.audit.rules.model import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.audit.model import GateReport, Result, TargetReport
+    from xpl_cli.audit.rules.model import GateReport, Result, TargetReport
 
 _ILLEGAL = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 has no way to write."""

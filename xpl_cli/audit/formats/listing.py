@@ -9,8 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.audit import registry
-from xpl_cli.audit.model import Finding, GateReport, NotRun, Outcome, Result, TargetReport
+from xpl_cli.audit.rules import registry
+from xpl_cli.audit.rules.model import Finding, GateReport, NotRun, Outcome, Result, TargetReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -185,7 +185,7 @@ class Lines:
 
     def of(self, disk: Path, path: str) -> list[str] | None:
         """Return the lines of a file of a target; None if it cannot be read."""
-        from xpl_cli.audit.source import Source
+        from xpl_cli.audit.static.source import Source
 
         key = (disk, path)
         if key not in self._files:

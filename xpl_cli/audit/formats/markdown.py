@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, one_line, shortened, unproved
 from xpl_cli.audit.formats.steps import next_commands
-from xpl_cli.audit.model import Finding, GateReport, Outcome, TargetReport, counted
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, TargetReport, counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -9,12 +9,12 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.formats.listing import Context, Lines, Listed, listed, unproved
-from xpl_cli.audit.model import Outcome
+from xpl_cli.audit.rules.model import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.audit.model import TargetReport
+    from xpl_cli.audit.rules.model import TargetReport
 
 
 def render(reports: Sequence[TargetReport], context: Context) -> str:

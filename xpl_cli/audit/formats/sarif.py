@@ -11,17 +11,18 @@ import os
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote_from_bytes
 
-from xpl_cli import __version__, spec
+from xpl_cli import __version__
 from xpl_cli.audit.formats.linehash import line_hashes
 from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, notes, shortened, unproved
-from xpl_cli.audit.model import Outcome
+from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from xpl_cli.audit.model import Edit, Finding, TargetReport
-    from xpl_cli.audit.registry import Rule
+    from xpl_cli.audit.rules.model import Edit, Finding, TargetReport
+    from xpl_cli.audit.rules.registry import Rule
 
 ROOT = "%SRCROOT%"
 """Name for the root of the repository, which code scanning knows."""

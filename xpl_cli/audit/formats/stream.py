@@ -8,15 +8,15 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli import spec
 from xpl_cli.audit.formats.document import described
 from xpl_cli.audit.formats.listing import Context, listed, unproved
-from xpl_cli.audit.model import Finding
+from xpl_cli.audit.rules.model import Finding
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.audit.model import GateReport, Result, TargetReport
+    from xpl_cli.audit.rules.model import GateReport, Result, TargetReport
 
 
 def render(reports: Sequence[TargetReport], context: Context) -> str:

@@ -1,0 +1,66 @@
+"""XPL501: A waiver still covers a finding."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, NotApplicable, Outcome, rule
+from xpl_cli.audit.engine.checks import Checks
+from xpl_cli.audit.engine.waivers import Waiver
+from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.static.manifests import key_line
+from xpl_cli.audit.static.source import Source
+
+_DELETE = Fix("advice", "delete the waiver; the history of the file keeps its reason")
+
+
+@rule(code="XPL501", slug="stale-waiver", gate="static", requirement="XPL-AUD-1")
+def stale_waiver(source: Source, waivers: tuple[Waiver, ...], checks: Checks, gate: Gate) -> Iterator[Finding]:
+    """A waiver covers nothing any more.
+
+    ## What it does
+    Runs the rules that policy.yml waives, in every gate those of that gate, and asks for each waiver whether it covers
+    one of their findings: of its rule, with a message that begins as the waiver says. A rule that could not run judges
+    no waiver.
+
+    ## Why it matters
+    What is waived is not looked at. A waiver that outlives its reason hides the next fault of the same kind, which may
+    be another one.
+
+    ## Example
+    `waivers: [{rule: bare-except, reason: ...}]` after the `except:` has gone.
+
+    ## Use instead
+    Delete the waiver. One that is to cover a single finding gives the beginning of its `message`.
+
+    ## Fix safety
+    No automatic fix: that the finding is gone may itself be the surprise.
+    """
+    line = key_line(source, sdk.File.POLICY_YML, "waivers") if waivers else 1
+    judged = False
+    for waiver in waivers:
+        entry = waiver.entry
+        if entry is not None and not (entry.runs_in(gate) and entry.target == "policy"):
+            continue
+        judged = True
+        if entry is None:
+            wrong = f"names no rule: `xpl rules` has no {waiver.rule!r}"
+        elif entry.closes:
+            wrong = "is about waivers themselves, which cannot be waived"
+        else:
+            result = checks.result(entry)
+            if result.outcome in {Outcome.NOT_RUN, Outcome.ERROR} or any(map(waiver.covers, result.findings)):
+                continue
+            beginning = f" whose message begins with {waiver.message!r}" if waiver.message else ""
+            wrong = f"covers nothing any more: {waiver.rule} has no finding{beginning}"
+        yield Finding(
+            f"waivers[{waiver.place}] {wrong}; the next fault of this kind would pass unseen",
+            path=sdk.File.POLICY_YML,
+            line=line,
+            expected="a rule, and a finding that it has today",
+            got=f"rule {waiver.rule}" + (f", message {waiver.message!r}" if waiver.message else ""),
+            fix=_DELETE,
+        )
+    if not judged:
+        raise NotApplicable("the manifest waives nothing that this gate looks at")

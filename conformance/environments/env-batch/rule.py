@@ -1,0 +1,74 @@
+"""XPL411: The environments of a batch are as if each ran alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.environments.stage import Offer, Stage, difference
+
+SEEDS = (3, 8)
+TOLERANCE = 1e-5
+
+
+@rule(
+    code="XPL411",
+    slug="env-batch",
+    gate="offline",
+    requirement="XPL-ENV-10",
+    target="env",
+    after=("env-plays",),
+)
+def env_batch(stage: Stage) -> Iterator[Finding]:
+    """What an environment does depends on its neighbours in a batch.
+
+    ## What it does
+    Plays two environments at once, and each seed of theirs alone. Observations have to agree to a hundred thousandth,
+    besides `env_idx`, which has to be right; batched simulators may round differently.
+
+    ## Why it matters
+    A success rate would depend on how many environments run at once, and a mix-up between neighbours shows up in
+    batches only.
+
+    ## Example
+    All environments draw from one generator, one after the other.
+
+    ## Use instead
+    `xpl.environment.Environment`, which does this for an author's `Episode`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for offer in stage.tasks:
+        yield from stage.told(_alike(stage, offer), f"two episodes of {offer} can be played at once")
+
+
+def _alike(stage: Stage, offer: Offer) -> Iterator[Finding]:
+    if stage.manifest.get("scripted"):  # where the index of an environment may be what makes it another one
+        with stage.play(offer, num_envs=2) as play:
+            play.reset(*SEEDS)
+            indices = [obs.get(sdk.Obs.ENV_IDX) for obs in play.observe()]
+        together = alone = []
+    else:
+        with stage.play(offer, num_envs=2, **stage.truth) as play:
+            together = play.trial(offer, *SEEDS)
+        indices = [trial.seen[0].get(sdk.Obs.ENV_IDX) for trial in together]
+        with stage.play(offer, **stage.truth) as play:
+            alone = [play.trial(offer, seed)[0] for seed in SEEDS]
+    if indices != [0, 1]:
+        yield stage.finding(
+            f"{offer}: two environments show the indices {indices}",
+            expected="[0, 1]",
+            got=str(indices),
+            advice="put the environment's index into its observations",
+        )
+    for env, (one, other) in enumerate(zip(together, alone, strict=True)):
+        where = difference(one, other, TOLERANCE)
+        if where is not None:
+            yield stage.finding(
+                f"{offer}: environment {env} of two plays otherwise than alone, {where}",
+                expected="the same episode",
+                got=where,
+                advice="give each environment its own simulator state and its own generator",
+            )

@@ -1,0 +1,74 @@
+"""XPL406: Episodes end when they are to, with one result each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.environments.stage import Offer, Stage
+
+LIMIT, SEED = 5, 3
+
+
+@rule(
+    code="XPL406",
+    slug="env-ends",
+    gate="offline",
+    requirement="XPL-ENV-13",
+    target="env",
+    after=("env-plays",),
+)
+def env_ends(stage: Stage) -> Iterator[Finding]:
+    """An episode goes on beyond its step limit, or has no usable result.
+
+    ## What it does
+    Plays an episode of five control steps in each task, counts its steps, and reads the result: success, score from 0
+    to 1, steps, seed and the reason of its end. Compares the step limits of env.yml with the one that counts.
+
+    ## Why it matters
+    An evaluation waits for the end of an episode, and averages scores. A wrong count of steps or a score above 1 goes
+    into a table.
+
+    ## Example
+    `max_steps` of the configuration is ignored, and each episode takes what env.yml says.
+
+    ## Use instead
+    `xpl.environment.Environment`, which does this for an author's `Episode`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for offer in stage.tasks:
+        yield from stage.told(_ended(stage, offer), f"an episode of {offer} can be played")
+
+
+def _ended(stage: Stage, offer: Offer) -> Iterator[Finding]:
+    with stage.play(offer, max_steps=LIMIT) as play:
+        (trial,) = play.trial(offer, SEED, steps=LIMIT + 2)
+        running, over = play.running(), play.call("is_episode_end")
+    steps, result = len(trial.seen) - 1, trial.result
+    for wrong, expected, got in (
+        (steps > LIMIT or running, f"an end after {LIMIT} control steps", f"{steps} steps, running: {running}"),
+        (over is not True, "is_episode_end() to be True then", repr(over)),
+        (result.get("steps") != steps, f"a result of {steps} steps", f"steps: {result.get('steps')!r}"),
+        (result.get(sdk.Deploy.SEED) != SEED, f"a result of seed {SEED}", f"{result.get(sdk.Deploy.SEED)!r}"),
+        (
+            result.get("success") not in (True, False, None),
+            "success: true, false or null",
+            f"{result.get('success')!r}",
+        ),
+        (not _is_score(result.get("score")), "score: 0 to 1, or null", f"{result.get('score')!r}"),
+        (not result.get("end_reason"), "end_reason: why it ended", f"{result.get('end_reason')!r}"),
+    ):
+        if wrong:
+            yield stage.finding(
+                f"{offer}: expected {expected}, got {got}",
+                expected=expected,
+                got=got,
+                advice="see envs/offline/client.py",
+            )
+
+
+def _is_score(value: object) -> bool:
+    return value is None or (isinstance(value, (int, float)) and 0 <= value <= 1)

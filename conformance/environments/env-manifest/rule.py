@@ -1,0 +1,46 @@
+"""XPL401: env.yml validates against its schema and names the folder it lies in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.static.manifests import key_line, renamed, schema_findings
+from xpl_cli.audit.static.source import Source
+
+_NAME = "env.yml"
+
+
+@rule(code="XPL401", slug="env-manifest", gate="static", requirement="XPL-ENV-1", target="env")
+def env_manifest(source: Source) -> Iterator[Finding]:
+    """env.yml does not say what the standard asks of it.
+
+    ## What it does
+    Validates `env.yml` against the environment schema and compares its name with the folder's.
+
+    ## Why it matters
+    Evaluation and audit read tasks, embodiments and step limits from it. An environment is found by its folder; a
+    result that bears another name is not found again.
+
+    ## Example
+    A task without `max_steps`: its episodes have no end.
+
+    ## Use instead
+    `xpl spec show env` lists every key.
+
+    ## Fix safety
+    Only the name is corrected, to that of the folder.
+    """
+    values = source.yaml(_NAME)
+    yield from schema_findings(source, _NAME, "env", "{} is not understood")
+    given = values.get("name") if isinstance(values, dict) else None
+    if isinstance(given, str) and given != source.path.name:
+        yield Finding(
+            f"results of {source.path.name} are filed under {given}",
+            path=_NAME,
+            line=key_line(source, _NAME, "name"),
+            column=1,
+            expected=source.path.name,
+            got=given,
+            fix=renamed(source, _NAME, "name"),
+        )

@@ -1,0 +1,81 @@
+"""XPL403: What env.yml offers is known to the standard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from collections.abc import Set as AbstractSet
+from difflib import get_close_matches
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.manifests import robots
+from xpl_cli.audit.static.source import Source
+
+_NAME = "env.yml"
+
+
+@rule(code="XPL403", slug="env-names", gate="static", requirement="XPL-ENV-5", target="env")
+def env_names(source: Source) -> Iterator[Finding]:
+    """env.yml names a robot, a camera or a kind of action that the standard does not know.
+
+    ## What it does
+    Compares embodiments, cameras and action types with the names of the standard, and the stages of each task with a
+    score of 1: their parts add up to it.
+
+    ## Why it matters
+    Policies ask for cameras and robots by these names. An environment that calls its camera `head_cam` offers, to every
+    policy, no camera at all.
+
+    ## Example
+    `cameras: {head_cam: {}}`; the standard calls it cam_head.
+
+    ## Use instead
+    `xpl spec show embodiments` and `xpl spec show observation` list the names.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    values = source.manifest_of(_NAME)
+    cameras = {*sdk.OPTIONAL_CAMERAS, *(name for names in sdk.CAMERAS.values() for name in names)}
+    for key, known, what in (
+        ("embodiments", robots(), "robot"),
+        ("cameras", cameras, "camera"),
+        ("action_types", set(sdk.ACTION_TYPES), "kind of action"),
+    ):
+        yield from _unknown(source, key, values.get(key), known, what)
+    tasks = values.get("tasks")
+    for name, task in tasks.items() if isinstance(tasks, dict) else ():
+        stages = task.get("stages") if isinstance(task, dict) else None
+        parts = list(stages.values()) if isinstance(stages, dict) else []
+        if parts and all(isinstance(part, (int, float)) for part in parts) and abs(sum(parts) - 1) > 1e-6:
+            yield Finding(
+                f"a success in {name} scores {sum(parts):g} and not 1: scores of tasks cannot be averaged",
+                path=_NAME,
+                line=_line(source, str(name)),
+                column=1,
+                expected="stages that add up to 1",
+                got=f"{sum(parts):g}",
+                fix=Fix("advice", "scale the stages"),
+            )
+
+
+def _unknown(source: Source, key: str, given: object, known: AbstractSet[str], what: str) -> Iterator[Finding]:
+    entries: Iterable[object] = given if isinstance(given, (list, dict)) else ()
+    for entry in entries:
+        if isinstance(entry, str) and entry not in known:
+            near = get_close_matches(entry, known, n=1, cutoff=0.4)
+            yield Finding(
+                f"no policy finds the {what} {entry}: the standard has none of that name",
+                path=_NAME,
+                line=_line(source, entry, key),
+                column=1,
+                expected=", ".join(sorted(known)),
+                got=entry,
+                fix=Fix("advice", f"rename it{f' to {near[0]}' if near else ''}"),
+            )
+
+
+def _line(source: Source, *words: str) -> int:
+    """Return the first line of env.yml that holds the first of these words that it holds at all."""
+    lines = source.text(_NAME).split("\n")
+    return next((number for word in words for number, text in enumerate(lines, start=1) if word in text), 1)

@@ -1,0 +1,58 @@
+"""XPL404: What env.yml offers can be played."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, NotRun, rule
+from xpl_cli.audit.environments.stage import Offer, Stage, motion
+
+
+@rule(
+    code="XPL404",
+    slug="env-plays",
+    gate="offline",
+    requirement="XPL-ENV-6",
+    target="env",
+)
+def env_plays(stage: Stage) -> Iterator[Finding]:
+    """The environment cannot be made, reset or stepped in something that env.yml offers.
+
+    ## What it does
+    Makes the environment in a process of its own, for every task and for every robot with every action type, begins an
+    episode and executes a step that holds the pose.
+
+    ## Why it matters
+    env.yml is what evaluations are planned with. What it offers and does not have shows up hours later, on another
+    machine.
+
+    ## Example
+    A robot is added to env.yml, and the simulator has no start pose for it.
+
+    ## Use instead
+    Offer less, or note in `unsupported` which robots a task is not offered with, and why.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for offer in stage.robots:
+        yield from stage.told(_played(stage, offer), f"{offer} can be played")
+
+
+def _played(stage: Stage, offer: Offer) -> Iterator[Finding]:
+    with stage.play(offer) as play:
+        play.reset(0)
+        observations = play.observe()
+        if len(observations) != 1 or not isinstance(observations[0], dict):
+            got = f"{len(observations)} observations"
+            yield stage.finding(
+                f"{offer}: after a reset one environment shows {got}",
+                expected="one observation, a map",
+                got=got,
+                advice="return one observation for each environment asked for",
+            )
+            return
+        with contextlib.suppress(NotRun):  # a state that no motion can begin from is what env-observations reports
+            play.act({0: motion(offer, observations[0], 0)})
+        play.results()

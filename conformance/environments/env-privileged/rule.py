@@ -1,0 +1,63 @@
+"""XPL415: Simulator truth is shown to those only who asked for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.environments.stage import Offer, Stage
+
+
+@rule(
+    code="XPL415",
+    slug="env-privileged",
+    gate="offline",
+    requirement="XPL-ENV-15",
+    target="env",
+    after=("env-plays",),
+)
+def env_privileged(stage: Stage) -> Iterator[Finding]:
+    """Observations hold simulator truth that nobody asked for, or lack what env.yml promises.
+
+    ## What it does
+    Observes with and without `privileged` in the configuration, as far as env.yml says that the environment can show
+    the truth.
+
+    ## Why it matters
+    A policy that sees where things are is not evaluated on seeing. Nobody notices: its success rate is high.
+
+    ## Example
+    `privileged` is always in the observation, since most policies ignore it.
+
+    ## Use instead
+    `xpl.environment.Environment`, which does this for an author's `Episode`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    offer = stage.offers[0]
+    yield from stage.told(_shown(stage, offer), f"{offer} can be observed")
+
+
+def _shown(stage: Stage, offer: Offer) -> Iterator[Finding]:
+    with stage.play(offer, **{sdk.Obs.PRIVILEGED: False}) as play:
+        play.reset(0)
+        if sdk.Obs.PRIVILEGED in play.observe()[0]:
+            yield stage.finding(
+                f"{offer}: observations show simulator truth that was not asked for",
+                expected=f"no {sdk.Obs.PRIVILEGED}",
+                got=f"{sdk.Obs.PRIVILEGED} in the observation",
+                advice="add it where the configuration asks for it only",
+            )
+    if not stage.manifest.get(sdk.Obs.PRIVILEGED):
+        return
+    with stage.play(offer, **{sdk.Obs.PRIVILEGED: True}) as play:
+        play.reset(0)
+        if not play.observe()[0].get(sdk.Obs.PRIVILEGED):
+            yield stage.finding(
+                f"{offer}: env.yml promises simulator truth, and observations have none when it is asked for",
+                expected=f"{sdk.Obs.PRIVILEGED} in the observation",
+                got="nothing",
+                advice=f"show it, or declare {sdk.Obs.PRIVILEGED}: false",
+            )

@@ -1,0 +1,115 @@
+"""XPL412: What is not offered is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl.simulator.process import EnvRaisedError
+from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.environments.stage import Offer, Play, Stage, Trial, difference, motion
+
+ACCIDENTS = frozenset(
+    ("KeyError", "IndexError", "AttributeError", "TypeError", "NameError", "UnboundLocalError", "ZeroDivisionError")
+)
+
+
+@rule(
+    code="XPL412",
+    slug="env-refuses",
+    gate="offline",
+    requirement="XPL-ENV-11",
+    target="env",
+    after=("env-plays",),
+)
+def env_refuses(stage: Stage) -> Iterator[Finding]:
+    """A mistake of a caller is not refused, or refused by an accident of the code.
+
+    ## What it does
+    Asks for a task, a robot and an action type that are not offered, and sends actions that lack a key, have one too
+    many, or have another dimension, and one for an environment that is not there. Each has to raise an error of the
+    environment's own (no KeyError or IndexError that merely happened), and the robot has to stay where it was.
+
+    ## Why it matters
+    An action that lacks the right gripper and is executed all the same moves a robot with half a command. An accident
+    says nothing to whoever made the mistake.
+
+    ## Example
+    A misspelt task silently plays the first one.
+
+    ## Use instead
+    `xpl.action.ActionError` for actions, `ValueError` with the names that are offered for the rest.
+    `xpl.environment.Environment`, which does this for an author's `Episode`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    offer = stage.offers[0]
+    expected = "an error that says what is offered"
+    unknown = {"task": "no_such_task", "embodiment": "no_such_robot", sdk.Deploy.ACTION_TYPE: "telepathy"}
+    if stage.manifest.get("scripted"):
+        del unknown["task"]  # a script is the same for any task
+    for key, value in unknown.items():
+        got = _made(stage, replace(offer, **{key: value}))
+        if got is not None:
+            yield stage.finding(
+                f"{key} {value!r} is not offered, and asking for it {got}",
+                expected=expected,
+                got=got,
+                advice="raise ValueError with the names that are offered",
+            )
+    for each in dict.fromkeys((offer, *(item for item in stage.tasks if item.action_type != offer.action_type))):
+        yield from stage.told(_mistakes(stage, each), f"{each} can be played")
+
+
+def _made(stage: Stage, offer: Offer) -> str | None:
+    """Return what is wrong with how an environment refuses what it does not offer, None if nothing is."""
+    try:
+        with stage.play(offer) as play:
+            play.reset(0)
+    except EnvRaisedError as error:
+        return _accident(error)
+    return "is answered as if it were"
+
+
+def _mistakes(stage: Stage, offer: Offer) -> Iterator[Finding]:
+    with stage.play(offer) as play:
+        play.reset(0)
+        (first,) = play.observe()
+        right = motion(offer, first, 0)
+        key = next(iter(right))
+        for what, actions in (
+            (f"an action without {key}", {0: {name: value for name, value in right.items() if name != key}}),
+            ("an action with a key too many", {0: {**right, "no_such_key": np.zeros(1, np.float32)}}),
+            (f"an action with one value more in {key}", {0: {**right, key: np.append(right[key], np.float32(0))}}),
+            ("an action for environment 7, of one", {7: right}),
+        ):
+            got = _sent(play, actions)
+            (now,) = play.observe(0)
+            moved = difference(Trial((first,), {}), Trial((now,), {}))
+            if got is None and moved is not None:
+                got = f"moves the robot all the same ({moved})"
+            if got is not None:
+                yield stage.finding(
+                    f"{offer}: {what} {got}",
+                    expected="a refusal that says what is expected, and no motion",
+                    got=got,
+                    advice="check an action before anything moves, with xpl.action",
+                )
+                play.reset(0)
+
+
+def _sent(play: Play, actions: Mapping[int, Mapping[str, Any]]) -> str | None:
+    try:
+        play.act(actions)
+    except EnvRaisedError as error:
+        return _accident(error)
+    return "is executed"
+
+
+def _accident(error: EnvRaisedError) -> str | None:
+    return f"stops with an accident of the code, {error}" if error.kind in ACCIDENTS else None

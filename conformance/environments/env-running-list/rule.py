@@ -1,0 +1,77 @@
+"""XPL407: An environment that has ended leaves the running list."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from xpl.simulator.process import EnvRaisedError
+from xpl_cli.audit import Finding, rule
+from xpl_cli.audit.environments.stage import Offer, Stage, Trial, difference, motion
+
+LIMIT = 4
+
+
+@rule(
+    code="XPL407",
+    slug="env-running-list",
+    gate="offline",
+    requirement="XPL-ENV-7",
+    target="env",
+    after=("env-plays",),
+)
+def env_running_list(stage: Stage) -> Iterator[Finding]:
+    """An environment whose episode has ended stays in the running list, or still moves.
+
+    ## What it does
+    Ends one of two episodes by an action that is not a number, or both by their step limit, and then acts on the ended
+    ones again.
+
+    ## Why it matters
+    Benchmarks loop while the running list is not empty, and send actions to what is in it. A list that never shrinks is
+    an evaluation without an end; an ended environment that moves spoils its result.
+
+    ## Example
+    `get_running_env_idx_list` returns all indices as long as one of them runs.
+
+    ## Use instead
+    `xpl.environment.Environment`, which does this for an author's `Episode`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for offer in stage.tasks:
+        yield from stage.told(_shrinks(stage, offer), f"two episodes of {offer} can be played")
+
+
+def _shrinks(stage: Stage, offer: Offer) -> Iterator[Finding]:
+    with stage.play(offer, num_envs=2, max_steps=LIMIT) as play:
+        play.reset(0, 1)
+        first = play.observe()
+        before = play.running()
+        if before != [0, 1]:
+            yield _wrong(stage, f"{offer}: after a reset the running list is {before}", "[0, 1]", str(before))
+        for step in range(LIMIT):
+            running = play.running()
+            if running:
+                play.act({env: motion(offer, first[env], step) for env in running})
+        after, results = play.running(), play.results()
+        if after:
+            text = f"{offer}: {LIMIT} steps is all that was asked for, and the running list is still {after}"
+            yield _wrong(stage, text, "[]", str(after))
+            return
+        seen = play.observe(0, 1)
+        # Refusing an action that comes too late is as good as ignoring it.
+        with contextlib.suppress(EnvRaisedError):
+            play.act({env: motion(offer, first[env], LIMIT) for env in (0, 1)})
+        late = Trial(tuple(play.observe(0, 1)), {}), Trial(tuple(seen), {})
+        moved = difference(*late)
+        if moved is not None or play.results() != results:
+            text = f"{offer}: an action after the end still changes the environment ({moved or 'its result'})"
+            yield _wrong(stage, text, "nothing to change", moved or "another result")
+
+
+def _wrong(stage: Stage, text: str, expected: str, got: str) -> Finding:
+    return stage.finding(
+        text, expected=expected, got=got, advice="keep what has ended out of the list, and out of step"
+    )

@@ -1,0 +1,56 @@
+"""XPL409: Different seeds give different episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, NotApplicable, rule
+from xpl_cli.audit.environments.stage import Offer, Stage, difference
+
+SEEDS = (0, 1, 2, 3)
+
+
+@rule(
+    code="XPL409",
+    slug="env-seeds-differ",
+    gate="offline",
+    requirement="XPL-ENV-8",
+    target="env",
+    after=("env-plays",),
+)
+def env_seeds_differ(stage: Stage) -> Iterator[Finding]:
+    """All seeds give the same episode.
+
+    ## What it does
+    Plays each task with four seeds and the same motion. At least one episode has to differ from the first; simulator
+    truth is looked at, too, where the environment can show it.
+
+    ## Why it matters
+    A hundred episodes are then one episode, counted a hundred times.
+
+    ## Example
+    `reset` takes the seed and does nothing with it.
+
+    ## Use instead
+    Vary what a policy should cope with: positions, orientations, colors. An environment that follows a script on
+    purpose says so: `scripted: true` in env.yml.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if stage.manifest.get("scripted"):
+        raise NotApplicable("env.yml declares that observations follow a script")
+    for offer in stage.tasks:
+        yield from stage.told(_varied(stage, offer), f"{offer} can be played")
+
+
+def _varied(stage: Stage, offer: Offer) -> Iterator[Finding]:
+    with stage.play(offer, **stage.truth) as play:
+        trials = [play.trial(offer, seed, steps=1)[0] for seed in SEEDS]
+    if all(difference(trials[0], other) is None for other in trials[1:]):
+        yield stage.finding(
+            f"{offer}: seeds {', '.join(map(str, SEEDS))} all give the same episode",
+            expected="episodes that differ",
+            got="no difference",
+            advice="let the seed decide what varies, or declare scripted: true",
+        )

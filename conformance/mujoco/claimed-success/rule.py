@@ -1,0 +1,52 @@
+"""XPL311: The manifest claims a success rate that is not what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.physics.figures import USUAL_EPISODES, claims, measure
+from xpl_cli.audit.physics.simulation import ENVIRONMENT, Simulation
+
+
+@rule(code="XPL311", slug="claimed-success", gate="mujoco", requirement="XPL-SIM-11", profile="full")
+def claimed_success(simulation: Simulation) -> Iterator[Finding]:
+    """The manifest claims a success rate that is not what is measured.
+
+    ## What it does
+    Plays whole episodes on the frozen seeds of every task for which `policy.yml` claims a success rate in this
+    environment, and compares the claim with the 95 % confidence interval of what is measured. Where nothing is claimed
+    a few episodes are played for the report, and nothing is judged.
+
+    ## Why it matters
+    A figure in a manifest is read as one of this adapter: of this checkpoint, robot, kind of action and setting. If it
+    is another one's, comparisons rest on it all the same.
+
+    ## Example
+    `success_rate: 0.92` from the paper, where the released checkpoint was trained for another robot.
+
+    ## Use instead
+    What `xpl eval` measures, and `episodes` that are enough: with 20 the interval is up to 40 % wide.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    claimed = claims(simulation)
+    if not claimed:
+        measure(simulation, simulation.first, simulation.probe.options.episodes or USUAL_EPISODES)
+        raise NotApplicable(f"the manifest claims no success rate in {ENVIRONMENT}")
+    for claim in claimed:
+        figure = measure(simulation, claim.course, claim.episodes)
+        interval = figure.success_interval
+        if claim.success_rate not in interval:
+            other = "higher" if claim.success_rate > interval.high else "lower"
+            yield Finding(
+                f"the manifest claims {claim.success_rate:.0%} success in {claim.course}, {other} than what is "
+                "measured",
+                path=spec.File.POLICY_YML,
+                expected=f"a rate within {interval}, as {figure.successes} of {figure.episodes} episodes succeed",
+                got=f"{claim.success_rate:.0%}",
+                evidence=figure.as_json(),
+                fix=Fix("advice", "claim what was measured with this adapter, or find out why it no longer does it"),
+            )

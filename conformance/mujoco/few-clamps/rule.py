@@ -1,0 +1,50 @@
+"""XPL302: The environment keeps clamping the commands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.audit.served.probe import blame
+
+TOLERATED = 0.05
+
+
+@rule(code="XPL302", slug="few-clamps", gate="mujoco", requirement="XPL-SIM-2", profile="full")
+def few_clamps(simulation: Simulation) -> Iterator[Finding]:
+    """The environment keeps clamping the commands.
+
+    ## What it does
+    Counts, in a closed loop of every declared robot and action type, the control steps in which a command lay beyond a
+    joint limit, a speed limit or the gripper's range.
+
+    ## Why it matters
+    A clamped command is not executed as asked, and on a robot it means motion at the limit. Many of them point to wrong
+    units, a wrong normalisation or deltas taken for absolute values.
+
+    ## Example
+    Joint angles in degrees: every command is beyond the limits.
+
+    ## Use instead
+    Compare the first action with the observed state; they should be close.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    kinds = frozenset(("joint_limit", "joint_speed", "gripper_range"))
+    for played in simulation.sound_rollouts():
+        share = played.corrected(kinds) / max(played.steps, 1)
+        if share > TOLERATED:
+            counts = played.results[0]["corrections"]
+            yield blame(
+                f"in {played.course} the environment had to clamp {share:.0%} of the commands: the robot does not do "
+                "what the policy asks",
+                expected=f"at most {TOLERATED:.0%} of the steps beyond a limit of joints, speed or gripper",
+                got=", ".join(f"{kind} {count} times" for kind, count in counts.items()),
+                evidence={"task": played.course.task, "steps": played.steps, "corrections": counts},
+                fix=Fix(
+                    "advice",
+                    "check units and normalisation: radians, absolute targets, gripper 0..1, the control frequency",
+                ),
+            )

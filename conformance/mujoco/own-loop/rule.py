@@ -1,0 +1,49 @@
+"""XPL312: The adapter's own evaluation loop does not play an episode to its end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.physics.own_loop import loop_of, problem_of
+from xpl_cli.audit.physics.simulation import Simulation
+
+
+@rule(code="XPL312", slug="own-loop", gate="mujoco", requirement="XPL-SIM-12")
+def own_loop(simulation: Simulation) -> Iterator[Finding]:
+    """The adapter's own evaluation loop does not play an episode to its end.
+
+    ## What it does
+    Runs the loops of `deploy.py` against physics: one episode that ends in the middle of a chunk, and a batch of two
+    that end one after the other. Each has to be played until the environment says that it has ended, and no further.
+
+    ## Why it matters
+    Benchmarks run these loops. One that returns early measures unfinished episodes; one that goes on commands a robot
+    whose episode is over, or never comes back.
+
+    ## Example
+    `for _ in range(100): ...` in place of asking `is_episode_end()`.
+
+    ## Use instead
+    The loops that `xpl new-policy` writes.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe = simulation.probe
+    if probe.options.isolate:
+        raise NotApplicable("the loop runs in this process, and --isolate lets none of the adapter's code do so")
+    for batch in (False, True):
+        loop = loop_of(probe.package.path, batch=batch)
+        with simulation.staged(2 if batch else 1) as (stage, session):
+            problem = problem_of(loop, stage, session)
+        if problem is not None:
+            yield Finding(
+                f"in physics {loop.__name__} {problem}",
+                path=sdk.File.DEPLOY_PY,
+                expected="an episode that is played until the environment says that it has ended",
+                got=f"{stage.steps} of {list(stage.lengths)} control steps, and {stage.late} after the end",
+                evidence={"task": simulation.first.task},
+                fix=Fix("advice", "ask is_episode_end() or get_running_env_idx_list() after every action"),
+            )

@@ -1,0 +1,46 @@
+"""XPL308: Commands are in another convention than observations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.physics.conventions import mistakes
+from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL308", slug="pose-convention", gate="mujoco", requirement="XPL-SIM-8", profile="full")
+def pose_convention(simulation: Simulation) -> Iterator[Finding]:
+    """Commands are in another convention than observations.
+
+    ## What it does
+    Compares, in a closed loop of every declared robot and action type, the first action of each chunk with where the
+    robot is observed then. It should be near. Where it never is, and every time near the same place expressed
+    otherwise, that is reported: the point between the fingertips for the flange, the frame of the arm's base for the
+    world, the quaternion's real part last, millimetres, degrees, the other arm.
+
+    ## Why it matters
+    The arm creeps, leaps or stops at the edge of its workspace, and every check of keys, dimensions and norms passes.
+    Only where the robot follows commands and reports where it is do the two conventions meet.
+
+    ## Example
+    A model trained on poses of the fingertips, whose output goes out as `ee_pose`: the arm moves ahead by the length of
+    the gripper, again and again.
+
+    ## Use instead
+    `[x, y, z, qw, qx, qy, qz]` of the flange in the world frame, metres; joint angles in radians; left before right.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for played in simulation.sound_rollouts():
+        for mistake in mistakes(played.robot, played.course.action_type, played.queries[0]):
+            yield blame(
+                f"in {played.course} {mistake.key} is commanded as {mistake.what}: the robot does not stay where "
+                "the policy believes it to be",
+                expected=f"commands near the observed {mistake.key}, at first {list(mistake.observed)}",
+                got=f"{list(mistake.commanded)}",
+                evidence={"task": played.course.task, "questions": len(played.queries[0])},
+                fix=Fix("advice", mistake.advice),
+            )

@@ -1,0 +1,53 @@
+"""XPL303: Equal seeds do not give equal motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.audit.served.probe import blame
+
+_SEED = 1
+
+
+@rule(code="XPL303", slug="same-seed-same-motion", gate="mujoco", requirement="XPL-SIM-3")
+def same_seed_same_motion(simulation: Simulation) -> Iterator[Finding]:
+    """Equal seeds do not give equal motion.
+
+    ## What it does
+    Plays the same task with the same seed against two fresh servers and compares the digests of the trajectories.
+
+    ## Why it matters
+    Paired comparisons between policies, and every claim about a difference of a few percent, rest on runs that repeat.
+
+    ## Example
+    Sampling noise from an unseeded generator.
+
+    ## Use instead
+    `self.rng(env)`, or `deterministic: false` in the manifest where the framework cannot be seeded.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    simulation.probe.require_deterministic()
+    first, again = (simulation.afresh((_SEED,), run=run) for run in range(2))
+    if first.digests != again.digests:
+        step = next(
+            (
+                index
+                for index, (a, b) in enumerate(zip(first.commands[0], again.commands[0], strict=False))
+                if (a != b).any()
+            ),
+            0,
+        )
+        yield blame(
+            f"two runs of {first.course} with one seed move differently from step {step} on",
+            expected=first.digests[0],
+            got=again.digests[0],
+            evidence={"task": first.course.task, spec.Deploy.SEED: _SEED, "first_difference": step},
+            fix=Fix(
+                "advice", "draw random numbers from self.rng(env); declare deterministic: false if that is impossible"
+            ),
+        )

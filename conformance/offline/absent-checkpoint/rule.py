@@ -1,0 +1,55 @@
+"""XPL251: A checkpoint or a step that is not there is replaced by another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.configurations import Configurations
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL251", slug="absent-checkpoint", gate="offline", requirement="XPL-CKP-1", profile="full")
+def absent_checkpoint(configurations: Configurations) -> Iterator[Finding]:
+    """A checkpoint or a step that is not there is replaced by another.
+
+    ## What it does
+    Asks for checkpoints whose names are like that of the real one, and for training steps that are not there: 0, the
+    first digit of a step that is there (5 for 50000), and ten times that step. Each has to end in an error. Where step
+    0 is there, it has to act otherwise than the newest.
+
+    ## Why it matters
+    The run reports the score of a checkpoint that nobody asked for, under the name of another.
+
+    ## Example
+    `glob(f"step_{step}*")`, which finds step 50000 for 5; `if step:`, which takes 0 for "the newest".
+
+    ## Use instead
+    `xpl.checkpoint.resolve` and `xpl.checkpoint.resolve_step`, which never choose another.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    checkpoint = configurations.probe.checkpoint
+    if checkpoint is None:
+        raise NotApplicable("deploy.yml names no checkpoint that is there")
+    for name in checkpoint.absent_names():
+        if configurations.changed(**{checkpoint.key: name}).refusal is None:
+            yield _finding(f"{checkpoint.key}: {name} is not there, and the adapter acts with {checkpoint.name}")
+    for key, step in checkpoint.step_keys():
+        for other in checkpoint.absent_steps(step):
+            if configurations.changed(**{key: other}).refusal is None:
+                yield _finding(f"{key}: step {other} is not there, and the adapter acts with another; {step} is there")
+        if step and 0 in checkpoint.steps() and configurations.repeats:
+            first = configurations.changed(**{key: 0})
+            if first.refusal is None and first.difference(configurations.changed(**{key: step})) is None:
+                yield _finding(f"{key}: step 0 acts exactly as step {step}")
+
+
+def _finding(fault: str) -> Finding:
+    return blame(
+        f"{fault}: a run reports the score of a checkpoint that nobody asked for",
+        expected="an error that says what is not there",
+        got="a server that is ready",
+        fix=Fix("advice", "find it with xpl.checkpoint.resolve and resolve_step"),
+    )

@@ -1,0 +1,53 @@
+"""XPL202: Actions lack keys, dimensions or finite values that the embodiment asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.motion import Answer, Motion, Motions
+from xpl_cli.audit.served.compare import shapes
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL202", slug="action-structure", gate="offline", requirement="XPL-ACT-1")
+def action_structure(motions: Motions) -> Iterator[Finding]:
+    """Actions lack keys, dimensions or finite values that the embodiment asks for.
+
+    ## What it does
+    Serves the adapter for every embodiment and action type that its manifest declares, plays three steps of an episode
+    in which each action is executed, then asks for two environments in a batch, and checks each action step: exact
+    keys, dimensions, finite values, unit quaternions, grippers between 0 and 1.
+
+    ## Why it matters
+    A robot of another width gets truncated or shifted commands; a controller that meets a NaN stops, or worse, does
+    not.
+
+    ## Example
+    `actions[:, :6]` on an arm with 7 joints, or `left_arm_joint_state` for a robot with one arm.
+
+    ## Use instead
+    `self.embodiment.dims(self.action_type)` for the keys and their dimensions, `xpl.action.unpack` for the split.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    alike: dict[str, list[tuple[Motion, Answer]]] = {}
+    for motion in motions.all:
+        wrong = next(((answer, found) for answer in motion.answers if (found := motion.problem(answer))), None)
+        if wrong is not None:
+            answer, problem = wrong
+            alike.setdefault(problem, []).append((motion, answer))
+    for problem, ((motion, answer), *others) in alike.items():
+        too = [f"{other.action_type} for {other.embodiment.name}" for other, _ in others]
+        dims = motion.embodiment.dims(motion.action_type)
+        yield blame(
+            f"{motion.action_type} actions for {motion.embodiment.name} cannot be executed: {problem}"
+            + (f"; likewise {', '.join(too)}" if too else ""),
+            expected=", ".join(f"{key} ({dim},)" for key, dim in dims.items()),
+            got=f"{answer.where}: {shapes(answer.chunk)}",
+            fix=Fix(
+                "advice",
+                "return flat rows of the embodiment's dimension from predict and let the base class unpack them",
+            ),
+        )

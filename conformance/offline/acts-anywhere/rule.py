@@ -1,0 +1,44 @@
+"""XPL253: The adapter depends on the folder in which its process runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.configurations import Configurations
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL253", slug="acts-anywhere", gate="offline", requirement="XPL-CKP-3")
+def acts_anywhere(configurations: Configurations) -> Iterator[Finding]:
+    """The adapter depends on the folder in which its process runs.
+
+    ## What it does
+    Serves the adapter with an empty folder as its working directory, and compares the episode.
+
+    ## Why it matters
+    Launchers start servers from their own folder. The same deploy.yml then finds the weights on one machine and not on
+    the other, or other weights.
+
+    ## Example
+    `open("stats.json")`.
+
+    ## Use instead
+    `self.policy_dir / "stats.json"`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if not configurations.probe.package.manifest.get("deterministic", True):
+        usual, there = configurations.usual, configurations.from_elsewhere()
+        found = there.refusal if usual.refusal is None else None
+    else:
+        configurations.require_repeats()
+        found = configurations.usual.difference(configurations.from_elsewhere())
+    if found is not None:
+        yield blame(
+            "from another working directory the adapter acts otherwise: it depends on where a launcher started it",
+            expected="the same actions",
+            got=found,
+            fix=Fix("advice", "join relative paths to self.policy_dir"),
+        )

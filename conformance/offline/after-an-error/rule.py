@@ -1,0 +1,86 @@
+"""XPL222: An error in one episode reaches the next one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl.client import ClientError
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.damage import damaged_operations
+from xpl_cli.audit.served.compare import answers, brief, difference, error_code, first_step
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL222", slug="after-an-error", gate="offline", requirement="XPL-EPI-1")
+def after_an_error(probe: Probe) -> Iterator[Finding]:
+    """An error in one episode reaches the next one.
+
+    ## What it does
+    In a fresh server, shows damaged observations in the middle of an episode (empty, without state, without
+    pictures, of the wrong type; a batch whose second observation is damaged) and asks for environments that are
+    unknown. Then it resets and plays an episode, which must equal the same episode after one without errors.
+
+    ## Why it matters
+    A simulator that hiccups once must not cost all episodes after it. What is left half done by an error, and not
+    cleared by reset, spoils results in a way that nobody connects with the error.
+
+    ## Example
+    `self.busy = True` at the beginning of an inference and `self.busy = False` at its end.
+
+    ## Use instead
+    Change state only once everything that can fail is done, and clear all of it in reset.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    with probe.run() as policy:
+        probe.episode(policy, steps=2)
+        expected = probe.episode(policy, env=1)
+    refused: list[str] = []
+    advice = Fix("advice", "change state only after everything that can fail, and clear all of it in reset")
+    try:
+        with probe.fresh_session() as policy:  # the server that all share may not survive this
+            probe.episode(policy, steps=2)
+            for what, operate in damaged_operations(probe):
+                if error_code(operate(policy)) is not None:
+                    refused.append(what)
+            reset = policy.reset()
+            after = probe.episode(policy, env=1)
+    except ClientError as error:
+        yield blame(
+            "a damaged observation ends the adapter instead of being refused: one bad frame costs the whole evaluation",
+            expected="an error",
+            got=str(error),
+            evidence={"refused_before": refused},
+            fix=Fix("advice", "raise where an observation is damaged; never end the process"),
+        )
+        return
+    if error_code(reset) is not None:
+        yield blame(
+            "reset fails after an error: no further episode can be played",
+            expected="a new episode",
+            got=brief(reset),
+            evidence={"refused": refused},
+            fix=advice,
+        )
+        return
+    for step, pair in enumerate(zip(expected, after, strict=True)):
+        found = difference(*pair)
+        if found is not None:
+            probe.require_repeatable_afresh()
+            yield blame(
+                f"the episode after one with errors goes otherwise, from step {step} on: what an error left behind "
+                "survives reset",
+                expected="the actions of the same episode after one without errors",
+                got=found,
+                evidence={
+                    "step": step,
+                    "refused": refused,
+                    "after_no_error_and_after_errors": [
+                        first_step(chunk) if answers(chunk) else brief(chunk) for chunk in pair
+                    ],
+                },
+                fix=advice,
+            )
+            return

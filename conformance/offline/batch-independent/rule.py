@@ -1,0 +1,56 @@
+"""XPL207: Environments of one batch influence each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import answers, difference, first_step
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL207", slug="batch-independent", gate="offline", requirement="XPL-BAT-5")
+def batch_independent(probe: Probe) -> Iterator[Finding]:
+    """Environments of one batch influence each other.
+
+    ## What it does
+    Runs three environments with one instruction in one batch for three steps, then each of them alone, and compares
+    the actions.
+
+    ## Why it matters
+    A shared history, cache, step counter or random generator makes results depend on how many environments ran beside.
+    Such numbers cannot be reproduced with another batch size.
+
+    ## Example
+    One action queue for all environments: environment 1 continues the chunk of environment 0.
+
+    ## Use instead
+    `xpl.Policy` keeps history and generators per environment; native state belongs in a dict keyed by environment.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    envs = [0, 1, 2]
+    # All with one instruction: whether each follows its own, `own-instruction` asks.
+    instruction = probe.observation()[spec.Obs.INSTRUCTION]
+    together = probe.batch_episode(envs, instruction=instruction)
+    for env in envs:
+        by_itself = probe.batch_episode([env], instruction=instruction)
+        for step, (alone, batch) in enumerate(zip(by_itself, together, strict=True)):
+            found = difference(alone, batch[env : env + 1] if answers(batch) else batch)
+            if found is not None:
+                yield blame(
+                    f"environment {env} acts differently beside others than alone, from step {step} on: "
+                    "state is shared, and results depend on how many run at once",
+                    expected="the actions of a run by itself",
+                    got=found,
+                    evidence={
+                        "environment": env,
+                        "step": step,
+                        "alone": first_step(alone[0]) if answers(alone) else None,
+                    },
+                    fix=Fix("advice", "keep history, caches, counters and generators per environment index"),
+                )
+                return

@@ -1,0 +1,51 @@
+"""XPL204: None and the empty list are confused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import brief, difference, error_code
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL204", slug="batch-none-and-empty", gate="offline", requirement="XPL-BAT-2")
+def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
+    """None and the empty list are confused.
+
+    ## What it does
+    Asks for `[]`, which must be answered by `[]`, and for `None`, which means the environments of the last batch in
+    their order.
+
+    ## Why it matters
+    When the last environment of a batch ends the list is empty. Taking it for "all" makes the policy act on finished
+    episodes, and shifts every answer after it.
+
+    ## Example
+    `envs = env_idx_list or self.all_envs`
+
+    ## Use instead
+    `envs = self.order if env_idx_list is None else env_idx_list`
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    envs = [4, 2]
+    batch = probe.observations(envs)
+    listed, implied, empty = (probe.batch_answer(batch, wanted) for wanted in (envs, None, []))
+    if error_code(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
+        yield blame(
+            "get_action_batch([]) is not answered by []: a batch whose environments have all ended is acted on again",
+            expected="[]",
+            got=brief(empty),
+            fix=Fix("advice", "test `env_idx_list is None`; `env_idx_list or default` takes an empty list for missing"),
+        )
+    found = difference(listed, implied)
+    if found is not None:
+        yield blame(
+            "get_action_batch(None) does not follow the order of the last batch: robots receive each other's commands",
+            expected=f"the answer for {envs}",
+            got=found,
+            fix=Fix("advice", "remember the order of the last update_obs_batch and use it for None"),
+        )

@@ -1,0 +1,61 @@
+"""XPL219: A batch of one environment is answered differently than a single call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import answers, difference, first_step
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL219", slug="batch-of-one", gate="offline", requirement="XPL-BAT-7")
+def batch_of_one(probe: Probe) -> Iterator[Finding]:
+    """A batch of one environment is answered differently than a single call.
+
+    ## What it does
+    Plays one episode of environment 5 with `update_obs` and `get_action`, with `update_obs_batch` and
+    `get_action_batch([5])`, and with `get_action_batch(None)`, and compares the chunks of every step.
+
+    ## Why it matters
+    Benchmarks use either form; `eval_batch` in deploy.yml decides. Two paths through an adapter that prepare inputs
+    on their own drift apart, and the score depends on a flag that should only change the speed.
+
+    ## Example
+    `get_action` scales the state and `get_action_batch` does not.
+
+    ## Use instead
+    One path: let `get_action` answer `get_action_batch([env])[0]`, as `xpl.Policy` does.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    env = 5
+    batch = probe.batch_episode([env])
+    with probe.run() as policy:
+        single = [[chunk] for chunk in probe.episode(policy, env)]
+    with probe.run() as policy:
+        policy.reset()
+        implied = []
+        for step in range(len(batch)):
+            policy.update_obs_batch(probe.observations([env], step))
+            implied.append(policy.get_action_batch(None))
+    for form, episode in (("get_action()", single), ("get_action_batch(None)", implied)):
+        for step, (expected, answer) in enumerate(zip(batch, episode, strict=True)):
+            found = difference(expected, answer)
+            if found is not None:
+                yield blame(
+                    f"{form} answers environment {env} differently than get_action_batch([{env}]), from step "
+                    f"{step} on: the score depends on whether an evaluation is batched",
+                    expected=f"the answer to get_action_batch([{env}])",
+                    got=found,
+                    evidence={
+                        "environment": env,
+                        "step": step,
+                        "batch": first_step(expected[0]) if answers(expected) else None,
+                        "other": first_step(answer[0]) if answers(answer) else None,
+                    },
+                    fix=Fix("advice", "answer a single call by the batched one, with a list of one environment"),
+                )
+                break

@@ -1,0 +1,61 @@
+"""XPL203: A batch answers other environments than it was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import answers, brief, difference, first_step, mistaken
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL203", slug="batch-order", gate="offline", requirement="XPL-BAT-1")
+def batch_order(probe: Probe) -> Iterator[Finding]:
+    """A batch answers other environments than it was asked for.
+
+    ## What it does
+    Shows observations of environments 3, 7 and 9, then asks for [9], [9, 3] and [7, 9, 3] and compares each answer
+    with what these environments got before.
+
+    ## Why it matters
+    In batched evaluation environments finish at different times. An adapter that reads the list by position sends the
+    commands of one robot to another; nothing crashes, the success rate just drops.
+
+    ## Example
+    `get_action_batch([9])` that computes `self.obs[: len(env_idx_list)]` answers for environment 3.
+
+    ## Use instead
+    Derive from `xpl.Policy`, or keep observations in a dict keyed by environment index.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    envs = [3, 7, 9]
+    batch = probe.observations(envs)
+    whole = probe.batch_answer(batch, envs)
+    if not answers(whole, len(envs)):
+        yield blame(
+            f"get_action_batch({envs}) does not give one chunk per environment: robots get no command, or others'",
+            expected=f"{len(envs)} chunks",
+            got=brief(whole),
+            fix=Fix("advice", "return one chunk per entry of env_idx_list"),
+        )
+        return
+    alone = dict(zip(envs, whole, strict=True))
+    for wanted in ([9], [9, 3], [7, 9, 3]):
+        answer = probe.batch_answer(batch, wanted)
+        found = difference([alone[env] for env in wanted], answer)
+        if found is not None:
+            yield blame(
+                f"get_action_batch({wanted}) {mistaken(answer, alone, wanted)}",
+                expected=f"the chunks of environments {wanted}, in this order",
+                got=found,
+                evidence={
+                    "observed": envs,
+                    "asked": wanted,
+                    "first_action": first_step(answer[0]) if answers(answer) else None,
+                },
+                fix=Fix("advice", "look observations up by environment index, never by position in the list"),
+            )
+            return

@@ -1,0 +1,86 @@
+"""XPL218: An environment acts differently once others of its batch have ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import answers, difference, first_step
+from xpl_cli.audit.served.probe import Probe, blame
+
+_STEPS: tuple[tuple[list[int], list[int] | None], ...] = (
+    ([0, 1, 2, 3], [0, 1, 2, 3]),
+    ([0, 1, 2, 3], [0, 2, 3]),  # 1 has ended in the middle of the chunk
+    ([3, 0], [3, 0]),
+    ([3], None),
+)
+"""Environments that are observed, and those that are asked for, step by step."""
+_COMPARED = (3, 0)
+
+
+@rule(
+    code="XPL218",
+    slug="batch-shrinks",
+    gate="offline",
+    requirement="XPL-BAT-5",
+    after=("batch-order", "batch-none-and-empty", "batch-independent"),
+)
+def batch_shrinks(probe: Probe) -> Iterator[Finding]:
+    """An environment acts differently once others of its batch have ended.
+
+    ## What it does
+    Plays one episode of four environments of which one after the other ends: all four, then without environment 1,
+    then 3 before 0, then 3 alone, asked for with `None`. Each environment that goes on must act as it does in a run
+    by itself.
+
+    ## Why it matters
+    Episodes of a batch end at different times. State that is kept by position moves to another robot as soon as one
+    in front of it has ended: its history, its queue or its hidden state is then that of a neighbour.
+
+    ## Example
+    `self.hidden[:len(obs_list)]` keeps one row per place in the batch.
+
+    ## Use instead
+    A dict keyed by environment index, or the state that `xpl.Policy` keeps for each environment.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    instruction = probe.observation()[spec.Obs.INSTRUCTION]
+    with probe.run() as policy:
+        policy.reset()
+        together = []
+        for step, (observed, asked) in enumerate(_STEPS):
+            policy.update_obs_batch(probe.observations(observed, step, instruction))
+            together.append(policy.get_action_batch(asked))
+    for env in _COMPARED:
+        with probe.run() as policy:
+            policy.reset()
+            for step, (observed, asked) in enumerate(_STEPS):
+                wanted = observed if asked is None else asked
+                if env not in observed:
+                    break
+                policy.update_obs_batch(probe.observations([env], step, instruction))
+                alone = policy.get_action_batch([env])
+                answered = together[step]
+                place = wanted.index(env)
+                beside = answered[place : place + 1] if answers(answered, len(wanted)) else answered
+                found = difference(alone, beside)
+                if found is not None:
+                    yield blame(
+                        f"environment {env} acts differently beside others that end than alone, from step {step} on: "
+                        "its state is kept by position in the batch",
+                        expected="the actions of a run by itself",
+                        got=found,
+                        evidence={
+                            "environment": env,
+                            "step": step,
+                            "observed": [list(entry) for entry, _ in _STEPS[: step + 1]],
+                            "alone": first_step(alone[0]) if answers(alone) else None,
+                            "beside": first_step(beside[0]) if answers(beside) else None,
+                        },
+                        fix=Fix("advice", "keep whatever outlives a call in a dict keyed by environment index"),
+                    )
+                    return

@@ -1,0 +1,43 @@
+"""XPL205: An unknown or repeated environment is answered instead of refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import brief, error_code
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL205", slug="batch-unknown", gate="offline", requirement="XPL-BAT-3")
+def batch_unknown(probe: Probe) -> Iterator[Finding]:
+    """An unknown or repeated environment is answered instead of refused.
+
+    ## What it does
+    Observes environments 3 and 7, then asks for [3, 8] and for [3, 3]. Both must be errors.
+
+    ## Why it matters
+    The answer can only come from another environment's observation. A launcher with an off-by-one then looks healthy.
+
+    ## Example
+    `obs = self.obs.get(env, self.last_obs)`
+
+    ## Use instead
+    `obs = self.obs[env]`, which raises a KeyError, or `xpl.Policy`, which says which environments it knows.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    for wanted, what in (([3, 8], "environment 8, which was never observed"), ([3, 3], "environment 3 twice")):
+        with probe.session() as policy:
+            policy.reset()
+            policy.update_obs_batch(probe.observations([3, 7]))
+            answer = policy.get_action_batch(wanted)
+        if error_code(answer) is None:
+            yield blame(
+                f"asked for {what}, the adapter makes up an answer instead of refusing",
+                expected="an error that names the environment",
+                got=brief(answer),
+                fix=Fix("advice", "raise on an environment index without an observation, and on a repeated one"),
+            )

@@ -1,0 +1,72 @@
+"""XPL206: Observations without env_idx are mixed up or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import difference, error_code, same
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL206", slug="batch-without-index", gate="offline", requirement="XPL-BAT-4")
+def batch_without_index(probe: Probe) -> Iterator[Finding]:
+    """Observations without env_idx are mixed up or refused.
+
+    ## What it does
+    Shows the same two observations with and without `env_idx`, for two steps, asks for both and for the second alone,
+    and compares the answers. Then shows a batch of which only the first observation has an index, 1, the place of the
+    other one: environment 1 must not be answered from that.
+
+    ## Why it matters
+    `env_idx` is optional. Clients that leave it out, and there are some in the field, would see every robot receive the
+    actions of the last one, or an exception.
+
+    ## Example
+    `self.obs[obs.get("env_idx", 0)] = obs` inside the loop over the batch stores all of them under 0.
+
+    ## Use instead
+    `xpl.observation.env_indices(batch)`
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    episodes = []
+    for bare in (False, True):
+        with probe.run() as policy:
+            policy.reset()
+            answered = []
+            for step, asked in enumerate(([0, 1], [1])):
+                batch = probe.observations([0, 1], step)
+                policy.update_obs_batch([_bare(obs) for obs in batch] if bare else batch)
+                answered.append(policy.get_action_batch(asked))
+            episodes.append(answered)
+    found = difference(*episodes)
+    if found is not None:
+        yield blame(
+            "observations without env_idx are not told apart by their position: one environment overwrites another",
+            expected="the same actions as with env_idx 0 and 1",
+            got=found,
+            evidence={"asked": [[0, 1], [1]]},
+            fix=Fix("advice", "number the observations of a batch by position if all of them lack env_idx"),
+        )
+        return
+    named, unnamed = ({**obs, spec.Obs.ENV_IDX: 1} for obs in probe.observations([0, 1]))
+    mixed = probe.batch_answer([named, _bare(unnamed)], [1])
+    own, other = (probe.batch_answer([obs], [1]) for obs in (named, unnamed))
+    if same(mixed, other) and not same(own, other) and error_code(mixed) is None:
+        yield blame(
+            "in a batch of which only some observations have env_idx, environment 1 is answered from an observation "
+            "that has none: its own was overwritten",
+            expected="an error, or the actions for the observation with env_idx 1",
+            got="the actions for the observation without env_idx",
+            evidence={"indices": [1, None], "asked": [1]},
+            fix=Fix("advice", "refuse a batch of which only some observations have env_idx"),
+        )
+
+
+def _bare(obs: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in obs.items() if key != spec.Obs.ENV_IDX}

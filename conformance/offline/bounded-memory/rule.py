@@ -1,0 +1,47 @@
+"""XPL223: The memory of an episode grows with every step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.memory import long_episode
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL223", slug="bounded-memory", gate="offline", requirement="XPL-EPI-6")
+def bounded_memory(probe: Probe) -> Iterator[Finding]:
+    """The memory of an episode grows with every step.
+
+    ## What it does
+    Plays one long episode with large pictures and looks at the memory of the adapter's processes after every
+    stretch of steps. What still grows by a sizeable part of an observation per step after several stretches is not
+    bounded.
+
+    ## Why it matters
+    Episodes on robots last for hours. A list of everything that was seen ends them when the memory is full, and
+    slows them down long before.
+
+    ## Example
+    `self.frames.append(obs)` with `self.frames[-2:]` read.
+
+    ## Use instead
+    `collections.deque(maxlen=history)`, or the history that `xpl.Policy` keeps.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    played = long_episode(probe)
+    if played is None:
+        raise NotApplicable("this system does not tell how much memory a process uses")
+    if played.per_step is not None:
+        kept, size = played.per_step / 1e3, played.observation / 1e3
+        yield blame(
+            f"memory grows by {kept:.0f} kB with every step of an episode, of observations of {size:.0f} kB: a long "
+            f"episode ends when the memory is full, {played.per_step * 1e4 / 1e9:.1f} GB after 10,000 steps",
+            expected="memory that stays the same after the first steps",
+            got=", ".join(f"{grown / 1e6:+.1f} MB in {steps} steps" for steps, grown in played.stretches),
+            evidence={"steps": sum(steps for steps, _ in played.stretches), "bytes_per_step": round(played.per_step)},
+            fix=Fix("advice", "keep no more than the declared history, in a deque with maxlen"),
+        )

@@ -1,0 +1,45 @@
+"""XPL252: Serving the adapter has changed files of its checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL252", slug="checkpoint-intact", gate="offline", requirement="XPL-CKP-2", profile="full")
+def checkpoint_intact(probe: Probe) -> Iterator[Finding]:
+    """Serving the adapter has changed files of its checkpoint.
+
+    ## What it does
+    Compares size and time of change of every file of the checkpoint before the first server of the audit started with
+    what they are now.
+
+    ## Why it matters
+    The checkpoint is no longer the one that was published: its hash differs, and who loads it next gets other numbers.
+    Two servers that start on it race; a read-only store fails.
+
+    ## Example
+    `dataset_statistics.json` of the checkpoint is written again at every load.
+
+    ## Use instead
+    Keep what was changed in memory, or write it to a temporary folder that the model loads from.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if probe.checkpoint is None:
+        raise NotApplicable("deploy.yml names no checkpoint that is there")
+    probe.ready()
+    after = probe.checkpoint.state()
+    changed = [path for path, state in probe.checkpoint_before.items() if after.get(path) != state]
+    for path in changed:
+        what = "is gone" if path not in after else "was written"
+        yield blame(
+            f"{path.name} of the checkpoint {what} while the adapter was served: who loads it next gets another one, "
+            "and two servers race",
+            expected="checkpoint files as they were published",
+            got=f"{path} {what}",
+            fix=Fix("advice", "keep the change in memory, or write a copy to a temporary folder"),
+        )

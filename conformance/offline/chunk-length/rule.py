@@ -1,0 +1,46 @@
+"""XPL236: Chunks do not have the length that the manifest declares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.served.compare import answers
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL236", slug="chunk-length", gate="offline", requirement="XPL-ACT-7")
+def chunk_length(probe: Probe, motions: Motions) -> Iterator[Finding]:
+    """Chunks do not have the length that the manifest declares.
+
+    ## What it does
+    Counts the action steps of every chunk: with each embodiment and action type that the manifest declares, at the
+    first observation and at later ones, alone and in a batch.
+
+    ## Why it matters
+    An environment plans by the declared length: how many steps it executes, when it asks again, and how it fills the
+    batch. Chunks of unequal length leave some environments of a batch without an action.
+
+    ## Example
+    `actions[: self.execute_steps]`, where policy.yml still declares the model's whole horizon.
+
+    ## Use instead
+    `temporal.chunk` in policy.yml, the number of action steps that one call returns.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    declared = (probe.package.manifest.get("temporal") or {}).get("chunk")
+    if declared is None:
+        raise NotApplicable("no manifest declares the length of a chunk")
+    for motion in motions.all:
+        wrong = [answer for answer in motion.answers if answers(answer.chunk) and len(answer.chunk) != declared]
+        if wrong:
+            yield blame(
+                f"{motion.action_type} chunks for {motion.embodiment.name} do not have the declared length: an "
+                f"environment that plans by it executes too few or too many steps",
+                expected=f"temporal.chunk, {declared} action steps",
+                got=", ".join(f"{len(answer.chunk)} ({answer.where})" for answer in wrong),
+                fix=Fix("advice", "return the whole chunk, or declare in policy.yml how long it is"),
+            )

@@ -1,0 +1,43 @@
+"""XPL230: A policy that sees does not tell red from blue."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL230", slug="colours-told-apart", gate="offline", requirement="XPL-OBS-7", profile="full")
+def colours_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
+    """A policy that sees does not tell red from blue.
+
+    ## What it does
+    Exchanges red and blue in the picture of each camera that the manifest requires, one at a time, and looks whether
+    the action changes. Cameras that have no effect at all are left to `inputs-matter`.
+
+    ## Why it matters
+    "Put the red block on the blue one" cannot be followed by a policy to which both look alike.
+
+    ## Example
+    `image[..., :1]`, meant to drop an alpha channel, or a conversion to grey for a network that was trained on colour.
+
+    ## Use instead
+    `xpl.observation.get_image(obs, camera)`, which is (H, W, 3) RGB, handed on with all three channels in this order.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if not any(name.startswith(spec.Obs.VISION) for name in probe.named_inputs()):
+        raise NotApplicable("the manifest requires no camera")
+    unseen = semantics.unseen()
+    for change in semantics.ignored("colours"):
+        if change.input not in unseen:
+            yield blame(
+                f"with {change.what} the action is the same: the policy cannot tell a red thing from a blue one",
+                expected="another action",
+                got="the same action",
+                fix=Fix("advice", f"hand all three channels of {change.input} to the model, in the order RGB"),
+            )

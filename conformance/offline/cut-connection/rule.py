@@ -1,0 +1,78 @@
+"""XPL228: An episode goes otherwise after the connection was cut."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from xpl.client import ClientError
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import answers, brief, difference, first_step
+from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.relay import Relay
+
+_CUTS = (None, "confirmation", "action", "observation", None)
+"""What is lost in each step of the episode."""
+
+
+@rule(code="XPL228", slug="cut-connection", gate="offline", requirement="XPL-SRV-2")
+def cut_connection(probe: Probe) -> Iterator[Finding]:
+    """An episode goes otherwise after the connection was cut.
+
+    ## What it does
+    Plays an episode through a relay that cuts the connection three times: after a shown observation was taken in
+    and before that was confirmed, after an action was computed and before it was delivered, and in the middle of a
+    request. The client comes back and repeats itself. Every answer must equal that of the same episode without
+    cuts.
+
+    ## Why it matters
+    Networks drop connections, and the client repeats what was not answered. Where the policy notices, because an
+    observation enters its history twice, or because it takes the pause for the end of an episode, results depend on
+    the network.
+
+    ## Example
+    `if time.time() - self.last_call > 0.5: self.reset()`
+
+    ## Use instead
+    Nothing: the server answers a repeated request from its memory. Begin episodes in `reset` and nowhere else.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    with probe.run() as policy:
+        expected = probe.episode(policy, steps=len(_CUTS))
+    answered: list[Any] = []
+    cuts: list[str] = []
+    try:
+        with probe.own_server({}) as server, Relay(server.url) as relay, probe.connected(relay.url) as policy:
+            policy.reset()
+            for step, cut in enumerate(_CUTS):
+                if cut == "confirmation":
+                    cuts.append(f"step {step}, update_obs: {relay.cut_answer()}")
+                elif cut == "observation":
+                    cuts.append(f"step {step}, update_obs: {relay.cut_request()}")
+                policy.update_obs(probe.observation(0, step))
+                if cut == "action":
+                    cuts.append(f"step {step}, get_action: {relay.cut_answer()}")
+                answered.append(policy.get_action())
+    except ClientError as error:
+        answered.append(error)
+    for step, (uncut, answer) in enumerate(zip(expected, answered, strict=False)):
+        found = str(answer) if isinstance(answer, ClientError) else difference(uncut, answer)
+        if found is not None:
+            probe.require_repeatable_afresh()
+            yield blame(
+                f"after the connection was cut and came back the policy acts differently, from step {step} on: results "
+                "depend on the network",
+                expected="the actions of the same episode without a cut",
+                got=found,
+                evidence={
+                    "step": step,
+                    "cuts": cuts,
+                    "uncut": first_step(uncut) if answers(uncut) else None,
+                    "cut": first_step(answer) if answers(answer) else brief(answer),
+                },
+                fix=Fix("advice", "begin an episode in reset only, and take in what is shown once"),
+            )
+            return

@@ -1,0 +1,43 @@
+"""XPL248: A policy that is declared not deterministic is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.configurations import Configurations
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL248", slug="declared-random", gate="offline", requirement="XPL-CFG-12", profile="full")
+def declared_random(configurations: Configurations) -> Iterator[Finding]:
+    """A policy that is declared not deterministic is.
+
+    ## What it does
+    Plays one episode under two seeds, where the manifest says `deterministic: false`.
+
+    ## Why it matters
+    The declaration switches off every rule that compares actions: whether environments influence each other, whether an
+    episode depends on the last one. Here nothing stood in their way.
+
+    ## Example
+    `deterministic: false`, and a model that draws no random number.
+
+    ## Use instead
+    `deterministic: true`. A policy that draws its numbers from the run's seed is deterministic, too.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if configurations.probe.package.manifest.get("deterministic", True):
+        raise NotApplicable("the policy is declared deterministic")
+    seeds = (0, 7)
+    first, second = (configurations.with_seed(seed) for seed in seeds)
+    if first.refusal is None and first.difference(second) is None:
+        yield blame(
+            f"seeds {seeds[0]} and {seeds[1]} give the same actions, and policy.yml declares the policy not "
+            "deterministic: what compares actions is left out for nothing",
+            expected="actions that differ, or deterministic: true",
+            got="the same actions in two servers",
+            fix=Fix("advice", "declare deterministic: true"),
+        )

@@ -1,0 +1,61 @@
+"""XPL256: A gripper that is declared binary is commanded neither closed nor open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.served.probe import Probe, blame
+
+_HAND = "hand"
+_STATES = np.array([sdk.GRIPPER_CLOSED, sdk.GRIPPER_OPEN])
+_EXACT = 1e-3
+"""How near a command is to closed or open when it is meant: float32 and its way over the wire."""
+
+
+@rule(code="XPL256", slug="gripper-between", gate="offline", requirement="XPL-ACT-17", profile="full")
+def gripper_between(probe: Probe, motions: Motions) -> Iterator[Finding]:
+    """A gripper that is declared binary is commanded neither closed nor open.
+
+    ## What it does
+    Looks through the gripper commands of a short episode, with every embodiment that has a gripper, where `policy.yml`
+    declares `gripper: {command: binary}`.
+
+    ## Why it matters
+    A gripper of two states rounds what lies between, and another one stops half way: the same policy acts otherwise on
+    two robots. A comparison of policies counts a hesitation as an opening.
+
+    ## Example
+    The probability of closing, as the network answers it.
+
+    ## Use instead
+    Decide in `decode`: `(raw > 0.5).astype(np.float32)`. Or declare `command: position`, if an opening is meant.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if (probe.package.manifest.get("gripper") or {}).get("command") != "binary":
+        raise NotApplicable("the manifest does not declare that only closed and open are meant")
+    arms = [(motion, arm) for motion in motions.sound for arm in motion.embodiment.arms if arm.gripper != _HAND]
+    if not arms:
+        raise NotApplicable("no robot has a gripper that opens and closes")
+    told = set()
+    for motion, arm in arms:
+        key = arm.prefix + sdk.State.EE_JOINT_STATE
+        for answer in motion.sound:
+            commands = np.array([float(np.ravel(action[key])[0]) for action in answer.chunk])
+            away = np.abs(commands[:, None] - _STATES).min(axis=1)
+            worst = int(np.argmax(away))
+            if away[worst] > _EXACT and (motion.embodiment.name, key) not in told:
+                told.add((motion.embodiment.name, key))
+                yield blame(
+                    f"{key} of {motion.embodiment.name} is commanded to {commands[worst]:.3g}, and only closed and "
+                    f"open are declared: a gripper of two states would decide for itself",
+                    expected=f"{sdk.GRIPPER_CLOSED:g} or {sdk.GRIPPER_OPEN:g}, or a declared position",
+                    got=f"{commands[worst]:.4g} ({answer.where}, action {worst} of the chunk)",
+                    fix=Fix("advice", "round in decode, or declare that the command is an opening"),
+                )

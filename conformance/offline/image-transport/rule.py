@@ -1,0 +1,72 @@
+"""XPL225: Actions depend on how a picture travelled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.rehearsal import Rehearsal
+from xpl_cli.audit.served.compare import answers, difference, first_step
+from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.transports import FORMS, decoded, encoded, error_of, sees_pictures
+
+
+@rule(code="XPL225", slug="image-transport", gate="offline", requirement="XPL-IMG-2")
+def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
+    """Actions depend on how a picture travelled.
+
+    ## What it does
+    Sends the same pictures as arrays, as JPEG with the marker of the standard, as JPEG of the older kind, in which
+    red and blue are exchanged, and as true-RGB PNG, and compares each answer with the answer to an array of exactly
+    the decoded picture, so that the codec's own error plays no part. Then it hands the adapter the encoded bytes
+    themselves: it must refuse them, or read them as the standard does.
+
+    ## Why it matters
+    The transport is a matter of bandwidth. Where it changes colours, a policy scores lower with one benchmark than
+    with another, and both look healthy.
+
+    ## Example
+    `cv2.imdecode(color, 1)` for encoded frames, in BGR, and the array itself for raw ones.
+
+    ## Use instead
+    `xpl.observation.get_image(obs, camera)`: the server has decoded the picture before.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if not sees_pictures(probe):
+        raise NotApplicable("the manifest declares no camera as an input")
+    probe.ready()
+    raw = probe.observation()
+    plain = probe.answer(raw)
+    for name in FORMS:
+        sent = encoded(raw, name)
+        read = decoded(sent)
+        error = error_of(raw, read)
+        expected = probe.answer(read) if error else plain
+        ways = [("sent through the server", expected, probe.answer(sent))]
+        known, undecoded = rehearsal.pictures[name]
+        # To refuse is right: an adapter never decodes.
+        if probe.repeats_in_place and spec.Payload.RESULT in known and spec.Payload.RESULT in undecoded:
+            ways.append(("handed over undecoded", known[spec.Payload.RESULT], undecoded[spec.Payload.RESULT]))
+        for way, wanted, answer in ways:
+            found = difference(wanted, answer)
+            if found is not None:
+                yield blame(
+                    f"pictures as {name}, {way}, are answered otherwise than the same pictures as arrays: colours "
+                    "depend on the transport",
+                    expected=f"the actions for the decoded pictures, which the codec changed by at most {error} of 255",
+                    got=found,
+                    evidence={
+                        "form": name,
+                        "codec_error": error,
+                        "raw": first_step(plain) if answers(plain) else None,
+                        "decoded": first_step(wanted) if answers(wanted) else None,
+                        "encoded": first_step(answer) if answers(answer) else None,
+                    },
+                    fix=Fix(
+                        "advice", "read pictures with xpl.observation.get_image, and decode nothing in the adapter"
+                    ),
+                )
+                return

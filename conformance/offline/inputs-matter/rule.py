@@ -1,0 +1,43 @@
+"""XPL212: A required input has no effect on the actions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.probe import Probe
+
+
+@rule(code="XPL212", slug="inputs-matter", gate="offline", requirement="XPL-OBS-6")
+def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
+    """A required input has no effect on the actions.
+
+    ## What it does
+    Changes each input that the manifest requires, one at a time, and looks whether the action changes.
+
+    ## Why it matters
+    A camera, state or instruction that never reaches the model costs bandwidth and hides a wiring fault: the key is
+    read under a wrong name, or a value is read and then ignored.
+
+    ## Example
+    The prompt is set once from the task name, and the instruction of the observation is ignored.
+
+    ## Use instead
+    Use the input, or declare it under `inputs.unused`, so that comparisons between policies say what each one saw.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    required = probe.named_inputs()
+    unseen = semantics.unseen()
+    for name in required:
+        if name in unseen:
+            yield Finding(
+                message=f"{name} is declared as required, but changing it changes nothing: the policy does not see it",
+                path=spec.File.POLICY_YML,
+                expected=f"another action for another {name}, or {name} under inputs.unused",
+                got="the same action",
+                fix=Fix("advice", f"use {name} in encode, or move it to inputs.unused in policy.yml"),
+            )

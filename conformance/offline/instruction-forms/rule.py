@@ -1,0 +1,66 @@
+"""XPL215: Only one spelling of the instruction is understood."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.compare import error_code
+from xpl_cli.audit.served.probe import Probe, blame
+
+_FIX = Fix("advice", "read it with xpl.observation.get_instruction")
+
+
+@rule(code="XPL215", slug="instruction-forms", gate="offline", requirement="XPL-OBS-4")
+def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
+    """Only one spelling of the instruction is understood.
+
+    ## What it does
+    Shows the same observation once with `instruction` and once with `instructions`, a list whose first entry is the
+    same text. A text under `instructions`, and a list under `instruction`, are not of the standard: they must be
+    understood or refused, not read as something else.
+
+    ## Why it matters
+    Both occur in the field. A policy that ignores one of them follows no instruction there, or stops.
+
+    ## Example
+    `prompt = obs["instruction"]`, or `prompt = obs["instructions"][0]`, which of a text takes the first letter.
+
+    ## Use instead
+    `xpl.observation.get_instruction(obs)`
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    obs = probe.observation()
+    text = obs[spec.Obs.INSTRUCTION]
+    rest = {key: value for key, value in obs.items() if key != spec.Obs.INSTRUCTION}
+    forms: dict[str, dict[str, Any]] = {
+        "`instructions`": {**rest, spec.Obs.INSTRUCTIONS: [text, "an alternative wording"]},
+        "a text under `instructions`": {**rest, spec.Obs.INSTRUCTIONS: text},
+        "a list under `instruction`": {**rest, spec.Obs.INSTRUCTION: [text]},
+    }
+    wanted, *others = forms
+    answers = dict(zip(forms, semantics.compare([((obs,), (form,)) for form in forms.values()]), strict=True))
+    found = semantics.disagreement(*answers[wanted])
+    if found is not None:
+        yield blame(
+            f"an observation with {wanted} is not understood as one with `instruction`: the policy stops, or follows "
+            "another instruction",
+            expected="the action for the first of the list",
+            got=found,
+            fix=_FIX,
+        )
+    for form in others:
+        plain, answer = answers[form]
+        if error_code(answer) is None and (found := semantics.disagreement(plain, answer)) is not None:
+            yield blame(
+                f"{form} is read as another instruction: the policy follows one that nobody gave",
+                expected="the action for the text, or an error",
+                got=found,
+                fix=_FIX,
+            )

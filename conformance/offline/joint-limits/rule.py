@@ -1,0 +1,59 @@
+"""XPL238: Joints are commanded past the limits of the embodiment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.limits import outside
+from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL238", slug="joint-limits", gate="offline", requirement="XPL-ACT-9", profile="full")
+def joint_limits(motions: Motions) -> Iterator[Finding]:
+    """Joints are commanded past the limits of the embodiment.
+
+    ## What it does
+    Looks through the joint commands of a short episode, with every embodiment whose limits are known. The observed
+    joints are well inside them.
+
+    ## Why it matters
+    An environment clamps what it cannot execute, so the robot does something else than the policy meant; a controller
+    on hardware may stop with a fault instead.
+
+    ## Example
+    Commands in degrees, or rescaled with the statistics of another robot.
+
+    ## Use instead
+    `self.embodiment.arms[0].lower` and `upper`, where a model's output has to be kept inside.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    limited = [
+        motion
+        for motion in motions.sound
+        if spec.ACTION_KEYS[motion.action_type][0] == spec.State.ARM_JOINT_STATE
+        and any(arm.lower is not None for arm in motion.embodiment.arms)
+    ]
+    if not limited:
+        raise NotApplicable("no joint command for a robot whose limits are known")
+    for motion in limited:
+        found = [
+            (answer, index, excess)
+            for answer in motion.sound
+            for index, action in enumerate(answer.chunk)
+            for excess in outside(motion.embodiment, action)
+        ]
+        if found:
+            answer, index, excess = max(found, key=lambda entry: abs(entry[2].value - entry[2].limit))
+            joints = ", ".join(dict.fromkeys(excess.what for _, _, excess in found))
+            yield blame(
+                f"joints of {motion.embodiment.name} are commanded past their limits ({joints}): the robot would be "
+                f"stopped, or do something else than the policy meant",
+                expected=f"{excess.what} up to {excess.limit:.4g} rad",
+                got=f"{excess.value:.4g} rad ({answer.where}, action {index} of the chunk)",
+                fix=Fix("advice", "check units and statistics, and keep the output inside the limits in decode"),
+            )

@@ -1,0 +1,46 @@
+"""XPL247: A chunk takes longer to compute than to execute."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.service import Service
+
+_RATE = "control_frequency"
+
+
+@rule(code="XPL247", slug="keeps-the-rate", gate="offline", requirement="XPL-SRV-6", profile="full")
+def keeps_the_rate(probe: Probe, service: Service) -> Iterator[Finding]:
+    """A chunk takes longer to compute than to execute.
+
+    ## What it does
+    Compares the time of an answer, the middle of seven, with the time for which a chunk lasts at the control frequency
+    that the manifest declares.
+
+    ## Why it matters
+    The robot waits for the policy between two chunks, or the declared rate is not the real one. What was trained at 30
+    Hz then moves at 10. It counts on the machine of the audit; another may be faster.
+
+    ## Example
+    `control_frequency: 50` and chunks of one step, where an answer takes 100 ms.
+
+    ## Use instead
+    Declare the rate that can be kept, return longer chunks, or make the model faster.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    rate = probe.package.manifest.get(_RATE)
+    if rate is None:
+        raise NotApplicable("the manifest declares no control frequency")
+    usual, lasts = service.usual, service.steps / rate
+    if usual > lasts:
+        yield blame(
+            f"an answer takes {1e3 * usual:.0f} ms, its {service.steps} steps last {1e3 * lasts:.0f} ms at "
+            f"{rate:g} Hz: the robot waits, and moves slower than declared",
+            expected=f"less than {1e3 * lasts:.0f} ms",
+            got=f"{1e3 * usual:.0f} ms",
+            fix=Fix("advice", f"declare a {_RATE} that can be kept, or return longer chunks"),
+        )

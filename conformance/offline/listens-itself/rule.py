@@ -1,0 +1,39 @@
+"""XPL244: The adapter listens on a network port of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.probe import blame
+from xpl_cli.audit.served.service import Service
+
+
+@rule(code="XPL244", slug="listens-itself", gate="offline", requirement="XPL-SRV-9")
+def listens_itself(service: Service) -> Iterator[Finding]:
+    """The adapter listens on a network port of its own.
+
+    ## What it does
+    Looks, while the adapter is served, for TCP ports on which its processes listen.
+
+    ## Why it matters
+    The port is taken for the second server on this machine, which then fails or talks to the first one's model. It has
+    no token, and whoever reaches the machine may use it.
+
+    ## Example
+    A second policy server that `load` starts on port 8000, and that the adapter asks over HTTP.
+
+    ## Use instead
+    Load the model in the adapter's process, or talk to a child over a pipe (`multiprocessing.Pipe`).
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for address, member in service.listening:
+        yield blame(
+            f"the adapter listens on {address} (process {member.name}): a second server on this machine "
+            "cannot, or asks the first one's model",
+            expected="no listening socket besides the server's",
+            got=address,
+            fix=Fix("advice", "load the model in the adapter's own process, or talk to a child over a pipe"),
+        )

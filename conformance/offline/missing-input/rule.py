@@ -1,0 +1,68 @@
+"""XPL213: A required input that is missing is silently replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.faulty import judge, missing
+from xpl_cli.audit.offline.inputs import present
+from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.probe import Probe
+
+_MADE_UP = "{faults}, the policy goes on with a made-up value of {name} instead of stopping"
+_UNREAD = "{faults}, the policy goes on instead of stopping: {name}, which the manifest requires, is never used"
+_FIX = Fix("advice", "read required fields with xpl.observation, which raises, and never default to zeros")
+
+
+@rule(code="XPL213", slug="missing-input", gate="offline", requirement="XPL-OBS-3")
+def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
+    """A required input that is missing is silently replaced.
+
+    ## What it does
+    Leaves out each input that the manifest requires, one at a time: the whole of it, the share of one arm, the picture
+    of a camera that is listed, everything of its group. The answer must be an error that names what is missing. Without
+    a manifest, the cameras and states on which the action depends count as required.
+
+    ## Why it matters
+    A black image in place of a camera that is unplugged or named otherwise gives plausible motion and a low score;
+    nobody looks for the cause in the wiring.
+
+    ## Example
+    `image = vision.get("cam_left_wrist", np.zeros((480, 640, 3)))`
+
+    ## Use instead
+    `xpl.observation.get_image(obs, "cam_left_wrist")`, which says what is there.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    names = probe.required or _used(semantics)
+    obs = probe.observation()
+    there = present(obs)
+    unseen = semantics.evidently_unseen()
+    with probe.session() as policy:
+        for name in names:
+            yield from judge(
+                policy,
+                missing(obs, name) if name in there else (),
+                goes_on=_UNREAD if name in unseen else _MADE_UP,
+                unclear="{faults}, the policy stops, but its error does not say that {name} is missing",
+                fix=Fix(
+                    "advice", "read required fields with xpl.observation, which raises, and never default to zeros"
+                ),
+            )
+
+
+def _used(semantics: Semantics) -> list[str]:
+    """Return the inputs that an adapter without a manifest evidently uses; many have a prompt of their own as well."""
+    used = [
+        change.input
+        for change, found in semantics.effects
+        if change.kind == "input" and change.input != spec.Obs.INSTRUCTION and found is not None
+    ]
+    if not used:
+        raise NotApplicable(f"no {spec.File.POLICY_YML} declares a required input, and none changes the action")
+    return used

@@ -1,0 +1,53 @@
+"""XPL250: A setting that is null is not treated as one that was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.configurations import Configurations, Played
+from xpl_cli.audit.served.probe import blame
+
+_MOST = 8
+
+
+@rule(code="XPL250", slug="null-means-absent", gate="offline", requirement="XPL-CFG-6")
+def null_means_absent(configurations: Configurations) -> Iterator[Finding]:
+    """A setting that is null is not treated as one that was left out.
+
+    ## What it does
+    Serves the adapter with its own keys of deploy.yml left out, and with null in their place, and compares the
+    episodes. Where they differ, the first eight keys are tried one by one. Keys that cannot be left out are left alone.
+
+    ## Why it matters
+    null in deploy.yml means not given: the template and launchers write it for what they leave open. The default in the
+    code then does not apply, and the model fails or acts otherwise.
+
+    ## Example
+    `config.get("horizon", 16)`, which is None where deploy.yml says `horizon: null`.
+
+    ## Use instead
+    `self.setting("horizon", 16)`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    keys = list(configurations.own_keys())
+    configurations.require_repeats()
+    together = configurations.without(keys)
+    if together.refusal is None and together.difference(_null(configurations, keys)) is None:
+        return
+    for key in keys[:_MOST]:
+        absent = configurations.without([key])
+        found = None if absent.refusal is not None else absent.difference(_null(configurations, [key]))
+        if found is not None:
+            yield blame(
+                f"{key}: null is not taken as not given: the default in the code does not apply",
+                expected="what the adapter does without the key",
+                got=found,
+                fix=Fix("advice", f'read it with self.setting("{key}", default)'),
+            )
+
+
+def _null(configurations: Configurations, keys: list[str]) -> Played:
+    return configurations.changed(**dict.fromkeys(keys))

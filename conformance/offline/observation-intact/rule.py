@@ -1,0 +1,45 @@
+"""XPL226: The adapter changes an observation that it was shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl.worker.watch import CHANGED
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.rehearsal import Rehearsal
+from xpl_cli.audit.served.probe import blame
+
+_SHOWN = 4
+"""Findings that are made at most; one cause changes many keys."""
+
+
+@rule(code="XPL226", slug="observation-intact", gate="offline", requirement="XPL-OBS-5")
+def observation_intact(rehearsal: Rehearsal) -> Iterator[Finding]:
+    """The adapter changes an observation that it was shown.
+
+    ## What it does
+    Plays episodes in a process without a server that hands the adapter arrays which may be written to, and compares
+    every observation before and after every operation, also those that were shown earlier.
+
+    ## Why it matters
+    On the wire arrays are read-only, so that such an adapter fails, or writes into shared memory behind numpy's
+    back. In one process it changes the benchmark's own data: what is logged is not what the robot saw.
+
+    ## Example
+    `obs["state"]["left_arm_joint_state"] /= np.pi`
+
+    ## Use instead
+    `state = obs["state"]["left_arm_joint_state"] / np.pi`, which makes a new array.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for note in rehearsal.noted(CHANGED)[:_SHOWN]:
+        yield blame(
+            f"{note['method']} changes {note['key']} of an observation that it was shown: it fails on read-only "
+            "arrays, and spoils what others read",
+            expected="the observation as it was",
+            got=f"another value of {note['key']} after {note['method']}",
+            evidence={"operation": note["method"], "key": note["key"]},
+            fix=Fix("advice", "copy before changing: np.array(value), dict(obs)"),
+        )

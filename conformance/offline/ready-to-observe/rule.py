@@ -1,0 +1,46 @@
+"""XPL254: A new model fails on its first observation unless it is reset before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import brief, error_code
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL254", slug="ready-to-observe", gate="offline", requirement="XPL-EPI-7")
+def ready_to_observe(probe: Probe) -> Iterator[Finding]:
+    """A new model fails on its first observation unless it is reset before.
+
+    ## What it does
+    Shows a model that was just built an observation and asks it for actions, without a reset before.
+
+    ## Why it matters
+    After a restart the first thing that reaches a server may be an observation, and tools that try an adapter once
+    begin with one. The error they get is about an attribute, not about what is missing.
+
+    ## Example
+    `self.queue = deque()` in `reset` only, and `self.queue.append(...)` in `update_obs`.
+
+    ## Use instead
+    Call `self.reset()` at the end of the constructor.
+
+    ## Fix safety
+    Calling `reset` at the end of construction is safe where it needs nothing else.
+    """
+    probe.ready()
+    with probe.fresh_session() as policy:
+        answer = policy.act_at_once(probe.observation())
+        if error_code(answer) is None:
+            return
+        policy.reset()
+        if error_code(policy.act_at_once(probe.observation())) is None:
+            yield blame(
+                "without a reset before it, the first observation is answered by an error: a server that was restarted "
+                "is of no use until somebody resets it",
+                expected="the same answer as after a reset",
+                got=brief(answer),
+                evidence={"error": str(answer)},
+                fix=Fix("advice", "set up in the constructor what observing needs, for example by calling reset there"),
+            )

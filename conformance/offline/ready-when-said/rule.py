@@ -1,0 +1,42 @@
+"""XPL246: The server says that it is ready before the model is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.probe import blame
+from xpl_cli.audit.served.service import Service
+
+_TIMES, _LONGER_S = 10.0, 2.0
+
+
+@rule(code="XPL246", slug="ready-when-said", gate="offline", requirement="XPL-SRV-10", profile="full")
+def ready_when_said(service: Service) -> Iterator[Finding]:
+    """The server says that it is ready before the model is.
+
+    ## What it does
+    Compares the first answer after the server was ready with the later ones: it must not take both ten times as long
+    and two seconds longer.
+
+    ## Why it matters
+    The first episode of every run pays for it: the robot stands still in the middle of a control loop, and a client
+    with a short deadline gives up.
+
+    ## Example
+    The weights are read, or the model is compiled, at the first `get_action`.
+
+    ## Use instead
+    Do it in `load`: build the model, and let it answer one made-up observation where it compiles itself.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    first, usual = service.first, service.usual
+    if first > _TIMES * usual and first - usual > _LONGER_S:
+        yield blame(
+            f"the first answer takes {first:.1f} s, later ones {usual:.3f} s: the server was not ready when it said so",
+            expected="a first answer that takes about as long as the others",
+            got=f"{first:.1f} s",
+            fix=Fix("advice", "load and warm up the model in load()"),
+        )

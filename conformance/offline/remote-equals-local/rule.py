@@ -1,0 +1,122 @@
+"""XPL255: The adapter acts differently when it is served."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from xpl import _spec as sdk
+from xpl.client import PolicyServerError
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline import inprocess
+from xpl_cli.audit.replay.exact import Mismatch, mismatch
+from xpl_cli.audit.served.probe import Probe, blame
+
+_STEPS = 3
+_ENVS = (5, 2)
+_SIZE = (96, 128)
+"""Of the images: large enough to travel through shared memory."""
+_WAYS: dict[str, dict[str, Any]] = {
+    "packed, in shared memory": {},
+    "packed, in the message": {sdk.Capability.SHARED_MEMORY: False},
+    "as plain msgpack": {sdk.Capability.PACKED: False},
+}
+"""Ways from client to server, and the options of the client that choose them."""
+_ASKING = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH)
+
+
+@rule(code="XPL255", slug="remote-equals-local", gate="offline", requirement="XPL-SRV-11")
+def remote_equals_local(probe: Probe) -> Iterator[Finding]:
+    """The adapter acts differently when it is served.
+
+    ## What it does
+    Plays an episode of one environment and one of a batch twice: on the model itself, in a process of the adapter's
+    interpreter without server and client, and through the server, packed, packed in shared memory, and as plain
+    msgpack. Every action has to agree to the last bit.
+
+    ## Why it matters
+    A policy is developed and measured in one process, and evaluated through a server. If it acts differently there,
+    neither result holds for the other.
+
+    ## Example
+    Normalising `obs["state"]` in place inside a `try`: arrays that came over the wire are read-only, the exception is
+    passed over, and the served model is given raw values.
+
+    ## Use instead
+    Read values, dtypes and shapes of an observation, and nothing about how its arrays lie in memory; write to copies.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    probe.require_deterministic()
+    script = _script(probe)
+    with probe.own_server({}) as server:
+        served = [_played(probe, server.url, wishes, script) for wishes in _WAYS.values()]
+    # As often as on the server, whose random numbers go on from episode to episode.
+    alone = inprocess.answers(probe, script * len(_WAYS))
+    for place, (way, remote) in enumerate(zip(_WAYS, served, strict=True)):
+        local = alone[place * len(script) : (place + 1) * len(script)]
+        found = next(((at, one) for at, one in enumerate(map(_apart, remote, local)) if one is not None), None)
+        if found is not None:
+            _require_repeatable(alone, inprocess.answers(probe, script * len(_WAYS)))
+            yield _finding(script, way, *found)
+            return
+
+
+def _script(probe: Probe) -> list[inprocess.Call]:
+    script: list[inprocess.Call] = [(sdk.Method.RESET, ())]
+    for step in range(_STEPS):
+        script.append((sdk.Method.UPDATE_OBS, (probe.observation(_ENVS[0], step, size=_SIZE),)))
+        script.append((sdk.Method.GET_ACTION, ()))
+    script.append((sdk.Method.RESET, ()))
+    for step in range(_STEPS):
+        observations = [probe.observation(env, step, size=_SIZE) for env in _ENVS]
+        script.append((sdk.Method.UPDATE_OBS_BATCH, (observations,)))
+        script.append((sdk.Method.GET_ACTION_BATCH, (list(_ENVS),)))
+    return script
+
+
+def _played(probe: Probe, url: str, wishes: dict[str, Any], script: list[inprocess.Call]) -> list[Any]:
+    with probe.connected(url, **wishes) as policy:
+        return [getattr(policy, method)(*arguments) for method, arguments in script]
+
+
+def _apart(remote: Any, local: dict[str, Any]) -> Mismatch | None:
+    """Return where an answer of the server and one of the model differ; two errors are alike."""
+    failed = isinstance(remote, PolicyServerError)
+    if failed or "error" in local:
+        if failed and "error" in local:
+            return None
+        return Mismatch((), f"an error: {remote}" if failed else "an answer", f"an error: {local.get('error')}")
+    return mismatch(remote, local[sdk.Payload.RESULT])
+
+
+def _require_repeatable(first: list[dict[str, Any]], second: list[dict[str, Any]]) -> None:
+    """Stop where two processes differ anyway, so that nothing can be said about the way between.
+
+    Raises:
+        NotApplicable: if they do.
+    """
+    if mismatch(first, second) is not None:
+        raise NotApplicable("the model does not repeat itself bit for bit in another process")
+
+
+def _finding(script: list[inprocess.Call], way: str, at: int, found: Mismatch) -> Finding:
+    method, arguments = script[at]
+    batch, call = divmod(at, len(script) // 2)
+    when = f"step {(call - 1) // 2} of the {'batch' if batch else 'single'} episode"
+    asked = f"{method}({', '.join(map(str, arguments)) if method in _ASKING else ''})"
+    place = "".join(f"[{part!r}]" for part in found.path) or "the whole answer"
+    apart = "" if found.size is None else f" (apart by {found.size:.3g})"
+    return blame(
+        f"served, the adapter answers {asked} differently from the same model in one process: what was measured there "
+        "is not what a robot gets",
+        expected=f"{found.second} at {place}, as in one process",
+        got=f"{found.first}{apart}, at {when}, sent {way}",
+        fix=Fix(
+            "advice",
+            "let actions follow from the observation's values alone: arrays that were sent are read-only copies, so "
+            "write to copies of your own",
+        ),
+    )

@@ -1,0 +1,44 @@
+"""XPL224: A reset that fails passes for one that worked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl.worker.watch import SWALLOWED
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.rehearsal import Rehearsal
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL224", slug="reset-fails-loudly", gate="offline", requirement="XPL-EPI-4")
+def reset_fails_loudly(rehearsal: Rehearsal) -> Iterator[Finding]:
+    """A reset that fails passes for one that worked.
+
+    ## What it does
+    In a process of its own, has each part that reset calls (methods `reset*` and `clear*` of the model and of its
+    attributes) fail, one at a time, and resets. The reset must fail, too.
+
+    ## Why it matters
+    The next episode would begin with the state of the last one, and nobody would know: the client was told that all
+    is well.
+
+    ## Example
+    `try: self.model.reset()` with `except Exception: pass`
+
+    ## Use instead
+    Let the exception pass. The server tells the client, and the client stops.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if not rehearsal.broken:
+        raise NotApplicable("reset calls nothing that could be made to fail")
+    for note in rehearsal.noted(SWALLOWED):
+        yield blame(
+            f"reset goes on although {note['key']} failed: the next episode begins with the state of the last one, and "
+            "nobody is told",
+            expected="an error in answer to reset",
+            got="no error",
+            evidence={"failed": note["key"], "tried": list(rehearsal.broken)},
+            fix=Fix("advice", "let what fails during reset raise"),
+        )

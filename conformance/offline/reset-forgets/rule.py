@@ -1,0 +1,103 @@
+"""XPL208: An episode depends on the one before it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import answers, brief, difference, first_step
+from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.session import Session
+
+
+@rule(code="XPL208", slug="reset-forgets", gate="offline", requirement="XPL-EPI-1")
+def reset_forgets(probe: Probe) -> Iterator[Finding]:
+    """An episode depends on the one before it.
+
+    ## What it does
+    Plays the same episode after different ones and compares it: after another scene of other length in another
+    environment; after a longer one in the same environment with the same instruction; after the same scene with other
+    pictures, and with another state; after a batch. So a cache is found by whatever it is keyed by. The first two are
+    played in servers of their own. A policy that seeds each episode by its number passes.
+
+    ## Why it matters
+    The first episode of a run is then the only comparable one; success rates depend on the order of the tasks.
+
+    ## Example
+    reset clears the observation buffer and forgets the queue of the actions still to be executed.
+
+    ## Use instead
+    Keep all episode state in the base class, or clear it in `reset_env`, which is called for every environment.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    probe.require_deterministic()
+    with probe.fresh_session() as policy:
+        _another_scene(probe, policy)
+        expected = probe.episode(policy, env=1)
+    with probe.fresh_session() as policy:
+        # Where the number of an episode makes a difference, only the second one of each server can be compared.
+        for what, play in list(_BEFORE.items())[: None if probe.repeats_in_place else 1]:
+            play(probe, policy)
+            for step, pair in enumerate(zip(expected, probe.episode(policy, env=1), strict=True)):
+                found = difference(*pair)
+                if found is not None:
+                    probe.require_repeatable_afresh()
+                    yield blame(
+                        f"an episode depends on the one before it, {what}: reset leaves something behind, and results "
+                        "depend on the order of episodes",
+                        expected="the actions of the same episode after one of another scene in another environment",
+                        got=found,
+                        evidence={
+                            "episode_before": what,
+                            "step": step,
+                            "expected_and_got": [
+                                first_step(chunk) if answers(chunk) else brief(chunk) for chunk in pair
+                            ],
+                        },
+                        fix=Fix("advice", "clear every buffer, cache, counter and chunk queue in reset"),
+                    )
+                    return
+
+
+def _another_scene(probe: Probe, policy: Session) -> None:
+    probe.episode(policy, env=0, steps=1)
+
+
+def _same_environment(probe: Probe, policy: Session) -> None:
+    _play(probe, policy, spec.Obs.VISION, spec.Obs.STATE)
+
+
+def _other_pictures(probe: Probe, policy: Session) -> None:
+    _play(probe, policy, spec.Obs.VISION)
+
+
+def _other_state(probe: Probe, policy: Session) -> None:
+    _play(probe, policy, spec.Obs.STATE)
+
+
+def _batch(probe: Probe, policy: Session) -> None:
+    policy.reset()
+    policy.update_obs_batch(probe.observations([2, 1, 0]))
+    policy.get_action_batch([0, 1])
+
+
+def _play(probe: Probe, policy: Session, *other: str) -> None:
+    """Play an episode like the one that is compared, but longer and with some parts of another scene."""
+    policy.reset()
+    for step in range(4):
+        scene = probe.observation(2, step)
+        policy.update_obs({**probe.observation(1, step), **{part: scene[part] for part in other}})
+        policy.get_action()
+
+
+_BEFORE = {
+    "a longer one of another scene in the same environment with the same instruction": _same_environment,
+    "one that differed in its pictures only": _other_pictures,
+    "one that differed in its state only": _other_state,
+    "one of three environments": _batch,
+}
+"""Episodes to play before, by what they are: whatever a cache is keyed by, one of them has it in common."""

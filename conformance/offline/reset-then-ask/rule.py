@@ -1,0 +1,49 @@
+"""XPL209: After reset the adapter still answers from the last episode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import brief, error_code
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL209", slug="reset-then-ask", gate="offline", requirement="XPL-EPI-3")
+def reset_then_ask(probe: Probe) -> Iterator[Finding]:
+    """After reset the adapter still answers from the last episode.
+
+    ## What it does
+    Shows an observation, resets, and asks for an action without showing a new one; once alone, once in a batch.
+
+    ## Why it matters
+    A client that asks too early would move the robot by what it saw in another episode. It must fail instead.
+
+    ## Example
+    reset clears the action queue and keeps `self.obs`.
+
+    ## Use instead
+    Clear the observations in reset, or derive from `xpl.Policy`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    obs = probe.observation()
+    with probe.session() as policy:
+        policy.leave_behind(obs)
+        policy.reset()
+        single = policy.get_action()
+        policy.reset()
+        policy.update_obs_batch(probe.observations([3, 7]))
+        policy.reset()
+        batch = policy.get_action_batch([3])
+    for operation, answer in (("get_action()", single), ("get_action_batch([3])", batch)):
+        if error_code(answer) is None:
+            yield blame(
+                f"{operation} right after reset answers from the last episode's observation: the first command of an "
+                "episode belongs to another scene",
+                expected="an error: no observation since the last reset",
+                got=brief(answer),
+                fix=Fix("advice", "forget the observations in reset and raise while there is none"),
+            )

@@ -1,0 +1,55 @@
+"""XPL210: Resetting twice changes the episode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.served.compare import brief, difference, error_code
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL210", slug="reset-twice", gate="offline", requirement="XPL-EPI-2")
+def reset_twice(probe: Probe) -> Iterator[Finding]:
+    """Resetting twice changes the episode.
+
+    ## What it does
+    Compares the first action after one reset with the first action after two, each in a fresh server.
+
+    ## Why it matters
+    Some benchmark clients reset before and inside the evaluation loop. If seeds or episode counters advance with
+    reset, two benchmarks that should agree do not.
+
+    ## Example
+    `self.episode += 1` in reset, with a seed that depends on it.
+
+    ## Use instead
+    `self.rng(env)` of `xpl.Policy`, whose episode index advances only if an observation arrived.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    probe.ready()
+    probe.require_deterministic()
+    obs = probe.observation()
+    with probe.fresh_session() as policy:
+        first = policy.reset()
+        once = (policy.update_obs(obs), policy.get_action())[1]
+    with probe.fresh_session() as policy:
+        policy.reset()
+        second = policy.reset()
+        twice = (policy.update_obs(obs), policy.get_action())[1]
+    for answer, which in ((first, "the first"), (second, "a second")):
+        if error_code(answer) is not None:
+            yield blame(f"{which} reset is answered by an error", expected="no error", got=brief(answer))
+            return
+    found = difference(once, twice)
+    if found is not None:
+        probe.require_repeatable_afresh()
+        yield blame(
+            "resetting twice gives other actions than resetting once: clients in the field reset twice, and their "
+            "results cannot be compared with others",
+            expected="the same actions",
+            got=found,
+            fix=Fix("advice", "advance episode counters when an observation arrives, not in reset"),
+        )

@@ -1,0 +1,44 @@
+"""XPL214: Two runs with one seed act differently."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.configurations import Configurations
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL214", slug="seed-repeats", gate="offline", requirement="XPL-CFG-2")
+def seed_repeats(configurations: Configurations) -> Iterator[Finding]:
+    """Two runs with one seed act differently.
+
+    ## What it does
+    Plays the same episode in two fresh servers with seed 0, and in two with seed 7.
+
+    ## Why it matters
+    A result that cannot be repeated cannot be compared. Seed 0 is the usual default, and the one that `seed or 42`
+    loses.
+
+    ## Example
+    `np.random.normal()` from the process-wide generator, which nobody seeds.
+
+    ## Use instead
+    `self.rng(env)`, or seed the framework's generators from `self.seed`; declare `deterministic: false` if neither is
+    possible.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    configurations.probe.require_deterministic()
+    for seed in (0, 7):
+        first, second = (configurations.with_seed(seed, run) for run in range(2))
+        found = first.difference(second)
+        if found is not None:
+            yield blame(
+                f"two servers with seed {seed} act differently: a run cannot be repeated",
+                expected="the same actions",
+                got=found,
+                fix=Fix("advice", "draw every random number from self.rng(env), or declare deterministic: false"),
+            )
+            return

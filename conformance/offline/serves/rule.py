@@ -1,0 +1,51 @@
+"""XPL201: The policy cannot be served."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL201", slug="serves", gate="offline", requirement="XPL-CON-1")
+def serves(probe: Probe) -> Iterator[Finding]:
+    """The policy cannot be served.
+
+    ## What it does
+    Starts the real policy server on the adapter, in its own interpreter, and waits until the model is loaded. Where a
+    third-party module or the checkpoint is missing, the adapter is served without its model (shadow mode); where that
+    cannot be, this is reported as not run: it says nothing about the adapter.
+
+    ## Why it matters
+    A benchmark that queues for hours and then cannot load the policy has measured nothing.
+
+    ## Example
+    `self.horizon = config["horizon"]`, where deploy.yml has no such key: a KeyError in the server, a timeout in the
+    client.
+
+    ## Use instead
+    Read settings with `self.setting(name, default)` and build the model in `load`. `xpl serve` shows the whole
+    traceback.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    try:
+        probe.server()
+    except NotRun:
+        problem = probe.start_problem
+        if problem is None:
+            return  # it started, and ended later: `worker-lives` says why
+        if problem.lacks is not None:
+            raise
+        yield blame(
+            f"the policy cannot be served: {problem.reason}",
+            expected="Model(config) returns and the server announces that it is ready",
+            got=problem.log[-1] if problem.log else "no output",
+            evidence={"log": list(problem.log[-12:])},
+            fix=Fix("command", f"xpl serve {probe.package.path}"),
+        )
+        return
+    if probe.choice.is_made_of_stubs:
+        raise NotRun(f"the model was built of stubs in place of {', '.join(probe.choice.stubbed)}")

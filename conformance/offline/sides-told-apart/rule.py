@@ -1,0 +1,46 @@
+"""XPL232: The arms of a robot are not told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.probe import Probe, blame
+
+
+@rule(code="XPL232", slug="sides-told-apart", gate="offline", requirement="XPL-OBS-7", profile="full")
+def sides_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
+    """The arms of a robot are not told apart.
+
+    ## What it does
+    Of each state that the manifest requires: exchanges left and right, then changes that of the left arm alone and that
+    of the right arm alone, and looks whether the action changes. States that have no effect at all are left to
+    `inputs-matter`.
+
+    ## Why it matters
+    An arm whose state never reaches the model moves as if it were where the other one is.
+
+    ## Example
+    `obs["state"]["left_arm_joint_state"]` twice, once with a forgotten edit.
+
+    ## Use instead
+    `xpl.observation.pack_state(obs, self.embodiment, self.action_type)`
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if not any(name.startswith(spec.Obs.STATE) for name in probe.named_inputs()):
+        raise NotApplicable("the manifest requires no state")
+    if len(probe.embodiment.arms) == 1:
+        raise NotApplicable("the robot has one arm")
+    unseen = semantics.unseen()
+    for change in semantics.ignored("sides"):
+        if change.input not in unseen:
+            yield blame(
+                f"with {change.what} the action is the same: the policy does not know which arm is where",
+                expected="another action",
+                got="the same action",
+                fix=Fix("advice", "read both arms, each under its own key, with xpl.observation.pack_state"),
+            )

@@ -1,0 +1,50 @@
+"""XPL239: Consecutive actions of a chunk are farther apart than the robot can move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.limits import jumps
+from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL239", slug="step-size", gate="offline", requirement="XPL-ACT-15", profile="full")
+def step_size(motions: Motions) -> Iterator[Finding]:
+    """Consecutive actions of a chunk are farther apart than the robot can move.
+
+    ## What it does
+    Compares each action step of a chunk with the one before. The robot has to be able to follow in one control step, at
+    the frequency that the manifest declares: by its joint speeds where these are known. Grippers may jump.
+
+    ## Why it matters
+    What cannot be followed is cut short, and the arm arrives somewhere else than the model planned. Either the chunk is
+    out of order, or the declared frequency is not the one that the model was trained at.
+
+    ## Example
+    `actions[::4]` to "skip frames", where `control_frequency` stays 50.
+
+    ## Use instead
+    The model's own rate as `control_frequency`, and every action step in its order.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for motion in motions.sound:
+        found = [
+            (answer, index, excess)
+            for answer in motion.sound
+            for index, (before, after) in enumerate(pairwise(answer.chunk))
+            for excess in jumps(motion.embodiment, before, after, motions.frequency)
+        ]
+        if found:
+            answer, index, excess = max(found, key=lambda entry: entry[2].value / entry[2].limit)
+            yield blame(
+                f"{motion.action_type} chunks for {motion.embodiment.name} jump from one action to the next: at "
+                f"{motions.frequency:g} Hz the robot cannot follow ({excess.what})",
+                expected=f"at most {excess.limit:.3g} {excess.unit} in one step",
+                got=f"{excess.value:.3g} {excess.unit} from action {index} to the next ({answer.where})",
+                fix=Fix("advice", "keep the order of the model's steps, and declare the frequency they are meant for"),
+            )

@@ -1,0 +1,49 @@
+"""XPL249: A setting that is switched off by text stays on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.configurations import Configurations, flags_of
+from xpl_cli.audit.served.probe import blame
+
+_FLAGS = (True, False)
+_MOST = 4
+
+
+@rule(code="XPL249", slug="text-as-flag", gate="offline", requirement="XPL-CFG-3")
+def text_as_flag(configurations: Configurations) -> Iterator[Finding]:
+    """A setting that is switched off by text stays on.
+
+    ## What it does
+    Serves the adapter with the text "false" in place of each of its own keys of deploy.yml that are true or false, and
+    with the value itself. An error is a good answer to text; the actions of `true` are not. At most four keys are
+    tried: each takes up to three servers.
+
+    ## Why it matters
+    Launchers and shell scripts pass on text. The run does the opposite of what its log says.
+
+    ## Example
+    `if config["use_depth"]:`, where the text "false" is true like every text that is not empty.
+
+    ## Use instead
+    `self.setting("use_depth", False)`, which refuses text where a flag is expected.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    settings = dict(flags_of(configurations.own_keys()))
+    if not settings:
+        raise NotApplicable("no key of deploy.yml is true or false")
+    configurations.require_repeats()
+    for key, value in list(settings.items())[:_MOST]:
+        on, off = (configurations.changed(**{key: flag}) if flag != value else configurations.usual for flag in _FLAGS)
+        text = configurations.changed(**{key: "false"})
+        if text.refusal is None and on.difference(off) and text.difference(on) is None:
+            yield blame(
+                f'{key}: the text "false" acts as true: a launcher that passes on text does the opposite',
+                expected="the actions of false, or an error",
+                got=f"the actions of true: {off.difference(text)}",
+                fix=Fix("advice", f'read it with self.setting("{key}", {value})'),
+            )

@@ -1,0 +1,47 @@
+"""XPL234: The actions depend on an input that the manifest does not name, or says is unused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.probe import Probe
+
+
+@rule(code="XPL234", slug="undeclared-input", gate="offline", requirement="XPL-CFG-9", profile="full")
+def undeclared_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
+    """The actions depend on an input that the manifest does not name, or says is unused.
+
+    ## What it does
+    Changes each input of the scripted observation, one at a time. Where the action changes, the manifest has to list
+    the input as required or optional.
+
+    ## Why it matters
+    A policy that is said not to read the instruction, and does, is compared with others that had less to go by. And an
+    environment leaves out what nobody declares.
+
+    ## Example
+    `unused: [vision.cam_head]`, left from the template, above an `encode` that reads that camera.
+
+    ## Use instead
+    The input under `inputs.required`, or `inputs.optional` if the policy also works without it.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    required = probe.named_inputs()
+    declared = probe.package.manifest["inputs"]
+    for change, found in semantics.effects:
+        name = change.input
+        if change.kind != "input" or found is None or name in required or name in declared.get("optional", ()):
+            continue
+        told = "declares it unused" if name in declared.get("unused", ()) else "does not name it"
+        yield Finding(
+            message=f"the action depends on {name}, but the manifest {told}: comparisons take it for a policy without",
+            path=spec.File.POLICY_YML,
+            expected=f"{name} under inputs.required or inputs.optional, or the same action whatever it is",
+            got=f"with {change.what}: {found}",
+            fix=Fix("advice", f"declare {name} in policy.yml, or stop reading it"),
+        )

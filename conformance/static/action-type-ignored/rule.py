@@ -1,0 +1,107 @@
+"""XPL149: The adapter honours action_type, or refuses one it cannot serve."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, Adapter, Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, dotted, last, texts
+
+_KEY = sdk.Deploy.ACTION_TYPE
+_SUFFIXES = {sdk.State.ARM_JOINT_STATE: "joint", sdk.State.EE_POSE: "ee"}
+_REPORTS = frozenset(("print", "log", "info", "debug", "warning", "warn", "error"))
+
+
+@rule(code="XPL149", slug="action-type-ignored", gate="static", requirement="XPL-ACT-10")
+def action_type_ignored(source: Source) -> Iterator[Finding]:
+    """The adapter answers with one type of action, whichever was asked for.
+
+    ## What it does
+    Looks at how `action_type` decides: a comparison that only prints a warning, and adapters that write the keys of one
+    type into their actions and never mention `action_type` at all. Adapters that hand the configuration on as a whole,
+    or that raise, are left alone.
+
+    ## Why it matters
+    A run that is labelled `ee` was a run with joint commands, or an environment that expects a pose gets none. A
+    warning at the start of a server's log is not seen by the client.
+
+    ## Example
+    `if self.action_type != "joint": print("only joint is supported")`.
+
+    ## Use instead
+    `raise ValueError(...)` in the constructor, or both forms; `xpl.action.unpack` writes either.
+
+    ## Fix safety
+    Raising where a warning was printed is safe for runs whose type was served.
+    """
+    adapter = source.adapter
+    if adapter.is_sdk and "decode" not in adapter.methods:
+        return  # the base class decodes either type
+    functions = adapter.reach(*adapter.methods)
+    for function in functions:
+        for node in function.of(ast.If):
+            if _only_reports(node) and _compares(node.test):
+                yield Finding(
+                    f"an {_KEY} that the adapter cannot serve is only warned about: "
+                    "the run is labelled with one type of action and made with the other",
+                    **source.at(function.file, node.test),
+                    expected="an error",
+                    got=ast.unparse(node.body[0]).split("\n")[0],
+                    fix=Fix("advice", f"raise where {_KEY} is one that the policy cannot serve"),
+                )
+    if not adapter.config_escapes and not any(_mentions(function) for function in functions):
+        written = _written(adapter)
+        if written is not None:
+            function, key, kind = written
+            yield Finding(
+                f"{_KEY} is never looked at, and actions are always of type {kind}: "
+                "a run that asks for the other type gets these, under its label",
+                **source.at(function.file, key),
+                expected=f"a decision by {_KEY}, or an error for what cannot be served",
+                got=ast.unparse(key).split("\n")[0],
+                fix=Fix("advice", f"raise unless {_KEY} is {kind!r}"),
+            )
+
+
+def _compares(test: ast.expr) -> bool:
+    return any(
+        isinstance(node, ast.Compare) and any(_KEY in (last(dotted(part)), *texts(part)) for part in ast.walk(node))
+        for node in ast.walk(test)
+    )
+
+
+def _only_reports(node: ast.If) -> bool:
+    return not node.orelse and all(
+        isinstance(entry, ast.Expr) and last(called(entry.value)) in _REPORTS for entry in node.body
+    )
+
+
+def _mentions(function: Function) -> bool:
+    return any(
+        _KEY in (getattr(node, name, None) for name in ("id", "attr", "value", "arg"))
+        for node in function.of(ast.Constant, ast.Name, ast.Attribute, ast.arg, ast.keyword)
+    )
+
+
+def _written(adapter: Adapter) -> tuple[Function, ast.AST, str] | None:
+    """Return where the acting methods write action keys of one type only."""
+    found: dict[str, tuple[Function, ast.AST]] = {}
+    for function in adapter.reach(*ACTING):
+        for node in function.of(ast.Dict, ast.Subscript):
+            keys: list[ast.expr | None] = []
+            if isinstance(node, ast.Dict):
+                keys = list(node.keys)
+            elif isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
+                keys = [node.slice]
+            for key in keys:
+                for suffix, kind in _SUFFIXES.items():
+                    if key is not None and any(text.endswith(suffix) for text in texts(key)):
+                        found.setdefault(kind, (function, key))
+    if len(found) != 1:
+        return None
+    kind, (function, first) = next(iter(found.items()))
+    return function, first, kind

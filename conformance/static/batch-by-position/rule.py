@@ -1,0 +1,167 @@
+"""XPL109: get_action_batch looks at which environments it is asked for."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACT_BATCH, Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, names, parameters, targets
+
+_FIX = Fix("advice", "keep observations in a map by environment index, and look up each entry of the list")
+
+
+@rule(code="XPL109", slug="batch-by-position", gate="static", requirement="XPL-BAT-1")
+def batch_by_position(source: Source) -> Iterator[Finding]:
+    """get_action_batch ignores which environments it is asked for, or only counts them.
+
+    ## What it does
+    Follows the list of environments through `get_action_batch`. Reading its length, or enumerating it without using its
+    entries, says how many environments are asked for, and not which.
+
+    ## Why it matters
+    Environments of a batch end at different times. When 3 and 7 have ended and only 9 runs, the list is [9]; an adapter
+    that reads by position sends the command of environment 3 to environment 9. Nothing crashes, the score drops.
+
+    ## Example
+    `for i, _ in enumerate(env_idx_list): act(self.observations[i])`.
+
+    ## Use instead
+    Derive from `xpl.Policy`, or write `[act(self.observations[env]) for env in env_idx_list]` with a map.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    function = source.adapter.method(ACT_BATCH)
+    if function is None or not _acts(function):
+        return
+    given = parameters(function.node)
+    if not given:
+        return
+    verdict = _judged(function, given[0])
+    if verdict is not None:
+        message, node = verdict
+        yield Finding(
+            message,
+            **source.at(function.file, node),
+            expected=f"each entry of {given[0]} decides what is answered",
+            got=ast.unparse(node).split("\n")[0],
+            fix=_FIX,
+        )
+
+
+def _acts(function: Function) -> bool:
+    """Tell whether the method answers at all, rather than only raising."""
+    return any(isinstance(node, ast.Return) and node.value is not None for node in function.nodes)
+
+
+def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
+    """Return what is wrong, and where, if no entry of the list is looked at."""
+    aliases = {parameter}
+    up = function.up
+    counted: ast.AST | None = None
+    for node in function.nodes:  # names that hold the list, under another name or copied
+        if isinstance(node, ast.Assign) and _is_list(node.value, aliases):
+            aliases.update(target.id for target in targets(node) if isinstance(target, ast.Name))
+    reads = [
+        node
+        for node in function.nodes
+        if isinstance(node, ast.Name) and node.id in aliases and isinstance(node.ctx, ast.Load)
+    ]
+    for read in reads:
+        use = _use(read, up, aliases)
+        if use == "content":
+            return None
+        if use == "count":
+            counted = counted or _outermost(read, up)
+    if counted is not None:
+        return (
+            f"{ACT_BATCH}([9]) answers for the environment that was observed first, say 3: the list is only counted, "
+            f"robots receive each other's commands"
+        ), counted
+    if any(node.id == parameter for node in reads):
+        return None  # looked at in some other way
+    return (
+        f"{ACT_BATCH}([9]) answers every environment that was observed, and so 3 when asked for 9: "
+        f"{parameter} is never read"
+    ), function.node
+
+
+def _is_list(value: ast.expr, aliases: set[str]) -> bool:
+    """Tell whether a value is the list itself, a copy of it, or it where it is given."""
+    if isinstance(value, ast.Name):
+        return value.id in aliases
+    if isinstance(value, ast.Call):
+        return called(value) in {"list", "tuple", "copy"} and len(value.args) == 1 and _is_list(value.args[0], aliases)
+    if isinstance(value, ast.BoolOp):
+        return any(_is_list(entry, aliases) for entry in value.values)
+    if isinstance(value, ast.IfExp):
+        return _is_list(value.body, aliases) or _is_list(value.orelse, aliases)
+    if isinstance(value, ast.ListComp):  # [int(env) for env in env_idx_list]
+        return len(value.generators) == 1 and _is_list(value.generators[0].iter, aliases) and _is_plain(value)
+    return False
+
+
+def _is_plain(value: ast.ListComp) -> bool:
+    element = value.elt
+    if isinstance(element, ast.Call) and called(element) in {"int", "str"} and len(element.args) == 1:
+        element = element.args[0]
+    return isinstance(element, ast.Name)
+
+
+def _use(read: ast.Name, up: dict[ast.AST, ast.AST], aliases: set[str]) -> str:
+    """Say how one mention of the list uses it: its `content`, its `count`, or `nothing`."""
+    node: ast.AST = read
+    parent = up.get(node)
+    while isinstance(parent, (ast.BoolOp, ast.IfExp)) or (isinstance(parent, ast.Call) and _is_list(parent, aliases)):
+        if isinstance(parent, ast.IfExp) and node is parent.test:
+            return "nothing"
+        node, parent = parent, up.get(parent)
+    is_test = isinstance(parent, (ast.If, ast.While)) and node is parent.test
+    if is_test or isinstance(parent, (ast.Assign, ast.AnnAssign, ast.UnaryOp)) or _copies(parent, up, aliases):
+        return "nothing"
+    if isinstance(parent, ast.Compare):
+        return "content" if any(isinstance(entry, (ast.In, ast.NotIn)) for entry in parent.ops) else "nothing"
+    return _use_in(parent, up)
+
+
+def _use_in(parent: ast.AST | None, up: dict[ast.AST, ast.AST]) -> str:
+    """Say how a call or a loop uses the list that it gets."""
+    name = called(parent) if parent is not None else ""
+    if name in {"isinstance", "print", "type"}:
+        return "nothing"
+    counts = name == "len"
+    if isinstance(parent, ast.Call) and name == "enumerate":
+        counts = not _entry_is_used(parent, up)
+    elif isinstance(parent, (ast.For, ast.comprehension)) and isinstance(parent.target, ast.Name):
+        counts = not _is_read(parent.target, parent if isinstance(parent, ast.For) else up[parent])
+    return "count" if counts else "content"
+
+
+def _copies(parent: ast.AST | None, up: dict[ast.AST, ast.AST], aliases: set[str]) -> bool:
+    """Tell whether a comprehension only copies the list, into a name that is then followed."""
+    whole = up.get(parent) if isinstance(parent, ast.comprehension) else None
+    return isinstance(whole, ast.ListComp) and _is_list(whole, aliases) and isinstance(up.get(whole), ast.Assign)
+
+
+def _entry_is_used(call: ast.Call, up: dict[ast.AST, ast.AST]) -> bool:
+    parent = up.get(call)
+    if not isinstance(parent, (ast.For, ast.comprehension)) or not isinstance(parent.target, ast.Tuple):
+        return True
+    entry = next(reversed(parent.target.elts), None)
+    scope = parent if isinstance(parent, ast.For) else up[parent]
+    return not isinstance(entry, ast.Name) or _is_read(entry, scope)
+
+
+def _is_read(target: ast.Name, scope: ast.AST) -> bool:
+    mentions = (node for node in ast.walk(scope) if isinstance(node, ast.Name) and node.id == target.id)
+    return any(isinstance(node.ctx, ast.Load) for node in mentions)
+
+
+def _outermost(node: ast.AST, up: dict[ast.AST, ast.AST]) -> ast.AST:
+    """Return the expression or loop header that a mention stands in, for the place of the finding."""
+    while isinstance(up.get(node), ast.expr) and names(up[node]):
+        node = up[node]
+    return node

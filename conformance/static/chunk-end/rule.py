@@ -1,0 +1,86 @@
+"""XPL134: The loop stops executing a chunk when the episode ends."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl_cli.audit import Edit, Finding, Fix, rule
+from xpl_cli.audit.static.adapter import Function
+from xpl_cli.audit.static.loops.functions import ENDS, EXECUTES, does, hands_on, loops
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, dotted, enclosing, leaves, names, targets
+
+
+@rule(code="XPL134", slug="chunk-end", gate="static", requirement="XPL-LOOP-2")
+def chunk_end(source: Source) -> Iterator[Finding]:
+    """The loop goes on executing a chunk after the episode has ended.
+
+    ## What it does
+    Takes the innermost loop around each `take_action` and asks whether it looks at the end of the episode, and leaves:
+    in its own condition, or in a branch with `break` or `return`.
+
+    ## Why it matters
+    After success the arm keeps moving and may undo it; an environment that has ended may raise, or count the steps to
+    the next episode.
+
+    ## Example
+    `for action in chunk: TASK_ENV.take_action(action)`, with the check only around the whole chunk.
+
+    ## Use instead
+    `if TASK_ENV.is_episode_end(): break` after each action.
+
+    ## Fix safety
+    Safe: the check changes nothing before the end of an episode. It is added where the action of one environment is a
+    statement of its own in a `for` over the chunk; other loops are left to you.
+    """
+    for function in loops(source):
+        for call in does(function.node, function, EXECUTES):
+            loop = next(
+                (entry for entry in enclosing(call, function.up) if isinstance(entry, (ast.For, ast.While))), None
+            )
+            if loop is not None and not _ends(loop, function) and not hands_on(loop, function, source, 0, ENDS):
+                yield Finding(
+                    f"{function.name} goes on with the chunk after the episode has ended: success may be undone",
+                    **source.at(function.file, call),
+                    expected="a look at is_episode_end() after each action, and a break",
+                    got=f"{ast.unparse(loop).splitlines()[0]} without one",
+                    fix=_fix(source, function, call, loop),
+                )
+                break
+
+
+def _fix(source: Source, function: Function, call: ast.Call, loop: ast.For | ast.While) -> Fix:
+    """Return the check after the action, as an edit where it is certain where that belongs."""
+    environment = dotted(call.func).rpartition(".")[0] or "TASK_ENV"
+    text = f"if {environment}.is_episode_end(): break"
+    place = next((entry for entry in loop.body if isinstance(entry, ast.Expr) and entry.value is call), None)
+    if place is None or not isinstance(loop, ast.For) or loop.orelse or called(call) != f"{environment}.{EXECUTES[0]}":
+        return Fix("advice", text)
+    at = source.at(function.file, place)
+    lines = source.text(function.file).split("\n")
+    before = lines[at["line"] - 1][: at["column"] - 1]
+    last_line = lines[at["end_line"] - 1]
+    if before.strip() or last_line[at["end_column"] - 1 :].lstrip().startswith(";"):
+        return Fix("advice", text)
+    end = len(last_line) + 1
+    added = f"\n{before}if {environment}.is_episode_end():\n{before}    break"
+    return Fix("safe_edit", text, (Edit(function.file, at["end_line"], end, at["end_line"], end, added),))
+
+
+def _ends(loop: ast.For | ast.While, function: Function) -> bool:
+    """Tell whether a loop asks for the end of the episode and leaves."""
+    if isinstance(loop, ast.While) and any(does(loop.test, function, ENDS)):
+        return True
+    told: set[str] = set()  # names that hold what was asked
+    for node in ast.walk(loop):
+        if isinstance(node, ast.Assign) and (any(does(node.value, function, ENDS)) or names(node.value) & told):
+            told |= {target.id for target in targets(node) if isinstance(target, ast.Name)}
+    for node in ast.walk(loop):
+        if isinstance(node, ast.If):
+            asks = any(does(node.test, function, ENDS)) or bool(names(node.test) & told)
+            if asks and (leaves(node.body) or leaves(node.orelse)):
+                return True
+            if asks and any(called(child) in {f"{name}" for name in EXECUTES} for child in ast.walk(node)):
+                return True
+    return isinstance(loop, ast.While) and bool(names(loop.test) & told)

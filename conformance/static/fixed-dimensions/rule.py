@@ -1,0 +1,170 @@
+"""XPL125: Dimensions come from the embodiment."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Iterator
+from functools import cache
+from itertools import accumulate
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import constant, texts
+
+_STATE = (sdk.State.ARM_JOINT_STATE, sdk.State.EE_JOINT_STATE)
+_FEWEST_CUTS = 3
+_FIX = Fix("advice", "ask self.embodiment, or use xpl.action.pack and unpack, which do")
+
+
+@cache
+def _layouts() -> list[tuple[str, frozenset[int], int]]:
+    """Return, for each robot: its arms in words, where values begin and end in its packed vectors, and their length."""
+    found = []
+    for robot in sdk.EMBODIMENTS.values():
+        sizes = [(robot["arm"]["dof"], robot["end_effector"]["dim"])] * len(robot["arms"])
+        packed = [size for pair in sizes for size in pair]
+        grouped = [pair[0] for pair in sizes] + [pair[1] for pair in sizes]
+        bounds = {0, *accumulate(packed), *accumulate(grouped)}
+        arms = f"{len(sizes)} arm{'s' * (len(sizes) > 1)} of {sizes[0][0]} joints"
+        found.append((arms, frozenset(bounds), sum(packed)))
+    return found
+
+
+@rule(code="XPL125", slug="fixed-dimensions", gate="static", requirement="XPL-ACT-6")
+def fixed_dimensions(source: Source) -> Iterator[Finding]:
+    """The adapter cuts vectors by the dimensions of one robot.
+
+    ## What it does
+    Looks for joint and gripper values that are cut at constants, for packed vectors that are taken apart by three or
+    more constant slices which are the layout of a robot, for constant masks as long as a robot's action, and for
+    constant tables of arm dimensions.
+
+    ## Why it matters
+    On a robot with seven joints the seventh is dropped, or taken for the gripper. Shapes still fit, so that the arm
+    moves to a wrong pose without an error.
+
+    ## Example
+    `state["left_arm_joint_state"][:6]`.
+
+    ## Use instead
+    `xpl.observation.pack_state` and `xpl.action.unpack`, or `arm.dof` of `self.embodiment.arms`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    seen: set[tuple[str, int]] = set()
+    for function in source.adapter.reach(*source.adapter.methods):
+        for node, message in (*_cut_values(function), *_layout(function), *_tables(function)):
+            place = (function.file, id(function.node))
+            if place not in seen:
+                seen.add(place)
+                yield _finding(source, function.file, node, message)
+    for node in source.tree(source.adapter.file).body:
+        if isinstance(node, (ast.Assign, ast.AnnAssign)):
+            for inner, message in _masks(ast.walk(node)):
+                yield _finding(source, source.adapter.file, inner, message)
+
+
+def _finding(source: Source, file: str, node: ast.AST, message: str) -> Finding:
+    return Finding(
+        message,
+        **source.at(file, node),
+        expected="dimensions of the embodiment",
+        got=ast.unparse(node),
+        fix=_FIX,
+    )
+
+
+def _bounds(node: ast.AST) -> tuple[int, int | None] | None:
+    """Return the constant bounds of a slice of the last axis."""
+    inner = node.slice if isinstance(node, ast.Subscript) else None
+    if isinstance(inner, ast.Tuple) and inner.elts:
+        inner = inner.elts[-1]
+    if not isinstance(inner, ast.Slice) or inner.step is not None:
+        return None
+    lower = 0 if inner.lower is None else constant(inner.lower)
+    upper = None if inner.upper is None else constant(inner.upper)
+    if isinstance(lower, int) and (upper is None or isinstance(upper, int)) and (inner.lower or inner.upper):
+        return lower, upper
+    return None
+
+
+def _cut_values(function: Function) -> Iterator[tuple[ast.AST, str]]:
+    """Yield joint values that are cut at a constant: read from a state, or put into an action."""
+    for node in function.of(ast.Subscript):
+        bounds = _bounds(node)
+        if bounds is None or not isinstance(node.ctx, ast.Load):
+            continue
+        lower, upper = bounds
+        if _names_joints(node.value) and upper is not None and upper - lower > 1:
+            yield node, f"joint values are cut to {upper - lower}: a robot with more joints loses the rest"
+    for table in function.of(ast.Dict):
+        for key, value in zip(table.keys, table.values, strict=True):
+            if key is None or not _is_joint_key(key):
+                continue
+            cut = next((child for child in ast.walk(value) if _bounds(child) is not None), None)
+            if cut is not None:
+                yield (
+                    cut,
+                    f"{ast.unparse(key)} is a constant part of a vector: another robot gets its neighbour's values",
+                )
+
+
+def _names_joints(node: ast.expr) -> bool:
+    """Tell whether an expression reads joint values of a state: `state["arm_joint_state"]`, with anything around it."""
+    return any(isinstance(child, ast.Subscript) and _is_joint_key(child.slice) for child in ast.walk(node))
+
+
+def _is_joint_key(key: ast.AST) -> bool:
+    return isinstance(key, (ast.Constant, ast.JoinedStr)) and any(text.endswith(_STATE[0]) for text in texts(key))
+
+
+def _layout(function: Function) -> Iterator[tuple[ast.AST, str]]:
+    """Yield the first of three or more slices of one vector, in one statement, that are the layout of a robot."""
+    if sum(_bounds(node) is not None for node in function.of(ast.Subscript)) < _FEWEST_CUTS:
+        return
+    for statement in function.of(ast.Assign, ast.Return, ast.Expr, ast.AnnAssign):
+        cuts: dict[str, list[ast.Subscript]] = {}
+        for node in ast.walk(statement):
+            if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Load) and _bounds(node) is not None:
+                cuts.setdefault(ast.unparse(node.value), []).append(node)
+        for found in cuts.values():
+            edges = {edge for node in found for edge in _bounds(node) or () if edge is not None}
+            for name, bounds, length in _layouts():
+                if len(found) >= _FEWEST_CUTS and edges <= bounds and length in edges and len(edges) >= 4:
+                    yield (
+                        found[0],
+                        f"vectors are taken apart as those of {name}: another robot's joints end up in each other",
+                    )
+                    break
+
+
+def _masks(nodes: Iterable[ast.AST]) -> Iterator[tuple[ast.AST, str]]:
+    """Yield constant lists of flags that are as long as an action of a robot."""
+    lengths = {length: name for name, _, length in reversed(_layouts())}
+    for node in nodes:
+        if not isinstance(node, (ast.List, ast.Tuple)) or len(node.elts) not in lengths:
+            continue
+        if all(isinstance(constant(entry), bool) for entry in node.elts):
+            yield node, f"the mask is that of {lengths[len(node.elts)]}: on another robot it covers other values"
+
+
+def _tables(function: Function) -> Iterator[tuple[ast.AST, str]]:
+    """Yield constant tables of arm dimensions."""
+    yield from _masks(function.of(ast.List, ast.Tuple))
+    for node in function.of(ast.Dict):
+        if len(node.keys) > 1:
+            names = {constant(key) for key in node.keys if key is not None}
+            if (
+                names
+                and all(isinstance(name, str) and name.endswith("_dim") for name in names)
+                and all(
+                    isinstance(value, (ast.List, ast.Tuple))
+                    and value.elts
+                    and all(isinstance(constant(entry), int) for entry in value.elts)
+                    for value in node.values
+                )
+            ):
+                yield node, "arm dimensions are assumed: on another robot vectors are cut at the wrong places"

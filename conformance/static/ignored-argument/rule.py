@@ -1,0 +1,112 @@
+"""XPL160: Scripts use the arguments that launchers give them."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Any, Final
+
+from xpl._spec import Deploy, File
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.script_flow import place, script, talks
+from xpl_cli.audit.static.shell import Word
+from xpl_cli.audit.static.source import Source
+from xpl_cli.standard import spec
+
+_CONSEQUENCES: Final = {
+    Deploy.TASK_NAME: "every task is evaluated as the same one",
+    Deploy.CKPT_NAME: "every checkpoint name runs the same weights",
+    Deploy.ENV_CFG_TYPE: "every robot is served as the same one",
+    Deploy.ACTION_TYPE: "every kind of action is served as the same one",
+    Deploy.SEED: "runs with different seeds are the same run",
+    Deploy.GPU_ID: "training runs on whatever GPU comes first",
+    Deploy.PORT: "the client asks where nobody listens",
+    "policy_gpu_id": "the model runs on whatever GPU comes first",
+    "env_gpu_id": "the simulator runs on whatever GPU comes first",
+    "policy_env": "the model runs in whatever Python comes first",
+    "eval_env": "the simulator runs in whatever Python comes first",
+}
+_BOTH: Final = frozenset((Deploy.ENV_CFG_TYPE, Deploy.SEED, Deploy.PORT))
+_SERVED: Final = _BOTH | {Deploy.CKPT_NAME, Deploy.ACTION_TYPE, "policy_gpu_id", "policy_env"}
+_CALLED: Final = _BOTH | {Deploy.TASK_NAME, "env_gpu_id", "eval_env"}
+_DECISIVE: Final = {
+    File.EVAL_SH: _SERVED | _CALLED,
+    File.SETUP_EVAL_POLICY_SERVER_SH: _SERVED,
+    File.SETUP_EVAL_ENV_CLIENT_SH: _CALLED,
+    File.TRAIN_SH: frozenset((Deploy.SEED, Deploy.GPU_ID)),
+}
+"""The arguments of each script that nothing else brings to where they are needed."""
+
+_EXPANSION: Final = re.compile(r"\$(?:\{[#!]?(\w+|[@*])|(\d|[A-Za-z_]\w*|[@*]))")
+
+
+@rule(code="XPL160", slug="ignored-argument", gate="static", requirement="XPL-PKG-2")
+def ignored_argument(source: Source) -> Iterator[Finding]:
+    """A script ignores an argument that launchers give it.
+
+    ## What it does
+    Follows each argument of the standard through its script: into the variable that takes it, and from there into
+    commands. One that is never taken, or only printed and tested, has no effect. Scripts that hand on all arguments
+    (`"$@"`) or move through them (`shift`) are left alone.
+
+    ## Why it matters
+    The launcher's label says one thing and the run does another: ten seeds give one result ten times, two policies
+    share a GPU, the checkpoint that is evaluated is not the one that was named.
+
+    ## Example
+    `seed=$6` in `setup_eval_policy_server.sh`, and a call of the server without it.
+
+    ## Use instead
+    Hand the argument on: `--overrides seed="${seed}"`, `CUDA_VISIBLE_DEVICES="${policy_gpu_id}"`.
+
+    ## Fix safety
+    No automatic fix: where the argument has to go depends on what is called.
+    """
+    found = False
+    orders = spec.data("package")["scripts"]
+    for name, decisive in _DECISIVE.items():
+        if source.has(name):
+            found = True
+            yield from _ignored(source, name, orders[name], decisive)
+    if not found:
+        raise NotApplicable("the adapter has no scripts of the standard")
+
+
+def _ignored(source: Source, name: str, order: list[str], decisive: frozenset[str]) -> Iterator[Finding]:
+    # Counted in the text: what a here-document holds is handed on too.
+    mentions = _expanded(line for line in source.text(name).split("\n") if not line.lstrip().startswith("#"))
+    commands = script(source, name)
+    if mentions["@"] or mentions["*"] or any(command.name == "shift" for command in commands):
+        return
+    spoken = _expanded(word.raw for command in commands if talks(command) for word in command.words)
+    taken: dict[str, list[tuple[str, Word]]] = {}
+    for command in commands:
+        for variable, word in () if command.functions else command.assignments:
+            for item in word.expansions:
+                if item.name.isdigit():
+                    taken.setdefault(item.name, []).append((variable, word))
+    for number, argument in enumerate(order, start=1):
+        if argument not in decisive:
+            continue
+        into = taken.get(str(number), [])
+        if not into and not mentions[str(number)]:
+            yield _finding(name, argument, None, f"no ${number}")
+        elif into and all(mentions[variable] == spoken[variable] for variable, _ in into):
+            variable, word = into[0]
+            yield _finding(name, argument, place(name, word), f"{variable}={word.raw}, and no use of it")
+
+
+def _expanded(texts: Iterable[str]) -> Counter[str]:
+    """Count the places where the shell, or a shell that gets the text, puts in the value of each variable."""
+    return Counter(first or second for first, second in _EXPANSION.findall("\n".join(texts)))
+
+
+def _finding(name: str, argument: str, at: dict[str, Any] | None, got: str) -> Finding:
+    return Finding(
+        f"{name} ignores {argument}: {_CONSEQUENCES[argument]}",
+        **(at or {"path": name, "line": 1, "column": 1}),
+        expected=f"{argument} handed on to what {name} runs",
+        got=got,
+        fix=Fix("advice", f"hand {argument} on"),
+    )

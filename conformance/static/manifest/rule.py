@@ -1,0 +1,61 @@
+"""XPL104: policy.yml validates against its schema and names the folder it lies in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.manifests import key_line, renamed, robots, schema_findings
+from xpl_cli.audit.static.source import Source
+
+
+@rule(code="XPL104", slug="manifest", gate="static", requirement="XPL-CFG-5")
+def manifest(source: Source) -> Iterator[Finding]:
+    """policy.yml does not say what the standard asks of it.
+
+    ## What it does
+    Validates `policy.yml` against the manifest schema, compares its name with the folder's, and checks that every
+    embodiment is one that the standard knows.
+
+    ## Why it matters
+    The audit, the server and comparisons between policies read it: inputs that must be there, embodiments, chunk
+    length, interpreter. What is misspelt there is not checked and not served.
+
+    ## Example
+    `temporal: {kind: chunked}`; the kinds are single_step, chunk, history and memory.
+
+    ## Use instead
+    `xpl spec show policy` lists every key.
+
+    ## Fix safety
+    Safe for the name, which has to be the folder's. Everything else is left to you.
+    """
+    name = sdk.File.POLICY_YML
+    if source.is_ecosystem:
+        raise NotApplicable("an adapter without policy.yml declares nothing")
+    values = source.yaml(name)
+    yield from schema_findings(source, name, "policy", "{} is not understood")
+    values = values if isinstance(values, dict) else {}
+    if isinstance(values.get("name"), str) and values["name"] != source.path.name:
+        yield Finding(
+            f"the manifest describes {values['name']}, but this is {source.path.name}: results get the wrong name",
+            path=name,
+            line=key_line(source, name, "name"),
+            column=1,
+            expected=source.path.name,
+            got=values["name"],
+            fix=renamed(source, name, "name"),
+        )
+    declared = values.get("embodiments")
+    for robot in declared if isinstance(declared, list) else []:
+        if isinstance(robot, str) and robot not in robots():
+            yield Finding(
+                f"nobody can evaluate this policy on {robot}: the standard has no embodiment of that name",
+                path=name,
+                line=key_line(source, name, "embodiments"),
+                column=1,
+                expected=", ".join(sdk.EMBODIMENTS),
+                got=robot,
+                fix=Fix("command", "xpl spec show embodiments"),
+            )

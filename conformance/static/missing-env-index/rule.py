@@ -1,0 +1,83 @@
+"""XPL112: Observations without env_idx count by position."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import UPDATE_BATCH, Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import LOOPS, KeyRead, constant, enclosing, key_read, texts
+
+_KEY = sdk.Obs.ENV_IDX
+_FIX = Fix("advice", f"enumerate the batch and use obs.get({_KEY!r}, place) both for the order and for the store")
+
+
+@rule(code="XPL112", slug="missing-env-index", gate="static", requirement="XPL-BAT-4")
+def missing_env_index(source: Source) -> Iterator[Finding]:
+    """Observations without env_idx overwrite each other, or raise.
+
+    ## What it does
+    Looks at how `update_obs_batch` takes the environment of each observation: a constant default puts the whole batch
+    into one slot, and `obs["env_idx"]` raises. It also compares the default of the list of environments with the
+    default of the store.
+
+    ## Why it matters
+    `env_idx` is optional; a batch without it counts by position. With one slot for all, every environment gets the
+    action of the last one. With two different defaults, the list names environments that the store does not have.
+
+    ## Example
+    `order = [obs.get("env_idx", i) for i, obs in enumerate(batch)]`, and then `store[obs.get("env_idx", 0)] = obs`.
+
+    ## Use instead
+    One loop, `for place, obs in enumerate(batch): env = obs.get("env_idx", place)`, that fills both.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    function = source.adapter.method(UPDATE_BATCH)
+    if function is None or _asks_first(function):
+        return
+    reads = [
+        found
+        for node in function.nodes
+        if (found := key_read(node)) is not None and found.key == _KEY and _is_in_loop(found, function)
+    ]
+    by_position = any(read.default is not None and constant(read.default) is ... for read in reads)
+    for read in reads:
+        if read.default is not None and isinstance(constant(read.default), int):
+            slot = constant(read.default)
+            consequence = (
+                f"the order counts by position but all are stored as environment {slot}: environment 1 is unknown"
+                if by_position
+                else f"all are stored as environment {slot}: every environment acts on the last observation"
+            )
+            yield _finding(source, function, read, f"of a batch without {_KEY} {consequence}")
+        elif read.required:
+            yield _finding(
+                source, function, read, f"a batch without {_KEY} raises KeyError, although the key is optional"
+            )
+
+
+def _finding(source: Source, function: Function, read: KeyRead, message: str) -> Finding:
+    return Finding(
+        message,
+        **source.at(function.file, read.node),
+        expected="position in the batch where the key is missing",
+        got=ast.unparse(read.node),
+        fix=_FIX,
+    )
+
+
+def _is_in_loop(read: KeyRead, function: Function) -> bool:
+    return any(isinstance(entry, LOOPS) for entry in enclosing(read.node, function.up))
+
+
+def _asks_first(function: Function) -> bool:
+    """Tell whether the method asks for the key before it relies on it."""
+    return any(
+        isinstance(node, ast.Compare) and isinstance(node.ops[0], (ast.In, ast.NotIn)) and _KEY in texts(node.left)
+        for node in function.nodes
+    )

@@ -1,0 +1,171 @@
+"""XPL148: Statistics of normalisation that are missing are an error."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter, Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, constant, dotted, last, parameters, targets
+
+_STATISTICS = re.compile(r"(^|_)(stats?|statistics|mean|std|q01|q99|minmax|scaler|normali[sz]er|normstats?)(_|$|\d)")
+_NORMALISES = re.compile(r"normali[sz]|denorm|(^|_)(un)?norm(_|$)|unscale|rescale", re.IGNORECASE)
+
+
+@rule(code="XPL148", slug="normalisation-skipped", gate="static", requirement="XPL-ACT-12")
+def normalisation_skipped(source: Source) -> Iterator[Finding]:
+    """Without statistics, or with those of another width, values pass unnormalised.
+
+    ## What it does
+    Looks for functions that normalise, and return what they got where statistics are missing or have another length,
+    and for branches that normalise only where statistics are there, with nothing for the other case. Construction that
+    raises where they are missing settles the matter.
+
+    ## Why it matters
+    The network then reads joint angles in another scale than it was trained on, or its outputs between -1 and 1 are
+    taken for radians. Shapes fit and nothing raises; the arm moves by a fraction, or to a wrong place.
+
+    ## Example
+    `if self.stats is not None: action = action * self.stats["std"] + self.stats["mean"]`.
+
+    ## Use instead
+    Load statistics in `load` without a condition, and raise where a key is missing or a length differs.
+
+    ## Fix safety
+    No automatic fix: a policy that was trained without normalisation says so in its configuration.
+    """
+    adapter = source.adapter
+    settled: set[str] | None = None
+    reported: set[str] = set()
+    for function in adapter.reach(*OBSERVING, *ACTING):
+        found = [*_returned(function), *_branched(function)]
+        for node, statistics, why in found:
+            settled = _settled(adapter) if settled is None else settled
+            if statistics in settled | reported:
+                continue
+            reported.add(statistics)
+            yield Finding(
+                f"where {statistics} {why}, {function.name} passes values on unnormalised: "
+                "numbers between -1 and 1 are taken for radians, or radians for them",
+                **source.start(function.file, node),
+                expected="an error where statistics are missing or do not fit",
+                got=ast.unparse(node).split("\n")[0],
+                fix=Fix("advice", f"raise where {statistics} {why}; a policy without normalisation declares it"),
+            )
+
+
+def _settled(adapter: Adapter) -> set[str]:
+    """Return the statistics for which construction raises, or that it sets without a condition to what a call gives."""
+    found: set[str] = set()
+    for function in adapter.reach(*LOADING):
+        for node in function.of(ast.If):
+            if any(isinstance(child, ast.Raise) for child in node.body):
+                found |= {name for name, _ in _missing(node.test)}
+    attributes: dict[str, list[ast.expr]] = {}
+    for function in adapter.reach(*LOADING):
+        for setting in function.of(ast.Assign, ast.AnnAssign):
+            value = getattr(setting, "value", None)
+            for target in targets(setting) if isinstance(value, ast.expr) else ():
+                if _is_statistics(target) and value is not None:
+                    attributes.setdefault(dotted(target), []).append(value)
+    return found | {
+        name
+        for name, values in attributes.items()
+        if all(isinstance(value, ast.Call) and not _may_be_none(adapter, value) for value in values)
+    }
+
+
+def _may_be_none(adapter: Adapter, call: ast.Call) -> bool:
+    """Tell whether a call may give None: a look-up, or a function of the adapter that returns it."""
+    if last(called(call)) == "get":
+        return True
+    for function in adapter.reach(*LOADING):
+        if function.name == last(called(call)):
+            returns = [node.value for node in function.of(ast.Return)]
+            return any(value is None or constant(value) is None or _is_empty(value) for value in returns)
+    return False
+
+
+def _is_empty(value: ast.expr) -> bool:
+    return isinstance(value, ast.Dict) and not value.keys
+
+
+def _missing(test: ast.expr) -> Iterator[tuple[str, str]]:
+    """Yield the statistics that a test finds missing or unfit, and in which way."""
+    if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.Or):
+        for value in test.values:
+            yield from _missing(value)
+    elif isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not) and _is_statistics(test.operand):
+        yield dotted(test.operand), "is missing"
+    elif isinstance(test, ast.Compare) and len(test.ops) == 1:
+        left, right = test.left, test.comparators[0]
+        if isinstance(test.ops[0], ast.Is) and constant(right) is None and _is_statistics(left):
+            yield dotted(left), "is missing"
+        elif isinstance(test.ops[0], ast.NotIn) and _is_statistics(right):
+            yield dotted(right), f"lacks {ast.unparse(left)}"
+        elif isinstance(test.ops[0], ast.NotEq):
+            sides = [
+                name
+                for side in (left, right)
+                if "shape" in ast.unparse(side) or called(side) == "len"
+                for name in (dotted(node) for node in ast.walk(side) if isinstance(node, (ast.Name, ast.Attribute)))
+                if _STATISTICS.search(last(name.removesuffix(".shape")))
+            ]
+            if sides:
+                yield sides[0].removesuffix(".shape"), "has another length"
+
+
+def _is_statistics(node: ast.expr) -> bool:
+    return bool(_STATISTICS.search(last(dotted(node)).lower()))
+
+
+def _returned(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
+    """Yield early returns of a parameter as it came, in a function that normalises."""
+    if not _NORMALISES.search(function.name):
+        return
+    given = set(parameters(function.node))
+    for node in function.of(ast.If):
+        if isinstance(node.body[-1], ast.Return):
+            value = node.body[-1].value
+            while isinstance(value, ast.Call) and value.args:
+                value = value.args[0]
+            if isinstance(value, ast.Name) and value.id in given:
+                yield from ((node, name, why) for name, why in _missing(node.test))
+
+
+def _branched(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
+    """Yield branches that normalise only where statistics are there."""
+    for node in function.of(ast.If, ast.IfExp):
+        if isinstance(node, ast.IfExp):
+            body: list[ast.AST] = [node.body]
+            other = isinstance(node.orelse, ast.Name)
+        elif isinstance(node, ast.If):
+            body, other = list(node.body), not node.orelse and not isinstance(node.body[-1], ast.Return)
+        else:
+            continue
+        for name in _present(node.test) if other else ():
+            if any(_applies(entry, name) for entry in body):
+                yield node, name, "is missing"
+
+
+def _present(test: ast.expr) -> Iterator[str]:
+    if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And):
+        for value in test.values:
+            yield from _present(value)
+    elif isinstance(test, ast.Compare) and isinstance(test.ops[0], ast.IsNot) and _is_statistics(test.left):
+        yield dotted(test.left)
+    elif _is_statistics(test):
+        yield dotted(test)
+
+
+def _applies(node: ast.AST, statistics: str) -> bool:
+    """Tell whether a branch changes a value by the statistics: arithmetic with them, or a function that normalises."""
+    for child in ast.walk(node):
+        if isinstance(child, ast.BinOp) and any(statistics == dotted(part) for part in ast.walk(child)):
+            return True
+        if isinstance(child, ast.Call) and _NORMALISES.search(last(called(child))):
+            return True
+    return False

@@ -1,0 +1,110 @@
+"""XPL161: Devices, ports and folders come from arguments, configuration or the environment."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any, Final
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.script_flow import place, scripts
+from xpl_cli.audit.static.shell import Command, Script, Word
+from xpl_cli.audit.static.source import Source
+
+_DEVICES: Final = re.compile(r"CUDA_VISIBLE_DEVICES=[\"']?(\d[\d,]*)[\"']?")
+_PORT: Final = re.compile(r"(--?(?:[a-z]+[_-])*port|(?:[A-Za-z]+_)*(?:port|PORT))(?:=[\"']?(\d{4,5})[\"']?)?")
+_PLACES: Final = re.compile(
+    r"(?<![\w.$}/\\])/(?:mnt|data\d*|root|nfs\w*|nas\w*|ssd\w*|hdd\w*|disk\w*|cpfs\w*|workspace|share[d]?|storage|scratch"
+    r"|project[s]?|raid|lustre|gpfs|fsx|efs|work|media|home2?|Users|Volumes)/[^\s\"'`<>$,;:)\]}]+"
+)
+_PERSON: Final = re.compile(r"/(?:home|Users)/")
+
+
+@rule(code="XPL161", slug="one-machine", gate="static", requirement="XPL-PKG-13")
+def one_machine(source: Source) -> Iterator[Finding]:
+    """A script or deploy.yml fixes a GPU, a port or a folder that is right on one machine only.
+
+    ## What it does
+    Looks in the scripts for `CUDA_VISIBLE_DEVICES` with a number, for ports of servers as numbers, and in scripts and
+    `deploy.yml` for absolute paths of data disks. Defaults that a variable of the environment overrides
+    (`${MASTER_PORT:-29500}`) are left alone for devices and ports.
+
+    ## Why it matters
+    The number wins over what the launcher gave: two evaluations meet on one GPU or one port, and the second fails or
+    talks to the first one's server. The folder does not exist elsewhere.
+
+    ## Example
+    `export CUDA_VISIBLE_DEVICES=0` in `setup_eval_policy_server.sh`; `model_path: /mnt/disk1/ckpt` in `deploy.yml`.
+
+    ## Use instead
+    The script's argument, `null` in `deploy.yml`, a variable of the environment that users set.
+
+    ## Fix safety
+    No automatic fix: only the author knows what the value stands for.
+    """
+    for name, script in scripts(source):
+        for command in script:
+            yield from _devices(name, command)
+            yield from _ports(name, command)
+        yield from _folders(name, script)
+    if source.has(sdk.File.DEPLOY_YML):
+        lines = source.text(sdk.File.DEPLOY_YML).split("\n")
+        for number, line in enumerate(lines, start=1):
+            found = _PLACES.search(line.partition(" #")[0]) if not line.startswith("#") else None
+            if found and not _PERSON.match(found.group()):
+                yield _folder({"path": sdk.File.DEPLOY_YML, "line": number, "column": found.start() + 1}, found.group())
+
+
+def _devices(name: str, command: Command) -> Iterator[Finding]:
+    for word in command.words:
+        found = _DEVICES.fullmatch(word.raw) if word.raw.startswith("CUDA_") else None
+        if found:
+            yield _finding(
+                place(name, word),
+                f"whatever GPU the launcher chose, GPU {found.group(1)} is used: two runs meet on it",
+                "CUDA_VISIBLE_DEVICES from the script's argument",
+                word.raw,
+            )
+
+
+def _ports(name: str, command: Command) -> Iterator[Finding]:
+    """Yield ports that are given as numbers, to a variable or to an option."""
+    words = command.words
+    for word, following in zip(words, (*words[1:], None), strict=True):
+        if "ort" not in word.raw and "ORT" not in word.raw:
+            continue
+        found = _PORT.fullmatch(word.raw)
+        if not found:
+            continue
+        is_option = found.group(1).startswith("-")
+        number = found.group(2) or (following.text if is_option and following is not None else "")
+        if re.fullmatch(r"\d{4,5}", number):
+            yield _finding(
+                place(name, word),
+                f"port {number} is taken while another run uses it: the second one fails, or talks to the first",
+                "a free port, or the script's argument",
+                f"{word.raw} {number}" if not found.group(2) else word.raw,
+            )
+
+
+def _folders(name: str, script: Script) -> Iterator[Finding]:
+    for word in _words(script):
+        found = _PLACES.search(word.raw) if "/" in word.raw else None
+        if found and not _PERSON.match(found.group()):
+            yield _folder(place(name, word), found.group())
+
+
+def _words(script: Script) -> Iterator[Word]:
+    for command in script:
+        if command.name not in {"echo", "printf"}:
+            yield from command.words
+
+
+def _folder(at: dict[str, Any], path: str) -> Finding:
+    message = f"{path} exists on its author's machine only: elsewhere nothing is found there"
+    return _finding(at, message, "a path from the configuration, the environment, or the adapter's folder", path)
+
+
+def _finding(at: dict[str, Any], message: str, expected: str, got: str) -> Finding:
+    return Finding(message, **at, expected=expected, got=got, fix=Fix("advice", f"take {expected}"))

@@ -1,0 +1,97 @@
+"""XPL102: Every file of the boundary parses, and no merge conflict is left in one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit.static.source import Source
+
+_CONFLICT = re.compile(r"^(<{7} |>{7} |\|{7} )")
+_DATA = (".yml", ".yaml")
+
+
+@rule(code="XPL102", slug="parses", gate="static", requirement="XPL-PKG-4")
+def parses(source: Source) -> Iterator[Finding]:
+    """A file does not parse, or a merge conflict is left in it.
+
+    ## What it does
+    Reads every file of the boundary, parses those in Python and YAML, and looks for the markers that git leaves at a
+    conflict.
+
+    ## Why it matters
+    A script with a marker in it fails when it is run, often hours after the job was queued. What does not parse cannot
+    be checked any further either.
+
+    ## Example
+    `<<<<<<< HEAD` in `train.sh`, after a merge that was committed unresolved.
+
+    ## Use instead
+    Resolve the conflict and commit again; `python -m py_compile model.py` shows that a module parses.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    for name in sorted({*source.text_files, *source.python_files}):
+        try:
+            source.text(name)
+        except NotRun as reason:
+            yield Finding(f"{name} cannot be checked: {reason}", path=name, expected="source text", got=str(reason))
+            continue
+        yield from _conflicts(source, name)
+        if name.endswith(".py"):
+            yield from _python(source, name)
+        if name.endswith(_DATA):
+            problem = source.yaml_problem(name)
+            if problem is not None:
+                message, line, column = problem
+                yield Finding(
+                    f"{name} cannot be read, so that none of its values arrive: {message}",
+                    path=name,
+                    line=line,
+                    column=column,
+                    expected="YAML",
+                    got=message,
+                    fix=Fix("advice", "mend the syntax at this place"),
+                )
+
+
+def _conflicts(source: Source, name: str) -> Iterator[Finding]:
+    for number, line in enumerate(source.text(name).split("\n"), start=1):
+        if _CONFLICT.match(line):
+            yield Finding(
+                f"a merge conflict is left in {name}: whoever runs it gets an error, or both versions",
+                path=name,
+                line=number,
+                column=1,
+                expected="one version",
+                got=line[:40],
+                fix=Fix("advice", "keep one side and delete the markers"),
+            )
+            return
+
+
+def _python(source: Source, name: str) -> Iterator[Finding]:
+    error, bytes_refused = source.syntax_error(name), source.encoding_error(name)
+    if bytes_refused is not None:
+        yield Finding(
+            f"{name} does not parse, so that importing it fails: {bytes_refused}",
+            path=name,
+            line=1,
+            expected="UTF-8, or the encoding that its first lines declare",
+            got=bytes_refused,
+            fix=Fix("advice", "save the file as UTF-8"),
+        )
+    elif isinstance(error, SyntaxError):
+        yield Finding(
+            f"{name} does not parse: importing it fails",
+            path=name,
+            line=error.lineno or 1,
+            column=max(error.offset or 1, 1),
+            expected="Python",
+            got=error.msg,
+            fix=Fix("advice", "mend the syntax at this place"),
+        )
+    elif error is not None:
+        yield Finding(f"{name} does not parse: {error}", path=name, expected="Python", got=str(error))

@@ -1,0 +1,49 @@
+"""XPL139: No placeholder of the template is left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.source import Source
+from xpl_cli.standard import spec
+
+
+@rule(code="XPL139", slug="placeholders", gate="static", requirement="XPL-PKG-5")
+def placeholders(source: Source) -> Iterator[Finding]:
+    """Places that the template marked for the author are still open.
+
+    ## What it does
+    Counts the template's marker in the files of the adapter.
+
+    ## Why it matters
+    An adapter that nobody filled in runs: it holds the pose. The marker tells such a run from a policy that fails.
+
+    ## Example
+    `license: null # XPL-PLACEHOLDER: SPDX identifier of the adapter's own licence` in policy.yml.
+
+    ## Use instead
+    Fill the place in, and delete the marker with its comment.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    marker = spec.data("package")["placeholder"]
+    found: dict[str, list[int]] = {}
+    for name in source.text_files:
+        lines = [number for number, line in enumerate(source.text(name).split("\n"), start=1) if f"{marker}:" in line]
+        if lines:
+            found[name] = lines
+    if found:
+        count = sum(map(len, found.values()))
+        first = min(found)
+        yield Finding(
+            f"{count} places that the template marked are still open, in {', '.join(sorted(found))}",
+            path=first,
+            line=found[first][0],
+            column=1,
+            expected="no marker left",
+            got=f"{count} of {marker}",
+            evidence=found,
+            fix=Fix("advice", "fill the places in and delete the markers"),
+        )

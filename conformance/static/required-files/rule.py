@@ -1,0 +1,44 @@
+"""XPL101: the package has every required file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.source import Source
+from xpl_cli.standard import spec
+
+
+@rule(code="XPL101", slug="required-files", gate="static", requirement="XPL-PKG-1")
+def required_files(source: Source) -> Iterator[Finding]:
+    """A file that every adapter must have is missing.
+
+    ## What it does
+    Compares the adapter's folder with the list of files in the standard; `process_data.sh` and `train.sh` are required
+    unless `policy.yml` declares `evaluation_only: true`. An adapter of the ecosystem has no place to declare it, and is
+    not asked for these two.
+
+    ## Why it matters
+    Launchers call these scripts by name. A missing one ends a benchmark run after the queue time was spent.
+
+    ## Example
+    A package without `install.sh` cannot be set up by anybody but its author.
+
+    ## Use instead
+    `xpl new-policy` writes all of them; copy the missing one from a fresh scaffold.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    files = spec.data("package")["files"]
+    required = list(files["required"])
+    if not source.is_ecosystem and not source.manifest.get("evaluation_only", False):
+        required += files["training"]
+    for name in required:
+        if not source.has(name):
+            yield Finding(
+                message=f"{name} is missing: launchers that call it fail",
+                expected=f"a file {name} in the adapter's folder",
+                got="no such file",
+                fix=Fix("advice", f"copy {name} from a fresh `xpl new-policy` scaffold"),
+            )

@@ -1,0 +1,167 @@
+"""XPL115: reset forgets everything an episode left behind."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter, Function
+from xpl_cli.audit.static.episode import Write, is_memo, mentioned, read, writes
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, is_conditional, last, self_attribute, targets
+
+_FIX = Fix("advice", "set these attributes anew in reset, or derive from xpl.Policy, which keeps and clears them")
+
+
+@rule(code="XPL115", slug="reset-incomplete", gate="static", requirement="XPL-EPI-1")
+def reset_incomplete(source: Source) -> Iterator[Finding]:
+    """Something that an episode left behind survives reset.
+
+    ## What it does
+    Collects the attributes that the observing and acting methods change and use, and compares them with those that
+    `reset` touches, in the class itself and in objects of the adapter's own classes that it holds. Caches (filled only
+    where an entry is missing) and values that are set anew before each use do not count.
+
+    ## Why it matters
+    The first action of an episode is then computed from the last observation of the episode before, often of another
+    scene. Results depend on the order of the episodes and cannot be reproduced.
+
+    ## Example
+    `update_obs_batch` fills `self.batch`, but `reset` clears only `self.latest`.
+
+    ## Use instead
+    Derive from `xpl.Policy`; or set every such attribute in one method that `__init__` and `reset` both call.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    adapter = source.adapter
+    place = adapter.method(RESET) or adapter.method(RESETTING[-1])
+    resetting = adapter.reach(*RESETTING)
+    if not adapter.is_closed and place is None:
+        return  # a base class that is not here resets
+    if any(_resets_all(function, adapter) for function in resetting):
+        return
+    acting = adapter.reach(*OBSERVING, *ACTING)
+    left = _left(acting, mentioned(resetting))
+    for attribute, component in adapter.components.items():
+        left |= {f"{attribute}.{name}": write for name, write in _left_in(adapter, attribute, component).items()}
+    if not left:
+        return
+    first = next(iter(left.values()))
+    where = source.start(*((place.file, place.node) if place is not None else (adapter.file, adapter.node)))
+    yield Finding(
+        f"{RESET} leaves {' and '.join(f'self.{name}' for name in left)} as the last episode set it: "
+        "the next episode starts with an observation or a plan of the one before",
+        **where,
+        expected=f"{RESET} sets it anew",
+        got=f"{first.function.name} sets it in line {first.line}",
+        evidence={name: f"{write.function.name}:{write.line}" for name, write in left.items()},
+        fix=_FIX,
+    )
+
+
+def _left(acting: list[Function], forgotten: set[str]) -> dict[str, Write]:
+    """Return the attributes that these functions remember and that are not among the forgotten."""
+    used = read(acting)
+    loading = set(LOADING) | set(RESETTING)
+    found: dict[str, Write] = {}
+    for write in writes([function for function in acting if function.name not in loading]):
+        if write.attribute in used and write.attribute not in forgotten and not is_memo(write):
+            found.setdefault(write.attribute, write)
+    return {
+        name: write
+        for name, write in found.items()
+        if not _is_temporary(name, acting) and not _is_guarded(write, used & forgotten)
+    }
+
+
+def _is_guarded(write: Write, cleared: set[str]) -> bool:
+    """Tell whether an attribute cannot be used before it is set anew.
+
+    That is so if it is always set together with another one which reset does clear and which actions need too.
+    """
+    function = write.function
+    together = {other.attribute for other in writes([function]) if other.kind != "grown"}
+    always = write.kind == "assigned" and not is_conditional(write.node, function.node, function.up)
+    return always and bool(together & cleared)
+
+
+def _left_in(adapter: Adapter, attribute: str, component: Adapter) -> dict[str, Write]:
+    """Return what an object of the adapter's own classes remembers of an episode and nobody clears."""
+    acting = _calls_on(adapter.reach(*OBSERVING, *ACTING), attribute)
+    resetting = adapter.reach(*RESETTING)
+    forgotten = mentioned(component.reach(*_calls_on(resetting, attribute)))
+    for function in resetting:
+        for node in function.nodes:
+            for target in targets(node):
+                if self_attribute(target) == attribute and isinstance(target, ast.Attribute):
+                    if isinstance(target.value, ast.Name):
+                        return {}  # the object itself is made anew
+                    forgotten.add(target.attr)
+            if (
+                isinstance(node, ast.Call)
+                and self_attribute(node.func) == attribute
+                and isinstance(node.func, ast.Attribute)
+            ):
+                if isinstance(node.func.value, ast.Attribute):
+                    forgotten.add(node.func.value.attr)
+                if (
+                    node.func.attr not in component.methods
+                    and isinstance(node.func.value, ast.Attribute)
+                    and (node.func.value.attr == attribute)
+                ):
+                    return {}  # an inherited method may reset anything
+    return _left(component.reach(*acting), forgotten)
+
+
+def _calls_on(functions: list[Function], attribute: str) -> list[str]:
+    """Return the methods of `self.<attribute>` that these functions call."""
+    return [
+        node.func.attr
+        for function in functions
+        for node in function.nodes
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and isinstance(node.func.value, ast.Attribute)
+        and node.func.value.attr == attribute
+        and self_attribute(node.func.value) == attribute
+    ]
+
+
+def _is_temporary(attribute: str, functions: list[Function]) -> bool:
+    """Tell whether an attribute is set anew, whatever happens, before anything of the same method reads it."""
+    for function in functions:
+        lines = [
+            node.lineno
+            for node in function.nodes
+            if isinstance(node, ast.Attribute)
+            and isinstance(node.ctx, ast.Load)
+            and self_attribute(node) == node.attr == attribute
+        ]
+        if not lines:
+            continue
+        set_at = [
+            write.line
+            for write in writes([function])
+            if write.attribute == attribute
+            and write.kind == "assigned"
+            and not is_conditional(write.node, function.node, function.up)
+        ]
+        if not set_at or min(set_at) >= min(lines):
+            return False
+    return True
+
+
+def _resets_all(function: Function, adapter: Adapter) -> bool:
+    """Tell whether a reset clears everything at once, or hands over to a class that is not here."""
+    for node in function.nodes:
+        name = called(node)
+        if last(name) == "__init__" or name in {"setattr", "vars", "self.__dict__.clear"}:
+            return True
+        if isinstance(node, ast.Attribute) and node.attr == "__dict__":
+            return True
+        if name == "super" and not adapter.is_closed:
+            return True
+    return False

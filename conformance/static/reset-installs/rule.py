@@ -1,0 +1,101 @@
+"""XPL145: A new model is ready to observe."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter, Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, enclosing, self_attribute, targets, texts
+
+
+@rule(code="XPL145", slug="reset-installs", gate="static", requirement="XPL-EPI-7")
+def reset_installs(source: Source) -> Iterator[Finding]:
+    """An attribute that observing or acting needs is first set by reset.
+
+    ## What it does
+    Compares the attributes that the observing and acting methods read with those that construction sets, directly or
+    through what it calls. Reported is what only `reset` sets. Attributes of the class, and uses that ask first
+    (`hasattr`, `getattr` with a default), do not count.
+
+    ## Why it matters
+    The first observation after a start or a restart fails with AttributeError where the client, which thinks it is in
+    mid-episode, does not begin with reset. Tools that try an adapter once meet it at once.
+
+    ## Example
+    `self.queue = deque()` in `reset` only, and `self.queue.append(...)` in `update_obs`.
+
+    ## Use instead
+    Call `self.reset()` at the end of the constructor.
+
+    ## Fix safety
+    Calling `reset` at the end of construction is safe where it needs nothing else.
+    """
+    adapter = source.adapter
+    if not adapter.is_closed:
+        return  # a base class that is not here may set it, or call reset
+    resetting = [RESET] if adapter.is_sdk else RESETTING
+    loading = adapter.reach(*LOADING)
+    if any(function.name in resetting for function in loading):
+        return
+    observing = adapter.reach(*OBSERVING)
+    before = [write for function in (*loading, *observing) for write in function.writes]
+    made = {write.attribute for write in before if write.kind == "assigned"}
+    made |= _of_class(adapter) | _asked(adapter)
+    installed = [
+        write
+        for function in adapter.reach(*resetting)
+        for write in function.writes
+        if write.kind == "assigned" and write.attribute not in made and not adapter.has(write.attribute)
+    ]
+    if not installed:
+        return
+    needed = _needed([*observing, *adapter.reach(*ACTING)])
+    missing = {write.attribute: write for write in installed if write.attribute in needed}
+    if missing:
+        first = next(iter(missing.values()))
+        user, node = needed[first.attribute]
+        yield Finding(
+            f"{' and '.join(f'self.{name}' for name in missing)} exists only after {RESET}: "
+            f"{user.name} of a model that was just made, or restarted, raises AttributeError",
+            **source.at(user.file, node),
+            expected="construction sets everything that observing and acting read",
+            got=f"first set in {first.function.name}, line {first.line}",
+            fix=Fix("advice", "call self.reset() at the end of __init__"),
+        )
+
+
+def _of_class(adapter: Adapter) -> set[str]:
+    return {
+        target.id
+        for node in adapter.node.body
+        if isinstance(node, (ast.Assign, ast.AnnAssign))
+        for target in targets(node)
+        if isinstance(target, ast.Name)
+    }
+
+
+def _asked(adapter: Adapter) -> set[str]:
+    """Return the attributes whose existence is asked for, or that are set by their name."""
+    return {
+        text
+        for function in adapter.reach(*adapter.methods)
+        for node in function.of(ast.Call)
+        if called(node) in {"hasattr", "getattr", "setattr"}
+        for text in texts(node)
+    }
+
+
+def _needed(functions: list[Function]) -> dict[str, tuple[Function, ast.AST]]:
+    """Return the attributes that are read before the same function sets them."""
+    found: dict[str, tuple[Function, ast.AST]] = {}
+    for function in functions:
+        own = {write.attribute: write.line for write in function.writes if write.kind == "assigned"}
+        for node in function.of(ast.Attribute):
+            if isinstance(node.ctx, ast.Load) and self_attribute(node) == node.attr:
+                guarded = any(isinstance(outer, ast.Try) for outer in enclosing(node, function.up))
+                if not guarded and node.lineno < own.get(node.attr, node.lineno + 1):
+                    found.setdefault(node.attr, (function, node))
+    return found

@@ -1,0 +1,85 @@
+"""XPL137: Scripts take their positional arguments in the order of the standard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.shell import Command, Word
+from xpl_cli.audit.static.source import Source
+from xpl_cli.standard import spec
+
+
+@rule(code="XPL137", slug="script-arguments", gate="static", requirement="XPL-PKG-2")
+def script_arguments(source: Source) -> Iterator[Finding]:
+    """A script takes its positional arguments in another order than launchers give them.
+
+    ## What it does
+    Parses the scripts and looks at `name=$N`: a variable that bears the name of an argument of the standard takes it
+    from that argument's place. Calls of the adapter's own scripts are checked the same way.
+
+    ## Why it matters
+    Launchers give arguments by position. A script that expects the seed where the action type comes evaluates the wrong
+    thing, or puts its result under the wrong label.
+
+    ## Example
+    `seed=$5` in `eval.sh`, whose fifth argument is the action type.
+
+    ## Use instead
+    The order that `xpl spec show package` prints, which a fresh scaffold follows.
+
+    ## Fix safety
+    No automatic fix: callers of the script may have been adapted to it.
+    """
+    orders = {
+        name: [entry.strip("[]") for entry in entries] for name, entries in spec.data("package")["scripts"].items()
+    }
+    for script, order in orders.items():
+        if not source.has(script):
+            continue
+        for command in source.commands(script):
+            if command.name == "shift":
+                break
+            yield from _taken(script, order, command)
+        for command in source.commands(script):
+            for called, wanted in orders.items():
+                yield from _given(script, called, wanted, command)
+
+
+def _taken(script: str, order: list[str], command: Command) -> Iterator[Finding]:
+    """Yield variables that take another argument than the one they are named after."""
+    if command.functions:
+        return  # a function's own arguments
+    for variable, word in command.assignments:
+        position = word.position
+        name = variable.lower()
+        if position is None or position < 1 or name not in order or order.index(name) + 1 == position:
+            continue
+        really = order[position - 1] if position <= len(order) else "nothing"
+        yield _finding(script, word, f"{script} takes {really} for {name}", f"{variable}=${{{order.index(name) + 1}}}")
+
+
+def _given(script: str, called: str, wanted: list[str], command: Command) -> Iterator[Finding]:
+    """Yield arguments of a call of an own script that stand in the place of another one."""
+    words = list(command.arguments)
+    place = next(
+        (number for number, word in enumerate(words) if word.text.endswith(f"/{called}") or word.text == called), None
+    )
+    if place is None or script == called:
+        return
+    for word, expected in zip(words[place + 1 :], wanted, strict=False):
+        given = (word.variable or "").lower()
+        if given in wanted and given != expected:
+            yield _finding(script, word, f"{called} gets {given} where it takes {expected}", f'"${{{expected}}}"')
+
+
+def _finding(script: str, word: Word, consequence: str, expected: str) -> Finding:
+    return Finding(
+        f"{consequence}: the run is another one than its label says",
+        path=script,
+        line=word.line,
+        column=word.column,
+        expected=expected,
+        got=word.raw,
+        fix=Fix("command", "xpl spec show package"),
+    )

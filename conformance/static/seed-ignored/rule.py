@@ -1,0 +1,137 @@
+"""XPL118: The run seed is used, 0 included."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter, Setting
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, constant, dotted, last, targets
+
+_SEED = sdk.Deploy.SEED
+_GLOBAL = ("np.random.", "numpy.random.", "random.")
+_TENSORS = frozenset(
+    ("randn", "rand", "randint", "randperm", "normal", "randn_like", "rand_like", "multinomial", "bernoulli")
+)
+_SEEDED = frozenset(("default_rng", "RandomState", "Generator", "Random", _SEED, "manual_seed", "SeedSequence"))
+
+
+@rule(code="XPL118", slug="seed-ignored", gate="static", requirement="XPL-CFG-2")
+def seed_ignored(source: Source) -> Iterator[Finding]:
+    """The seed of the run has no effect, or seed 0 is replaced.
+
+    ## What it does
+    Finds truth tests of the seed (`seed or 42`, `if seed:`), seeds that are stored and never used, and random numbers
+    that are drawn for actions from a global generator where no seed is mentioned at all.
+
+    ## Why it matters
+    0 is the first seed of every benchmark. `0 or 42` is 42, and so that run is another one than its label says. With a
+    seed that nobody uses, no result can be repeated.
+
+    ## Example
+    `self.seed = int(config.get("seed") or 6198)`.
+
+    ## Use instead
+    `self.seed` and `self.rng(env)` of `xpl.Policy`; otherwise `0 if seed is None else seed`, and a generator of one's
+    own.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    adapter = source.adapter
+    found = [setting for setting in adapter.settings if setting.read.key == _SEED]
+    for setting in found:
+        yield from _replaced(source, setting)
+    if found and not adapter.config_escapes and not adapter.is_sdk:
+        yield from _unused(source, adapter, found)
+    if not found:
+        yield from _unseeded(source, adapter)
+
+
+def _replaced(source: Source, setting: Setting) -> Iterator[Finding]:
+    """Yield the truth test that a read of the seed stands in, as it is or by its name in the same function."""
+    function = setting.function
+    node: ast.AST = setting.read.node
+    parent = function.up.get(node)
+    while isinstance(parent, ast.Call) and called(parent) in {"int", "str"}:
+        node, parent = parent, function.up.get(parent)
+    stored = {ast.unparse(target) for target in targets(parent)} if isinstance(parent, ast.Assign) else set()
+    for test in function.nodes:
+        replaced: ast.expr | None = None
+        if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.Or):
+            before = test.values[:-1]
+            instead = constant(test.values[-1])
+            if (node in before or any(ast.unparse(value) in stored for value in before)) and instead not in (None, 0):
+                replaced = test
+        elif isinstance(test, (ast.IfExp, ast.If)) and (test.test is node or ast.unparse(test.test) in stored):
+            replaced = test.test if isinstance(test, ast.If) else test
+        if replaced is not None:
+            yield Finding(
+                "seed 0, the first seed of every benchmark, counts as not given and is replaced or ignored",
+                **source.at(function.file, replaced),
+                expected="0 is a seed like any other",
+                got=ast.unparse(replaced),
+                fix=Fix("advice", "test for None: `default if seed is None else seed`"),
+            )
+            return
+
+
+def _unused(source: Source, adapter: Adapter, found: list[Setting]) -> Iterator[Finding]:
+    """Yield a seed that is only stored: in an attribute or a name that nothing reads."""
+    functions = adapter.reach(*adapter.methods)
+    for setting in found:
+        function = setting.function
+        statement: ast.AST | None = setting.read.node
+        while statement is not None and not isinstance(statement, ast.stmt):
+            statement = function.up.get(statement)
+        if not isinstance(statement, (ast.Assign, ast.AnnAssign)):
+            return
+        for target in targets(statement):
+            name = last(ast.unparse(target))  # an attribute may be reached by another path than it was set by
+            where = functions if isinstance(target, ast.Attribute) else [function]
+            kind = ast.Attribute if isinstance(target, ast.Attribute) else ast.Name
+            mentions = (node for other in where for node in other.nodes if isinstance(node, kind))
+            if any(isinstance(node.ctx, ast.Load) and last(ast.unparse(node)) == name for node in mentions):
+                return
+    setting = found[0]
+    yield Finding(
+        "the seed is stored and never used: runs with different seeds are the same run, or none can be repeated",
+        **source.at(setting.function.file, setting.read.node),
+        expected="a generator seeded with it",
+        got="stored, never read",
+        fix=Fix("advice", "seed the policy's generator with it; xpl.Policy gives self.rng(env)"),
+    )
+
+
+def _unseeded(source: Source, adapter: Adapter) -> Iterator[Finding]:
+    """Yield a random number that is drawn from a global generator in an adapter that never mentions a seed."""
+    functions = adapter.reach(*OBSERVING, *ACTING)
+    if any(_mentions_seed(source, file) for file in {adapter.file, *(function.file for function in functions)}):
+        return
+    for function in functions:
+        for node in function.nodes:
+            name = called(node)
+            drawn = name.startswith(_GLOBAL) or (name.startswith("torch.") and last(name) in _TENSORS)
+            if drawn and last(name) not in _SEEDED and isinstance(node, ast.Call):
+                if any(keyword.arg == "generator" for keyword in node.keywords):
+                    continue
+                yield Finding(
+                    f"actions depend on {name}, which no seed reaches: equal seeds give different episodes",
+                    **source.at(function.file, node),
+                    expected="random numbers from a generator that the run seed determines",
+                    got=ast.unparse(node),
+                    fix=Fix("advice", "draw from self.rng(env) of xpl.Policy, or from a generator made from the seed"),
+                )
+                return
+
+
+def _mentions_seed(source: Source, file: str) -> bool:
+    return any(
+        _SEED in part.lower()
+        for node in source.nodes(file)
+        for part in (dotted(node), getattr(node, "arg", None) or "")
+        if isinstance(part, str)
+    )

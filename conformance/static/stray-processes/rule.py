@@ -1,0 +1,133 @@
+"""XPL157: Scripts end the processes that they started, and no others."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.script_flow import PYTHONS, place, runs, script, scripts, shown
+from xpl_cli.audit.static.shell import Command, Script
+from xpl_cli.audit.static.source import Source
+
+_BY_NAME = frozenset(("pkill", "killall", "fuser"))
+_DETACHED = re.compile(r"tmux new\S* .*-\w*d|screen -\w*d")
+
+
+@rule(code="XPL157", slug="stray-processes", gate="static", requirement="XPL-PKG-11")
+def stray_processes(source: Source) -> Iterator[Finding]:
+    """A process that a script started outlives it, or the script ends processes of others.
+
+    ## What it does
+    Looks for processes in the background that are neither waited for nor ended in an exit trap; for a server that is
+    ended by the id of the shell around it, while that shell does not `exec` the server; and for processes that are
+    ended by name.
+
+    ## Why it matters
+    A server that is left running keeps the memory of the GPU and the port. The next run fails, or talks to the old
+    model. Ended by name, the evaluations of everybody else on the machine end too.
+
+    ## Example
+    `kill "$SERVER_PID"` where that is `bash setup_eval_policy_server.sh`, whose last line is `python serve.py` without
+    `exec`: the shell ends, and Python goes on.
+
+    ## Use instead
+    `trap 'kill "$SERVER_PID"' EXIT` before the first thing that may fail, and `exec python ...` in the server's script.
+
+    ## Fix safety
+    `exec` before the last command of a script without traps changes nothing else.
+    """
+    found = False
+    for name, commands in scripts(source):
+        found = True
+        yield from _left(name, commands)
+        yield from _by_name(name, commands)
+    if not found:
+        raise NotApplicable("the adapter has no scripts")
+    yield from _orphaned(source)
+
+
+def _left(name: str, commands: Script) -> Iterator[Finding]:
+    """Yield what runs in the background when the script ends."""
+    started = [command for command in commands if command.end == "&" or command.name in {"tmux", "screen"}]
+    if not started or any(command.name == "wait" for command in commands):
+        return
+    has_trap = any(
+        command.name == "trap" and {word.text for word in command.words} & {"EXIT", "0"} for command in commands
+    )
+    kills = any("kill" in word.raw for command in commands for word in command.words)
+    for command in started:
+        words = runs(command)
+        is_detached = _DETACHED.match(" ".join(word.text for word in words)) is not None
+        if not words or has_trap or (command.end != "&" and not is_detached):
+            continue
+        if kills and "errexit" not in commands.options:
+            continue
+        when = "where a later step fails, " if kills else ""
+        yield Finding(
+            f"{when}`{shown(words, 2)}` runs on after {name} has ended: it keeps its GPU memory and its port",
+            **place(name, words[0]),
+            expected="trap 'kill \"$pid\"' EXIT, or wait",
+            got=f"{shown(words, 2)} in the background, {'ended only in the last lines' if kills else 'never ended'}",
+            fix=Fix("advice", "keep `$!`, and end it in `trap ... EXIT`"),
+        )
+
+
+def _by_name(name: str, commands: Script) -> Iterator[Finding]:
+    for command in commands:
+        if command.name not in _BY_NAME or any("$" in word.raw or word.raw == "-P" for word in command.words):
+            continue
+        if command.name == "fuser" and not any(word.raw.startswith("-") and "k" in word.raw for word in command.words):
+            continue
+        yield Finding(
+            f"`{shown(command.arguments)}` also ends processes that {name} did not start: other runs stop",
+            **place(name, command.arguments[0]),
+            expected="kill with the process id that the script kept",
+            got=shown(command.arguments),
+            fix=Fix("advice", "keep `$!` of what the script starts, and end that"),
+        )
+
+
+def _orphaned(source: Source) -> Iterator[Finding]:
+    """Yield a server that goes on when the shell around it is ended by its id."""
+    caller, called = sdk.File.EVAL_SH, sdk.File.SETUP_EVAL_POLICY_SERVER_SH
+    if not source.has(caller) or not source.has(called):
+        return
+    outer, inner = script(source, caller), script(source, called)
+    if not _starts(outer, called) or not _ends_one(outer) or not inner:
+        return
+    last = inner[-1]
+    words = runs(last)
+    name = words[0].text.rpartition("/")[2].upper() if words else ""
+    is_server = name in {"UV", *map(str.upper, PYTHONS)} or "PYTHON" in name
+    if is_server and last.name != "exec" and last.end != "&":
+        yield Finding(
+            f"{caller} ends the shell of {called} and not the server in it, which keeps its GPU memory and its port",
+            **place(called, last.words[0]),
+            expected=f"exec {shown(words, 1)}",
+            got=shown(words, 2),
+            fix=Fix("advice", f"exec {shown(words, 1)} ..., or start it in a group of its own and end the group"),
+        )
+
+
+def _starts(outer: Script, called: str) -> bool:
+    """Tell whether a script starts another one in the background, in the same process group."""
+    names = {name for command in outer for name, value in command.assignments if called in value.raw}
+    return any(command.end == "&" and _names(command, called, names) and command.name != "setsid" for command in outer)
+
+
+def _names(command: Command, called: str, variables: set[str]) -> bool:
+    return any(
+        called in word.raw or any(item.name in variables for item in word.expansions) for word in command.arguments[:3]
+    )
+
+
+def _ends_one(outer: Script) -> bool:
+    """Tell whether a script ends single processes only: no process group, no children."""
+    kills = [command for command in outer if command.name == "kill"]
+    words = [word.text for command in kills for word in command.arguments[1:]]
+    by_group = any(text == "--" or text.startswith("-$") for text in words) or any(
+        command.name == "pkill" or any("jobs -p" in word.raw for word in command.words) for command in outer
+    )
+    return bool(kills) and not by_group

@@ -1,0 +1,70 @@
+"""XPL170: Data conversion reads a trajectory by the names of the standard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.edits import replaced, same_quotes
+from xpl_cli.audit.static.keys import Entry, entries, is_number, near
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import constant, texts
+from xpl_cli.standard import spec
+
+
+@rule(code="XPL170", slug="trajectory-names", gate="static", requirement="XPL-DAT-2")
+def trajectory_names(source: Source) -> Iterator[Finding]:
+    """Data conversion looks for a recorded value under a name that trajectories do not have.
+
+    ## What it does
+    Follows in the Python files of the data conversion what is read below `vision`, `state` and `action`, through local
+    names, loops and paths of HDF5, and compares the last name with the trajectory schema. Names that resemble one of
+    it are reported; where the function knows the right name too, it reads both kinds of files and is left alone.
+
+    ## Why it matters
+    A trajectory has a leading time axis and plural names, an observation has singular ones. A look-up by the name of an
+    observation ends the conversion with a KeyError, or, with `.get`, trains without the value.
+
+    ## Example
+    `episode["vision"]["cam_head"]["color"]` where the file holds `colors`.
+
+    ## Use instead
+    The names that `xpl spec show trajectory` lists.
+
+    ## Fix safety
+    The name that the standard has, in place of the one that it does not have.
+    """
+    if not source.conversion_files:
+        raise NotApplicable("the adapter converts no data")
+    schema = spec.schema("trajectory")
+    series = tuple(schema["$defs"]["series"]["properties"])
+    camera = tuple(schema["properties"][sdk.Obs.VISION]["additionalProperties"]["properties"])
+    seen: set[int] = set()
+    for file in source.conversion_files:
+        for function in source.functions(file):
+            for entry in entries(function):
+                right = near(entry.name, camera if entry.group == sdk.Obs.VISION else series)
+                if right is not None and id(entry.node) not in seen and right not in texts(function.node):
+                    seen.add(id(entry.node))  # a nested function is part of the one around it
+                    yield _finding(source, file, entry, right)
+
+
+def _finding(source: Source, file: str, entry: Entry, right: str) -> Finding:
+    text = constant(entry.key)
+    edits: tuple[Edit, ...] = ()
+    if isinstance(text, str) and is_number(entry.name, right):
+        edits = (replaced(source, file, entry.key, same_quotes(source, file, entry.key, _renamed(text, right))),)
+    what = "the conversion ends with a KeyError" if entry.required else "it is never found, and training goes without"
+    return Finding(
+        f"trajectories have {right} and not {entry.name} below {entry.group}: {what}",
+        **source.at(file, entry.key),
+        expected=right,
+        got=entry.name,
+        fix=Fix("safe_edit" if edits else "advice", f"{right} in place of {entry.name}", edits),
+    )
+
+
+def _renamed(path: str, leaf: str) -> str:
+    before, slash, _ = path.rpartition("/")
+    return f"{before}{slash}{leaf}"

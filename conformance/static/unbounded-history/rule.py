@@ -1,0 +1,119 @@
+"""XPL142: Memory of an episode is bounded."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter, Function
+from xpl_cli.audit.static.episode import is_memo
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, constant, enclosing, last, self_attribute, targets
+
+_ADDS = frozenset(("append", "appendleft", "extend", "insert"))
+_REMOVES = frozenset(("pop", "popleft", "clear", "remove", "get", "get_nowait"))
+
+
+@rule(code="XPL142", slug="unbounded-history", gate="static", requirement="XPL-EPI-6")
+def unbounded_history(source: Source) -> Iterator[Finding]:
+    """A list grows with every observation or action, and nothing shortens it before reset.
+
+    ## What it does
+    Looks for lists that the observing and acting methods append to, in the class itself and in objects of the adapter's
+    own classes that it holds, and for anything that bounds them: `maxlen`, a slice that is assigned back, `pop`, `del`,
+    a test of the length, or a new list.
+
+    ## Why it matters
+    Three cameras at 25 Hz are 70 MB a second: a long episode ends when memory does. Where the list is given to the
+    model, each step is slower than the one before.
+
+    ## Example
+    `self.frames.append(image)` in `update_obs`, with `self.frames[-4:]` read in `get_action`.
+
+    ## Use instead
+    `collections.deque(maxlen=4)`, or `temporal.history` in policy.yml and `xpl.Policy`.
+
+    ## Fix safety
+    Safe where only the newest entries are read.
+    """
+    adapter = source.adapter
+    for holder, one in (("self", adapter), *((f"self.{name}", other) for name, other in adapter.components.items())):
+        functions = one.reach(*OBSERVING, *ACTING) if one is adapter else one.reach(*_used(adapter, holder))
+        grown = [write for function in functions for write in function.writes if _adds(write.node)]
+        bounded = _bounded(functions, one) if grown else set()
+        reported: set[str] = set()
+        for write in grown:
+            if write.attribute in bounded | reported or is_memo(write):
+                continue
+            if _is_bounded_here(write.node, write.function, write.attribute):
+                continue
+            reported.add(write.attribute)
+            yield Finding(
+                f"{holder}.{write.attribute} grows by one entry at every call of {write.function.name} until reset: "
+                "a long episode runs out of memory",
+                **source.at(write.function.file, write.node),
+                expected="a bound, such as deque(maxlen=...)",
+                got=ast.unparse(write.node).split("\n")[0],
+                fix=Fix("advice", "use collections.deque(maxlen=N), N being what the model reads"),
+            )
+
+
+def _used(adapter: Adapter, holder: str) -> list[str]:
+    """Return the methods of an object that the observing and acting methods call."""
+    return [
+        node.func.attr
+        for function in adapter.reach(*OBSERVING, *ACTING)
+        for node in function.of(ast.Call)
+        if isinstance(node.func, ast.Attribute) and called(node).startswith(f"{holder}.")
+    ]
+
+
+def _adds(node: ast.AST) -> bool:
+    if isinstance(node, ast.AugAssign):
+        return isinstance(node.op, ast.Add) and isinstance(node.value, (ast.List, ast.ListComp))
+    return isinstance(node, ast.Call) and last(called(node)) in _ADDS
+
+
+def _bounded(functions: list[Function], adapter: Adapter) -> set[str]:
+    """Return the attributes that something shortens, renews or bounds."""
+    found: set[str | None] = set()
+    for function in functions:
+        for node in function.of(ast.Assign, ast.AnnAssign, ast.Delete, ast.Call):
+            if isinstance(node, (ast.Assign, ast.AnnAssign)):
+                found.update(self_attribute(target) for target in targets(node))
+            elif isinstance(node, ast.Delete):
+                found.update(self_attribute(target) for target in node.targets)
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _REMOVES:
+                is_look_up = node.func.attr == "get" and bool(node.args)
+                found.add(None if is_look_up else self_attribute(node.func.value))
+    for function in adapter.reach(*adapter.methods):
+        for write in function.writes:
+            value = getattr(write.node, "value", None)
+            if isinstance(write.node, (ast.Assign, ast.AnnAssign)) and value is not None and _has_bound(value):
+                found.add(write.attribute)
+    return {attribute for attribute in found if attribute is not None}
+
+
+def _has_bound(value: ast.expr) -> bool:
+    """Tell whether a value is a container with a largest size, or one that code elsewhere makes."""
+    for node in ast.walk(value):
+        if last(called(node)) == "deque" and isinstance(node, ast.Call):
+            bounds = [entry.value for entry in node.keywords if entry.arg == "maxlen"] + node.args[1:]
+            return any(constant(bound) is not None for bound in bounds)
+        if isinstance(node, ast.keyword) and node.arg in {"maxlen", "maxsize"}:
+            return True
+    made = last(called(value))
+    return bool(made) and made not in {"list", "defaultdict", "dict"}
+
+
+def _is_bounded_here(node: ast.AST, function: Function, attribute: str) -> bool:
+    """Tell whether entries are added only below some length, or are those of a `maxlen` that is made on the way."""
+    if "maxlen" in ast.unparse(node):
+        return True
+    for outer in enclosing(node, function.up):
+        if isinstance(outer, (ast.If, ast.While)):
+            words = {child.attr for child in ast.walk(outer.test) if isinstance(child, ast.Attribute)}
+            if attribute in words or any("debug" in word or "record" in word or "log" in word for word in words):
+                return True
+    return False

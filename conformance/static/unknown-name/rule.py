@@ -1,0 +1,110 @@
+"""XPL154: A task or robot that the adapter does not know is an error."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, last, names, targets
+
+_NAMES = re.compile(r"(^|_)(task|bench|robot|embodiment|env_cfg|dataset|domain|unnorm|suite)(_|$|s$)", re.IGNORECASE)
+
+
+@rule(code="XPL154", slug="unknown-name", gate="static", requirement="XPL-CFG-8")
+def unknown_name(source: Source) -> Iterator[Finding]:
+    """A task, robot or data set that a table lacks is taken for another one.
+
+    ## What it does
+    Looks for look-ups by the name of a task, robot or data set in a table whose fallback is another entry or a
+    constant: `TABLE.get(task, 0)`, `if key not in table: key = next(iter(table))`. A fallback to None or to the name
+    itself does not count: both are dealt with later.
+
+    ## Why it matters
+    A misspelt or new task runs with the embedding, the prompt or the statistics of another one. The policy moves as if
+    all were well, and its score is filed under a task that it was never told about.
+
+    ## Example
+    `task_id = TASK_IDS.get(config["task_name"], 0)`.
+
+    ## Use instead
+    `TASK_IDS[config["task_name"]]`, or an error that lists the names there are.
+
+    ## Fix safety
+    Replacing `.get(name, default)` by `[name]` raises where the name is unknown, as it should.
+    """
+    for function in source.adapter.reach(*LOADING, *OBSERVING, *ACTING):
+        for node, name, instead in (*_defaults(function), *_first(function)):
+            yield Finding(
+                f"an unknown {name} is taken for {instead}: the run is filed under a name that the policy never heard",
+                **source.at(function.file, node),
+                expected="an error that lists the names there are",
+                got=ast.unparse(node).split("\n")[0],
+                fix=Fix("advice", "look the name up with [...], or raise with the names that are known"),
+            )
+
+
+def _defaults(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
+    """Yield `table.get(name, default)` with the default of another entry."""
+    for node in function.of(ast.Call):
+        if not isinstance(node.func, ast.Attribute) or node.func.attr != "get":
+            continue
+        if len(node.args) != 2 or constant(node.args[0]) is not ...:
+            continue
+        key, default = node.args
+        name = last(dotted(key)) or (str(constant(key.slice)) if isinstance(key, ast.Subscript) else "")
+        if not _NAMES.search(name) or not _is_table(node.func.value, function) or _says_nothing(default):
+            continue
+        if not names(default) & names(key) - {"self"}:
+            yield node, name, ast.unparse(default)
+
+
+def _is_table(node: ast.expr, function: Function) -> bool:
+    """Tell whether something is a table by names: a constant of the module, a map in place, or so called."""
+    if isinstance(node, ast.Dict):
+        return True
+    name = last(dotted(node))
+    if name.isupper() or isinstance(assigned(function.of(ast.Assign)).get(name), ast.Dict):
+        return True
+    return bool(re.search(r"map$|ids?$|table|2|_to_", name))
+
+
+def _says_nothing(default: ast.expr) -> bool:
+    """Tell whether a default is no entry: None, an empty map or text."""
+    value = constant(default)
+    return value is None or value == "" or ast.unparse(default) in {"{}", "[]"}
+
+
+def _first(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
+    """Yield names that are replaced by the first one of a table where the table lacks them."""
+    for node in function.of(ast.If):
+        if not isinstance(node.test, ast.Compare):
+            continue
+        if not isinstance(node.test.ops[0], ast.NotIn):
+            continue
+        name = dotted(node.test.left)
+        if not name or not _NAMES.search(last(name)):
+            continue
+        firsts = {
+            target.id
+            for entry in node.body
+            if isinstance(entry, ast.Assign) and _is_first(entry.value, dotted(node.test.comparators[0]))
+            for target in targets(entry)
+            if isinstance(target, ast.Name)
+        }
+        for entry in node.body:
+            value = entry.value if isinstance(entry, (ast.Assign, ast.Return)) else None
+            replaced = isinstance(entry, ast.Return) or any(dotted(target) == name for target in targets(entry))
+            table = dotted(node.test.comparators[0])
+            if value is not None and replaced and (_is_first(value, table) or dotted(value) in firsts):
+                yield entry, last(name), f"the first of {table}" if dotted(value) in firsts else ast.unparse(value)
+
+
+def _is_first(value: ast.expr, table: str) -> bool:
+    """Tell whether a value is a constant name, or one that the table happens to begin with."""
+    text = constant(value)
+    begins = any(last(called(node)) in {"next", "list", "sorted"} for node in ast.walk(value))
+    return (isinstance(text, str) and bool(text)) or (begins and any(dotted(node) == table for node in ast.walk(value)))

@@ -1,0 +1,81 @@
+"""XPL159: What a script passes on by position is quoted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.script_flow import SHELLS, place, program, runs, scripts
+from xpl_cli.audit.static.shell import Command, Word
+from xpl_cli.audit.static.source import Source
+from xpl_cli.standard import spec
+
+_ALL = frozenset(("$@", "$*", "${@}", "${*}"))
+_CALLERS = SHELLS | {"python", "python3", "xpl"}
+
+
+@rule(code="XPL159", slug="unquoted-argument", gate="static", requirement="XPL-PKG-9")
+def unquoted_argument(source: Source) -> Iterator[Finding]:
+    """An argument is handed on without quotes, so that what follows moves up when it is empty or holds a blank.
+
+    ## What it does
+    Takes the calls of scripts and Python files, and finds arguments of the standard, `$1` and its like, and `$@`, that
+    are passed on by position without quotes.
+
+    ## Why it matters
+    The shell drops an empty value and splits one at its blanks. All that follows then stands one place off: the robot
+    is taken for the checkpoint, and the run that ends well is another one than was asked for.
+
+    ## Example
+    `bash process_data.sh ${bench_name} ${ckpt_name} ${env_cfg_type}` with an empty checkpoint name.
+
+    ## Use instead
+    `"${ckpt_name}"`, and `"$@"`.
+
+    ## Fix safety
+    Quotes change nothing for values without blanks that are not empty.
+    """
+    standard = {entry.strip("[]") for entries in spec.data("package")["scripts"].values() for entry in entries}
+    found = False
+    for name, script in scripts(source):
+        found = True
+        for command in script:
+            if program(command) in _CALLERS:
+                bare = [word for word in _by_position(command) if _is_bare(word, standard)]
+                if bare:
+                    yield _finding(name, command, bare)
+    if not found:
+        raise NotApplicable("the adapter has no scripts")
+
+
+def _by_position(command: Command) -> list[Word]:
+    """Return what a program gets behind its script's name, without options and their values."""
+    words = runs(command)[2:]
+    before = ("", *(word.raw for word in words))
+    return [word for word, previous in zip(words, before, strict=False) if not previous.startswith("-")]
+
+
+def _is_bare(word: Word, standard: set[str]) -> bool:
+    if word.raw in _ALL:
+        return True
+    if word.raw.startswith(("'", '"')):
+        return False
+    return word.position is not None or (word.variable or "").lower() in standard
+
+
+def _finding(name: str, command: Command, bare: list[Word]) -> Finding:
+    called = runs(command)[1].text.rpartition("/")[2]
+    which = (bare[0].variable or bare[0].raw) if bare[0].raw[1:] not in {"@", "*"} else "an argument"
+    quoted = [f'"{"$@" if word.raw in _ALL else word.raw}"' for word in bare]
+    edits = tuple(
+        Edit(name, word.line, word.column, word.line, word.column + len(word.raw), text)
+        for word, text in zip(bare, quoted, strict=True)
+    )
+    better = " ".join(quoted)
+    return Finding(
+        f"where {which} is empty or holds a blank, {called} takes each later argument for another one",
+        **place(name, bare[0]),
+        expected=better[:120],
+        got=" ".join(word.raw for word in bare)[:120],
+        fix=Fix("safe_edit", better, edits),
+    )

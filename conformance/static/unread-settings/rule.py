@@ -1,0 +1,120 @@
+"""XPL120: What deploy.yml sets is read."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.adapter import Adapter
+from xpl_cli.audit.static.episode import is_reported
+from xpl_cli.audit.static.manifests import deleted
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, targets
+from xpl_cli.standard import spec
+
+_CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "tuple"))
+
+
+@rule(code="XPL120", slug="unread-settings", gate="static", requirement="XPL-CFG-4")
+def unread_settings(source: Source) -> Iterator[Finding]:
+    """deploy.yml sets keys that nobody reads.
+
+    ## What it does
+    Takes the adapter's own keys of `deploy.yml` and looks for each in the adapter's code and scripts; a value that is
+    only stored in an attribute, or printed, is not read either. Where the whole configuration is handed on to another
+    package, that package may read any key, and nothing is reported.
+
+    ## Why it matters
+    Whoever changes such a key sees no effect, and believes that there is none. Often it is a misspelt name of one that
+    is read with its default.
+
+    ## Example
+    `include_state: false` in `deploy.yml`, and code that always includes it.
+
+    ## Use instead
+    Delete the key, or read it.
+
+    ## Fix safety
+    Deleting a key that nobody reads changes nothing, but a misspelt one should be renamed.
+    """
+    adapter = source.adapter
+    if adapter.config_escapes:
+        raise NotApplicable("the whole configuration is handed on to another package, which may read any key")
+    standard = set(spec.schema("deploy")["properties"])
+    read = {text for name in source.python_files if source.parses(name) for text in _texts(source, name)}
+    scripts = "\n".join(source.text(name) for name in source.text_files if name.endswith(".sh"))
+    unread = [key for key in source.deploy if key not in standard and key not in read and str(key) not in scripts]
+    yield from _stored(source, adapter)
+    if not unread:
+        return
+    lines = source.text(sdk.File.DEPLOY_YML).split("\n")
+    line = next((number for number, text in enumerate(lines, start=1) if text.startswith(f"{unread[0]}:")), 1)
+    what = "it" if len(unread) == 1 else "one of them"
+    yield Finding(
+        f"nobody reads {', '.join(map(str, unread))}: changing {what} has no effect",
+        path=sdk.File.DEPLOY_YML,
+        line=line,
+        column=1,
+        expected="a key that the adapter reads",
+        got=str(unread[0]),
+        fix=_deleted(source, unread),
+    )
+
+
+def _deleted(source: Source, keys: list[str]) -> Fix:
+    """Return the fix that deletes keys; it is unsafe, because a misspelt one should be renamed."""
+    edits = tuple(edit for key in keys for edit in deleted(source, sdk.File.DEPLOY_YML, str(key)))
+    text = f"delete {', '.join(map(str, keys))}, or give them the names that the code reads"
+    return Fix("unsafe_edit" if edits else "advice", text, edits)
+
+
+def _texts(source: Source, name: str) -> set[str]:
+    """Return the texts of a Python file, and the names it reaches by attribute, as in `config.horizon`."""
+    found = set()
+    for node in source.nodes(name):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.add(node.value)
+        elif (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.ctx, ast.Load)
+            and getattr(node.value, "id", "") != "self"
+        ):
+            found.add(node.attr)
+    return found
+
+
+def _stored(source: Source, adapter: Adapter) -> Iterator[Finding]:
+    """Yield values of deploy.yml that end in an attribute which nothing uses but messages."""
+    mentions: dict[str, int] = {}
+    for file in source.python_files:
+        for node in source.nodes(file) if source.parses(file) else ():
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+                mentions[node.attr] = mentions.get(node.attr, 0) + 1
+    for setting in adapter.settings:
+        statement: ast.AST = setting.read.node
+        while isinstance(parent := setting.function.up.get(statement), ast.Call) and called(parent) in _CONVERSIONS:
+            statement = parent
+        if not isinstance(parent, (ast.Assign, ast.AnnAssign)) or setting.read.key not in source.deploy:
+            continue
+        for target in targets(parent):
+            name = target.attr if isinstance(target, ast.Attribute) else ""
+            if name and mentions.get(name, 0) == _reported(adapter, name) and not adapter.has(name):
+                yield Finding(
+                    f"{setting.read.key} is stored and never used: changing it has no effect",
+                    **source.at(setting.function.file, parent),
+                    expected=f"self.{name} decides something",
+                    got=ast.unparse(parent),
+                    fix=Fix("advice", "use the value, or delete the key"),
+                )
+
+
+def _reported(adapter: Adapter, name: str) -> int:
+    """Return how often an attribute is mentioned only to be printed or logged."""
+    return sum(
+        is_reported(node, function)
+        for function in adapter.reach(*adapter.methods)
+        for node in function.nodes
+        if isinstance(node, ast.Attribute) and node.attr == name and isinstance(node.ctx, ast.Load)
+    )

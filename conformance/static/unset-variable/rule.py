@@ -1,0 +1,114 @@
+"""XPL155: Scripts expand only what is set, or say what holds if it is not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.script_flow import SHELLS, place, scripts
+from xpl_cli.audit.static.shell import Command, Script, Word
+from xpl_cli.audit.static.source import Source
+
+_ALWAYS: Final = re.compile(
+    r"BASH\w*|HOME|PATH|PWD|OLDPWD|USER|LOGNAME|SHELL|HOSTNAME|HOSTTYPE|OSTYPE|MACHTYPE|E?UID|PPID|GROUPS|RANDOM|SECONDS"
+    r"|EPOCH\w+|LINENO|FUNCNAME|PIPESTATUS|IFS|OPT(?:ARG|IND)|REPLY|MAPFILE|COPROC|COLUMNS|LINES|TERM|LANG|SHLVL|_"
+)
+_NAME: Final = re.compile(r"\$\{?[#!]?([A-Za-z_]\w*)")
+_ACTIVATED: Final = re.compile(r"CONDA_\w+|VIRTUAL_ENV")
+
+
+@rule(code="XPL155", slug="unset-variable", gate="static", requirement="XPL-PKG-9")
+def unset_variable(source: Source) -> Iterator[Finding]:
+    """A script expands a variable that nothing sets.
+
+    ## What it does
+    Follows the variables of each script. A name that the script neither sets nor guards (`${name:-default}`,
+    `${name:?message}`, a test) must come from the caller's environment; in lower case it hardly does. A search path
+    that is extended by its own value must have one.
+
+    ## Why it matters
+    Mostly it is a misspelt name. Without `set -u` the shell puts nothing in its place: the run gets another checkpoint
+    or no seed. With it, the script stops on every machine where the variable is not set. A search path that ends in a
+    colon makes Python import from the working directory.
+
+    ## Example
+    `export PYTHONPATH="$root:$PYTHONPATH"` under `set -u`, or `--seed "$sede"`.
+
+    ## Use instead
+    The name that was set; `"${PYTHONPATH:+:$PYTHONPATH}"` for search paths; `"${NAME:?what it is for}"` for what users
+    have to give.
+
+    ## Fix safety
+    A guard changes nothing where the variable is set.
+    """
+    found = False
+    for name, script in scripts(source):
+        found = True
+        yield from _extended(name, script)
+        known = script.variables | script.checked
+        unknown = {word for word in _NAME.findall(source.text(name)) if word not in known}
+        if unknown and not any(map(_sets_unknown, script)):
+            yield from _unset(name, script, unknown)
+    if not found:
+        raise NotApplicable("the adapter has no scripts")
+
+
+def _unset(name: str, script: Script, unknown: set[str]) -> Iterator[Finding]:
+    """Yield the first expansion of each of these variables, as far as hardly any caller sets it."""
+    nounset = "nounset" in script.options
+    left = {
+        variable
+        for variable in unknown
+        if not _ALWAYS.fullmatch(variable)
+        and not _ACTIVATED.fullmatch(variable)
+        and not (nounset and variable.isupper())
+    }
+    for word in (word for command in script for word in command.words) if left else ():
+        for item in word.expansions:
+            if item.name in left:
+                left.remove(item.name)
+                then = "the script stops there" if nounset else "the shell puts nothing in its place"
+                yield _finding(name, word, f"{item.name} is set nowhere: {then}", f"{item.name} set, or a default")
+
+
+def _extended(name: str, script: Script) -> Iterator[Finding]:
+    """Yield search paths that are extended by their own value, whether or not they have one."""
+    seen: set[str] = set()
+    for command in script:
+        for variable, value in command.assignments:
+            is_first = variable not in seen
+            seen.add(variable)
+            if not (is_first and variable.isupper() and ":" in value.raw and variable in value.raw):
+                continue
+            bare = any(item.name == variable and not item.guard for item in value.expansions)
+            if not bare or _ALWAYS.fullmatch(variable):
+                continue
+            if "nounset" in script.options and variable not in script.checked:
+                then = f"{name} stops with `unbound variable` there"
+            elif variable not in script.checked:
+                then = "the path gets an empty entry, which is the working directory"
+            else:
+                continue
+            wanted = f"${{{variable}:+:${variable}}}"
+            yield _finding(name, value, f"where the caller has no {variable}, {then}", wanted)
+
+
+def _sets_unknown(command: Command) -> bool:
+    """Tell whether a command may set any variable: another file that is read in, or `eval`."""
+    if command.name == "eval":
+        return True
+    if command.name not in SHELLS - {"bash", "sh"} or len(command.arguments) < 2:
+        return False
+    return not re.search(r"(?:conda\.sh|mamba\.sh|activate|\.bashrc)[\"']?$", command.arguments[1].raw)
+
+
+def _finding(name: str, word: Word, message: str, expected: str) -> Finding:
+    return Finding(
+        message,
+        **place(name, word),
+        expected=expected,
+        got=word.raw[:80],
+        fix=Fix("advice", f"write {expected}" if expected.startswith("$") else "set it, or write `${name:?what for}`"),
+    )

@@ -1,0 +1,61 @@
+"""XPL135: The loop calls only operations that the wire carries, reset first."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import RESET
+from xpl_cli.audit.static.loops.functions import asked, hands_on, loops
+from xpl_cli.audit.static.source import Source
+
+_CLIENT = frozenset((sdk.Message.CLOSE, "connect"))
+
+
+@rule(code="XPL135", slug="wire-operations", gate="static", requirement="XPL-LOOP-3")
+def wire_operations(source: Source) -> Iterator[Finding]:
+    """The loop calls an operation that the protocol does not carry, or does not reset first.
+
+    ## What it does
+    Collects what the evaluation functions ask of the client: only the operations of the contract, and the methods that
+    policy.yml declares, by `call(func_name=...)`; the first of them is `reset`.
+
+    ## Why it matters
+    A server refuses other names, and a client of a benchmark has no other methods. Without a reset the first action of
+    an episode comes from the state that the last one left.
+
+    ## Example
+    `model_client.call(func_name="set_language", obs=text)`.
+
+    ## Use instead
+    Send it with the observation, or declare the method under `methods` in policy.yml.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    declared = source.manifest.get("methods")
+    known = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *(map(str, declared) if isinstance(declared, list) else ())}
+    for function in loops(source):
+        first: ast.Call | None = None
+        for node, name in sorted(asked(function), key=lambda entry: (entry[0].lineno, entry[0].col_offset)):
+            is_call = isinstance(node.func, ast.Attribute) and node.func.attr == sdk.Message.CALL
+            if name is not None and (name not in known if is_call else name not in _CLIENT):
+                yield Finding(
+                    f"the server does not know {name}: {function.name} stops with an error there",
+                    **source.at(function.file, node),
+                    expected=", ".join(sdk.CONTRACT_METHODS),
+                    got=ast.unparse(node)[:80],
+                    fix=Fix("advice", "send it with the observation, or declare it under `methods` in policy.yml"),
+                )
+            if first is None and is_call:
+                first = node
+                if name is not None and name != RESET and not hands_on(function.node, function, source, 1):
+                    yield Finding(
+                        f"{function.name} does not reset first: the episode starts with what the one before left",
+                        **source.at(function.file, node),
+                        expected=f"{RESET} before {name}",
+                        got=ast.unparse(node)[:80],
+                        fix=Fix("advice", f"call {RESET} first"),
+                    )

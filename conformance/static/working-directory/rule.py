@@ -1,0 +1,142 @@
+"""XPL129: Paths start at the file, not at the working directory."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import LOADING, Adapter, Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, constant, dotted, last, names, parameters
+
+_RUNNERS = frozenset(("python", "python3", "bash", "sh", "source", ".", "torchrun"))
+
+
+@rule(code="XPL129", slug="working-directory", gate="static", requirement="XPL-PKG-8")
+def working_directory(source: Source) -> Iterator[Finding]:
+    """A path depends on the folder from which the server or the script was started.
+
+    ## What it does
+    Looks for relative paths of the configuration that are made absolute by the working directory, for constant
+    relative paths that are opened, and for scripts that call a file of the adapter by a relative path without going
+    to its folder first.
+
+    ## Why it matters
+    The server is started by launchers, from their folder. The same deploy.yml then finds the weights on one machine and
+    not on the other, or other weights.
+
+    ## Example
+    `os.path.abspath(config["model_path"])`.
+
+    ## Use instead
+    `self.policy_dir / path`, which leaves absolute paths alone; in scripts, `cd "$(dirname "${BASH_SOURCE[0]}")"`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    adapter = source.adapter
+    given = _given(adapter)
+    for function in adapter.reach(*LOADING):
+        resolved = list(_resolved(function, given.get(id(function.node), set()), adapter))
+        if resolved:
+            paths = " and ".join(dict.fromkeys(path for _, path in resolved))
+            yield _finding(source, function, resolved[0][0], f"{paths} of the configuration")
+        for node, path in _opened(function):
+            yield _finding(source, function, node, repr(path))
+    for script in (sdk.File.PROCESS_DATA_SH, sdk.File.TRAIN_SH, sdk.File.EVAL_SH, sdk.File.SETUP_EVAL_POLICY_SERVER_SH):
+        if source.has(script):
+            yield from _called_by(source, script)
+
+
+def _finding(source: Source, function: Function, node: ast.AST, path: str) -> Finding:
+    return Finding(
+        f"{path} depends on the folder where the server was started: elsewhere it is not found, or another is",
+        **source.at(function.file, node),
+        expected="a path that starts at the adapter's folder",
+        got=ast.unparse(node),
+        fix=Fix("advice", "join it to self.policy_dir, or to Path(__file__).parent"),
+    )
+
+
+def _given(adapter: Adapter) -> dict[int, set[str]]:
+    """Return, by function, the parameters that some caller fills with a value of the configuration."""
+    reads = {id(setting.read.node) for setting in adapter.settings}
+    found: dict[int, set[str]] = {}
+    for function in adapter.reach(*LOADING):
+        for node in function.nodes:
+            other = adapter.callee(function, node) if isinstance(node, ast.Call) else None
+            if other is not None and isinstance(node, ast.Call):
+                for name, value in zip(parameters(other.node), node.args, strict=False):
+                    if any(id(child) in reads for child in ast.walk(value)):
+                        found.setdefault(id(other.node), set()).add(name)
+    return found
+
+
+def _resolved(function: Function, given: set[str], adapter: Adapter) -> Iterator[tuple[ast.AST, str]]:
+    """Yield values of the configuration that are made absolute by the working directory."""
+    reads = {id(setting.read.node): setting.read.key for setting in adapter.settings}
+    if any(
+        last(called(node)) in {"isabs", "is_absolute", "join", "joinpath"} and names(node) & given
+        for node in function.nodes
+    ):
+        return
+    for node in function.nodes:
+        if not isinstance(node, ast.Call):
+            continue
+        is_resolve = (
+            isinstance(node.func, ast.Attribute) and node.func.attr in {"resolve", "absolute"} and not node.args
+        )
+        if last(called(node)) == "abspath" and node.args:
+            value: ast.expr = node.args[0]
+        elif is_resolve and isinstance(node.func, ast.Attribute) and "Path" in ast.unparse(node.func.value):
+            value = node.func.value
+        else:
+            continue
+        if any(
+            isinstance(child, ast.BinOp) or last(called(child)) in {"join", "joinpath"} for child in ast.walk(value)
+        ):
+            continue
+        for child in ast.walk(value):
+            if id(child) in reads:
+                yield node, reads[id(child)]
+            elif isinstance(child, ast.Name) and child.id in given:
+                yield node, child.id
+
+
+def _opened(function: Function) -> Iterator[tuple[ast.AST, str]]:
+    """Yield constant relative paths that are opened."""
+    for node in function.nodes:
+        if isinstance(node, ast.Call) and node.args and dotted(node.func) in {"open", "torch.load", "np.load", "Path"}:
+            path = constant(node.args[0])
+            relative = isinstance(path, str) and re.match(r"(?!/)\.{0,2}/?[\w-]+[/.]", path)
+            # A Path may still be joined to something; one that says "here" is not.
+            if relative and isinstance(path, str) and (dotted(node.func) != "Path" or path.startswith("./")):
+                yield node, path
+
+
+def _called_by(source: Source, script: str) -> Iterator[Finding]:
+    """Yield calls of the adapter's own files by a relative path, before the script has gone anywhere."""
+    for command in source.commands(script):
+        if command.name in {"cd", "pushd"}:
+            return
+        words = [word for word in command.arguments if not word.text.startswith("-")]
+        if len(words) > 1 and command.name in _RUNNERS:
+            path = words[1]
+            if (
+                not path.text.startswith(("/", "$", "~"))
+                and "$" not in path.text
+                and (source.path / path.text).is_file()
+            ):
+                yield Finding(
+                    f"{script} finds {path.text} only when it is started in the adapter's own folder",
+                    path=script,
+                    line=path.line,
+                    column=path.column,
+                    expected="a path from the script's folder",
+                    got=path.text,
+                    fix=Fix("advice", 'first cd "$(dirname "${BASH_SOURCE[0]}")"'),
+                )
+                return

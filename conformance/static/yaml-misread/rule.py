@@ -1,0 +1,115 @@
+"""XPL180: YAML takes a value for what its author takes it for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final
+
+import yaml
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Edit, Finding, Fix, rule
+from xpl_cli.audit.static.source import Source
+
+_Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_SUSPECT: Final = re.compile(
+    r"[\s:\[,-](?:[-+]?\d+[eE][-+]?\d+|[-+]?\d+\.\d*[eE]\d+|0\d+|\d+(?::\d\d?)+|\d{4}-\d\d?-\d\d?)(?=\s*(?:[,\]}#\n]|$))"
+    r"|(?:name|version|tag|ckpt|checkpoint|run|revision|id)\s*:\s*\d+\.\d*0(?=\s)"
+    r"|^\s*(?:y|n|yes|no|on|off)\s*:|[\[,-]\s*(?:yes|no|on|off)\s*(?=[,\]\n]|$)",
+    re.MULTILINE | re.IGNORECASE,
+)
+_TEXTUAL: Final = re.compile(r"[-+]?\d+(?:\.\d*)?[eE][-+]?\d+")
+_OCTAL: Final = re.compile(r"[-+]?0[0-7]+")
+_CLOCK: Final = re.compile(r"[-+]?[1-9]\d*(?::[0-5]?\d)+")
+_ENDS_IN_ZERO: Final = re.compile(r"\d+\.\d*0")
+_TRUE: Final = frozenset(("yes", "on"))
+_WORDS: Final = _TRUE | {"no", "off"}
+_NAMES: Final = re.compile(r"(.*_)?(name|version|tag|ckpt|checkpoint|run|revision|id)")
+
+
+@rule(code="XPL180", slug="yaml-misread", gate="static", requirement="XPL-CFG-11")
+def yaml_misread(source: Source) -> Iterator[Finding]:
+    """YAML reads a value of the configuration as something else than a person does.
+
+    ## What it does
+    Looks in `deploy.yml` and `policy.yml` for values that YAML 1.1 reads otherwise than they look: `1e-4` is a text,
+    010 is 8, `1:30` is 90, a date is no text, `1.10` as a name loses its zero, and `no` or `on` in a list or as a key
+    is a truth value.
+
+    ## Why it matters
+    A learning rate that is a text fails late, or is compared as a text. Checkpoint 010 is looked for as 8, and the one
+    that is found there is another policy.
+
+    ## Example
+    `noise: 1e-4` and `ckpt_name: 010`.
+
+    ## Use instead
+    `noise: 1.0e-4` and `ckpt_name: "010"`.
+
+    ## Fix safety
+    `1.0e-4` is the number that `float` makes of `1e-4`. Quotes turn a number into a text, which code may not expect.
+    """
+    for file in (sdk.File.DEPLOY_YML, sdk.File.POLICY_YML):
+        if not source.has(file) or not _SUSPECT.search(source.text(file)) or source.yaml_problem(file) is not None:
+            continue
+        root = yaml.compose(source.text(file), Loader=_Loader)
+        for key, node in _scalars(root, ""):
+            read = _misread(key, node)
+            if read is not None:
+                yield _finding(file, key, node, read)
+
+
+def _scalars(node: yaml.Node | None, key: str, *, listed: bool = False) -> Iterator[tuple[str, yaml.ScalarNode]]:
+    """Yield the plain values below a node with the key that they stand under; "[]" behind it in a list."""
+    if isinstance(node, yaml.MappingNode):
+        for name, value in node.value:
+            if isinstance(name, yaml.ScalarNode) and not name.style:
+                yield "", name
+            yield from _scalars(value, str(name.value))
+    elif isinstance(node, yaml.SequenceNode):
+        for value in node.value:
+            yield from _scalars(value, key, listed=True)
+    elif isinstance(node, yaml.ScalarNode) and not node.style:
+        yield f"{key}[]" if listed else key, node
+
+
+def _misread(key: str, node: yaml.ScalarNode) -> str | None:
+    """Return what YAML makes of a value, None if it is what it looks like."""
+    text, tag = str(node.value), node.tag.rpartition(":")[2]
+    is_octal, is_clock = _OCTAL.fullmatch(text), _CLOCK.fullmatch(text)
+    is_name = _NAMES.fullmatch(key.removesuffix("[]"))
+    is_alone = not key or key.endswith("[]")
+    told = {
+        "str": "a text" if _TEXTUAL.fullmatch(text) else None,
+        "int": f"the number {int(text, 8)}" if is_octal else "a number of seconds" if is_clock else None,
+        "timestamp": "a date",
+        "float": f"the number {float(text)}" if is_name and _ENDS_IN_ZERO.fullmatch(text) else None,
+        "bool": f"the truth value {text.lower() in _TRUE}" if is_alone and text.lower() in _WORDS else None,
+    }
+    return told.get(tag)
+
+
+def _finding(file: str, key: str, node: yaml.ScalarNode, read: str) -> Finding:
+    start, end = node.start_mark, node.end_mark
+    place = (start.line + 1, start.column + 1, end.line + 1, end.column + 1)
+    text = str(node.value)
+    is_number = _TEXTUAL.fullmatch(text) is not None
+    better = _number(text) if is_number else f'"{text}"'
+    what = f"{key.removesuffix('[]')}: " if key else "the key "
+    return Finding(
+        f"{what}{text} is {read} to YAML, and the policy runs with that",
+        file,
+        *place,
+        expected=better,
+        got=text,
+        fix=Fix("safe_edit" if is_number else "unsafe_edit", better, (Edit(file, *place, better),)),
+    )
+
+
+def _number(text: str) -> str:
+    """Return a number as YAML 1.1 wants it, with a point and a sign: `1.0e-4` for `1e-4`."""
+    mantissa, exponent = re.split("[eE]", text)
+    point = "" if "." in mantissa else ".0"
+    sign = "" if exponent[0] in "+-" else "+"
+    return f"{mantissa}{point}e{sign}{exponent}"

@@ -1,0 +1,55 @@
+"""XPL124: A value that the model's output lacks is an error."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING
+from xpl_cli.audit.static.blanks import blanks
+from xpl_cli.audit.static.source import Source
+
+
+@rule(code="XPL124", slug="zero-action", gate="static", requirement="XPL-ACT-11")
+def zero_action(source: Source) -> Iterator[Finding]:
+    """A value that the model's output lacks becomes zeros.
+
+    ## What it does
+    Looks in what only the acting methods reach for zeros that stand in where a look-up found nothing.
+
+    ## Why it matters
+    Zero is a pose like any other: all joints at zero. A checkpoint with other key names sends the arm there at full
+    speed.
+
+    ## Example
+    `action.get("left_arm", np.zeros((horizon, 6)))`.
+
+    ## Use instead
+    `action["left_arm"]`, which raises.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    adapter = source.adapter
+    observing = {id(function.node) for function in adapter.reach(*OBSERVING)}
+    for function in adapter.reach(*ACTING):
+        if id(function.node) in observing:
+            continue
+        for blank in blanks(function):
+            if not blank.is_image and not blank.is_masked and _is_output(blank.read):
+                yield Finding(
+                    f"where the model's output lacks {blank.missing}, the robot is sent to zero",
+                    **source.at(function.file, blank.node),
+                    expected="an error that names the missing key",
+                    got=ast.unparse(blank.node),
+                    fix=Fix("advice", "read the key with [...], or raise"),
+                )
+
+
+def _is_output(name: str) -> bool:
+    """Tell whether a map can be what a model answered: no observation, nothing that the adapter stored."""
+    words = name.lower().split("_")
+    seen = {sdk.Obs.STATE, sdk.Payload.OBS, "observation", "self", "cfg", "config"}
+    return bool(name) and not name.endswith("()") and not name.startswith("self.") and not seen & set(words)

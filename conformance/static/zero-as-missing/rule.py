@@ -1,0 +1,136 @@
+"""XPL173: Zero is a value."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Function
+from xpl_cli.audit.static.edits import replaced, written
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, constant, last, names, parameters, self_attribute
+
+_MATTERS: Final = re.compile(
+    r"(.*_)?(step|idx|index|temperature|guidance|cfg_scale|text_cfg_scale|eta|threshold|noise(_level|_scale|_std)?|offset"
+    r"|dropout|ensembl\w*|exp_weight|gpu_id|rank|delay|momentum|alpha|checkpoint_num|ckpt_step)"
+)
+"""Settings for which 0 means something else than the default."""
+_VECTORS: Final = re.compile(r"(.*_)?(actions?|states?|qpos|pose|joints?|gripper|proprio|delta)")
+_NUMBERS: Final = frozenset(("int", "float"))
+_ALL: Final = frozenset(("all", "any", "nonzero", "count_nonzero"))
+
+
+@rule(code="XPL173", slug="zero-as-missing", gate="static", requirement="XPL-ACT-13")
+def zero_as_missing(source: Source) -> Iterator[Finding]:
+    """A value that is exactly zero is taken for one that is not there.
+
+    ## What it does
+    Finds numbers of the configuration that `or` replaces where 0 has a meaning of its own (a step, an index, a scale, a
+    threshold), environment indices in truth tests, and actions or states of which entries other than zero are selected
+    by `all(x != 0)` and its like.
+
+    ## Why it matters
+    A gripper that is fully closed is exactly 0, and so is the first step, the first environment, the first GPU. Rows
+    with such an entry drop out of an average; `temperature: 0` runs with 1.
+
+    ## Example
+    `populated = torch.all(actions != 0, axis=1)`: one closed gripper removes the prediction from the ensemble.
+
+    ## Use instead
+    `is None`, a count of what was filled in, or NaN as the mark of an empty row.
+
+    ## Fix safety
+    `x if x is not None else default` differs from `x or default` for 0, false and empty texts, which is the point.
+    """
+    adapter = source.adapter
+    for setting in adapter.settings:
+        read, function = setting.read, setting.function
+        test = function.up.get(read.node)
+        while isinstance(test, ast.Call) and called(test) in _NUMBERS:
+            test = function.up.get(test)
+        if not isinstance(test, ast.BoolOp) or not isinstance(test.op, ast.Or) or read.key == sdk.Deploy.SEED:
+            continue
+        default = constant(test.values[-1])
+        if type(default) in {int, float} and default != 0 and _MATTERS.fullmatch(read.key) and len(test.values) == 2:
+            first = written(source, function.file, test.values[0])
+            instead = f"{default} if {first} is None else {first}"
+            is_converted = isinstance(test.values[0], ast.Call) and called(test.values[0]) in _NUMBERS
+            edits = () if is_converted else (replaced(source, function.file, test, f"({instead})"),)
+            yield Finding(
+                f"{read.key}: 0 counts as not given: the policy runs with {default}",
+                **source.at(function.file, test),
+                expected=instead,
+                got=ast.unparse(test),
+                fix=Fix("unsafe_edit" if edits else "advice", instead, edits),
+            )
+    reached = adapter.reach(*OBSERVING, *ACTING, *RESETTING)
+    for function in reached + [entry for entry in _components(source) if entry not in reached]:
+        yield from _environments(source, function)
+        yield from _selected(source, function)
+
+
+def _components(source: Source) -> list[Function]:
+    """Return what the objects do that the adapter's constructor makes of classes of its own."""
+    parts = source.adapter.components.values()
+    return [function for part in parts for name, function in part.methods.items() if name not in LOADING]
+
+
+def _environments(source: Source, function: Function) -> Iterator[Finding]:
+    """Yield truth tests of an environment's index."""
+    given = [name for name in parameters(function.node) if name in {sdk.Obs.ENV_IDX, "env_id", "env_index"}]
+    tests: list[ast.If | ast.IfExp | ast.BoolOp] = [*function.of(ast.If), *function.of(ast.IfExp)]
+    tests += function.of(ast.BoolOp)
+    for node in tests if given else ():
+        for test in node.values[:-1] if isinstance(node, ast.BoolOp) else [node.test]:
+            inner = test.operand if isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not) else test
+            if isinstance(inner, ast.Name) and inner.id in given:
+                word = "is None" if inner is not test else "is not None"
+                text = f"{inner.id} {word}"
+                edits = () if isinstance(node, ast.BoolOp) else (replaced(source, function.file, test, text),)
+                yield Finding(
+                    f"environment 0 counts as not given in {function.name}: it is answered as if nobody had named it",
+                    **source.at(function.file, test),
+                    expected=text,
+                    got=ast.unparse(test),
+                    fix=Fix("unsafe_edit" if edits else "advice", text, edits),
+                )
+
+
+def _selected(source: Source, function: Function) -> Iterator[Finding]:
+    """Yield actions or states of which what holds a zero is left out."""
+    for node in function.of(ast.Call):
+        if last(called(node)) not in _ALL:
+            continue
+        values = [*node.args, *([node.func.value] if isinstance(node.func, ast.Attribute) else [])]
+        for value in values:
+            if _asks_for_zero(value) and _selects(function, node):
+                yield Finding(
+                    "what was predicted is dropped where an entry is exactly 0, such as a closed gripper",
+                    **source.at(function.file, node),
+                    expected="a count of the rows that were filled in, or NaN for the others",
+                    got=ast.unparse(node),
+                    fix=Fix("advice", "remember which rows were filled in"),
+                )
+
+
+def _asks_for_zero(value: ast.expr) -> bool:
+    """Tell whether an expression compares actions or states with zero."""
+    if not isinstance(value, ast.Compare) or not isinstance(value.ops[0], (ast.NotEq, ast.Eq)):
+        return False
+    if constant(value.comparators[0]) != 0:
+        return False
+    words = names(value.left) | {self_attribute(value.left) or ""}
+    return any(_VECTORS.search(word) for word in words)
+
+
+def _selects(function: Function, node: ast.expr) -> bool:
+    """Tell whether a truth value chooses rows: it is an index, as it is or by its name."""
+    parent = function.up.get(node)
+    if isinstance(parent, ast.Subscript):
+        return True
+    stored = {target.id for target in getattr(parent, "targets", []) if isinstance(target, ast.Name)}
+    return any(names(entry.slice) & stored for entry in function.of(ast.Subscript)) if stored else False

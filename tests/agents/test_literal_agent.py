@@ -1,0 +1,264 @@
+"""An agent that follows the integrate skill to the letter takes policies that nobody here knows to a green audit."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support import literal_agent
+from tests.support.literal_agent import Answers, GapError, LiteralAgent
+from xpl.embodiment import get_embodiment
+from xpl_cli.agents.skills.bundle import Bundle, bundles, chosen
+
+NEWCOMERS = Path(__file__).parent / "newcomers"
+TORCH = "XPL_TORCH_PYTHON"
+"""Names a Python with PyTorch and numpy, where the tests' own has none."""
+ABOUT = ("A policy made for a test; it was never trained.", "made by the test, nothing is published", "None yet.")
+FACTS = {
+    "family": "other",
+    "paper": None,
+    "upstream": None,
+    "license": "Apache-2.0",
+    "control_frequency": 25,
+}
+
+
+def _linear(folder: Path) -> Answers:
+    """One arm; an affine map of the normalised state, in numpy."""
+    robot = get_embodiment("arx_x5_single")
+    width, chunk = sum(robot.dims("joint").values()), 5
+    generator = np.random.default_rng(11)
+    matrix = np.tile(0.97 * np.eye(width), chunk) + generator.normal(0, 0.002, (width, width * chunk))
+    arm = robot.arms[0]
+    middle = np.append((arm.lower + arm.upper) / 2, 0.5)
+    np.savez(
+        folder / "linear.npz",
+        matrix=matrix,
+        offset=generator.normal(0, 0.002, width * chunk),
+        state_mean=middle,
+        state_std=np.full(width, 0.5),
+        action_mean=middle,
+        action_std=np.full(width, 0.5),
+    )
+    return Answers(
+        values={
+            "NAME": "Leaner",
+            "ROBOT": robot.name,
+            "CONTROL": "joint",
+            "CHUNK": str(chunk),
+            "TASK": "lift_cube",
+            "BUILD": "Linear",
+            "STATE_MEAN": "state_mean",
+            "STATE_STD": "state_std",
+            "ACTION_MEAN": "action_mean",
+            "ACTION_STD": "action_std",
+        },
+        sections=frozenset({"Skeleton", "Weights", "A network", "Normalisation"}),
+        manifest={**FACTS, "summary": "An affine map of the joint state."},
+        about=ABOUT,
+        code=(NEWCOMERS / "linear.py", "network.py"),
+        weights=folder / "linear.npz",
+    )
+
+
+def _mlp(folder: Path) -> Answers:
+    """One arm; a perceptron over three observations, in the Python that has PyTorch."""
+    robot = get_embodiment("franka_single")
+    width, chunk, frames, hidden = sum(robot.dims("joint").values()), 4, 3, 16
+    arm = robot.arms[0]
+    middle = np.append((arm.lower + arm.upper) / 2, 0.5).tolist()
+    made = f"""
+import torch
+torch.manual_seed(11)
+middle, scale = torch.tensor({middle}), torch.full(({width},), 0.5)
+inner, outer = torch.nn.Linear({width * frames}, {hidden}), torch.nn.Linear({hidden}, {width * chunk})
+weights = {{f"layers.{{place}}.{{name}}": value.detach() for place, layer in ((0, inner), (2, outer))
+           for name, value in layer.named_parameters()}}
+torch.save({{"width": {width}, "steps": {chunk}, "frames": {frames}, "hidden": {hidden}, "weights": weights,
+            "state_mean": middle, "state_std": scale, "action_mean": middle, "action_std": scale}}, "mlp.pt")
+"""
+    python = _torch_python()
+    subprocess.run([python, "-c", made], cwd=folder, check=True)
+    return Answers(
+        values={
+            "NAME": "Recaller",
+            "ROBOT": robot.name,
+            "CONTROL": "joint",
+            "CHUNK": str(chunk),
+            "HISTORY": str(frames),
+            "TASK": "lift_cube",
+            "BUILD": "Perceptron",
+            "WEIGHTS": "weights",
+            "STATE_MEAN": "state_mean",
+            "STATE_STD": "state_std",
+            "ACTION_MEAN": "action_mean",
+            "ACTION_STD": "action_std",
+        },
+        sections=frozenset({"Skeleton", "A network in PyTorch", "Normalisation", "History"}),
+        manifest={
+            **FACTS,
+            "summary": "A perceptron over the last three joint states.",
+            "temporal": {"kind": "history", "history": frames, "chunk": chunk},
+            "environment": {"manager": "path", "python": python},
+        },
+        about=ABOUT,
+        code=(NEWCOMERS / "mlp.py", "network.py"),
+        weights=folder / "mlp.pt",
+    )
+
+
+def _tinted(folder: Path) -> Answers:
+    """Two arms; reads a small picture in BGR, and grippers from 0 to 0.085 m."""
+    robot = get_embodiment("arx_x5")
+    chunk, opened = 6, 0.085
+    rest = np.concatenate([np.append((arm.lower + arm.upper) / 2, opened / 2) for arm in robot.arms])
+    gain = np.random.default_rng(11).normal(0, 0.3, (3, len(rest)))
+    gain[:, [arm.dof for arm in robot.arms[:1]] + [len(rest) - 1]] *= opened / 10
+    np.savez(folder / "tinted.npz", rest=rest, gain=gain, steps=chunk)
+    return Answers(
+        values={
+            "NAME": "Bluish",
+            "ROBOT": robot.name,
+            "CONTROL": "joint",
+            "CHUNK": str(chunk),
+            "TASK": "lift_cube",
+            "BUILD": "Tinted",
+            "CAMERA": "cam_head",
+            "WIDTH": "24",
+            "HEIGHT": "18",
+            "STATE": "proprio",
+            "PIXELS": "image",
+            "VALUE_WHEN_CLOSED": "0.0",
+            "VALUE_WHEN_OPEN": str(opened),
+        },
+        sections=frozenset(
+            {
+                "Skeleton",
+                "Conversions of flat vectors",
+                "Weights",
+                "A network",
+                "Cameras",
+                "Channel order",
+                "Image size and layout",
+                "Several inputs",
+                "Gripper scale",
+            }
+        ),
+        manifest={
+            **FACTS,
+            "summary": "Follows the tint of the picture.",
+            "inputs": {
+                "required": ["state.arm_joint_state", "state.ee_joint_state", "vision.cam_head"],
+                "optional": [],
+                "unused": ["instruction", "vision.cam_left_wrist", "vision.cam_right_wrist"],
+            },
+            "cameras": {"cam_head": {"width": 24, "height": 18}},
+            "gripper": {"command": "position", "native": {"closed": 0.0, "open": opened, "unit": "m"}},
+            "shadow": {"range": [0.0, opened]},
+        },
+        about=ABOUT,
+        code=(NEWCOMERS / "tinted.py", "network.py"),
+        weights=folder / "tinted.npz",
+    )
+
+
+def _torch_python() -> str:
+    """Return a Python that has PyTorch; skip the test where there is none."""
+    named = os.environ.get(TORCH)
+    if named is None and importlib.util.find_spec("torch"):
+        return sys.executable
+    if named is None:
+        pytest.skip(f"PyTorch is not installed; {TORCH} may name a Python that has it")
+    return named
+
+
+@pytest.fixture
+def agent(tmp_path: Path) -> Callable[[Callable[[Path], Answers]], LiteralAgent]:
+    """Return a function that sets an agent to work on a newcomer in an empty project."""
+
+    def make(newcomer: Callable[[Path], Answers]) -> LiteralAgent:
+        upstream, project = tmp_path / "upstream", tmp_path / "project"
+        upstream.mkdir()
+        project.mkdir()
+        return LiteralAgent(newcomer(upstream), project, SKILL)
+
+    return make
+
+
+SKILL = chosen([literal_agent.SKILL])[0]
+WRITTEN, AROUND, PLAYED = 6, 7, len(literal_agent.steps(SKILL))
+"""Steps after which the text is right, what is around the model is right, and all is done."""
+
+
+@pytest.mark.parametrize("newcomer", [_linear, _tinted, _mlp])
+def test_the_skill_leads_to_a_sound_package(
+    agent: Callable[..., LiteralAgent], newcomer: Callable[[Path], Answers]
+) -> None:
+    """Quick part of the route: package, manifest, weights, model.py, and a static gate that is green."""
+    one = agent(newcomer)
+    one.follow(until=WRITTEN)
+    assert one.runs[-1].command.endswith("--gate static")
+    assert "XPL-FINISH gate=static pass" in one.runs[-1].output
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("newcomer", [_linear, _tinted, _mlp])
+def test_the_skill_leads_from_nothing_to_green(
+    agent: Callable[..., LiteralAgent], newcomer: Callable[[Path], Answers]
+) -> None:
+    """All of the route, to the letter: every command ends with 0 and shows what the text says that is to be seen."""
+    one = agent(newcomer)
+    one.follow(until=PLAYED)
+    whole = next(run for run in one.runs if run.command == f"xpl audit policy/{one.answers.values['NAME']}")
+    for gate in ("static", "offline", "mujoco"):
+        assert f"XPL-FINISH gate={gate} pass" in whole.output
+    assert "verdict GREEN" in " ".join(whole.output.split())
+    assert "profile=shadow" not in whole.output
+
+
+# -- the agent itself --------------------------------------------------------------------------------------------------
+
+
+def test_every_step_is_understood() -> None:
+    """What the agent reads out of the steps is what is written there."""
+    found = literal_agent.steps(SKILL)
+    assert len(found) == SKILL.body.count("- [ ] ")
+    told = sum(len(step.commands) for step in found)
+    part = SKILL.body.split("## Steps")[1].split("## ")[0]
+    assert told == len(re.findall(r"^xpl ", part, re.MULTILINE)) > 5
+    whole = next(step for step in found if step.commands == ("xpl audit POLICY",))
+    assert whole.seen == ("verdict GREEN",)
+    assert whole.unseen == ("shadow mode",)
+
+
+def test_an_answer_that_the_text_has_no_place_for_stops_the_agent(agent: Callable[..., LiteralAgent]) -> None:
+    """It invents nothing: neither a section nor a key."""
+    one = agent(_linear)
+    lost = Answers(**{**vars(one.answers), "sections": frozenset({"Skeleton", "Telepathy"})})
+    with pytest.raises(GapError, match="Telepathy"):
+        LiteralAgent(lost, one.project, SKILL).follow(until=WRITTEN)
+
+
+def test_a_command_that_fails_stops_the_agent(agent: Callable[..., LiteralAgent]) -> None:
+    """It goes on only after what the text says that is to be seen."""
+    one = agent(_linear)
+    unknown = Answers(**{**vars(one.answers), "values": {**one.answers.values, "ROBOT": "arx_x6"}})
+    with pytest.raises(GapError, match="ended with 3"):
+        LiteralAgent(unknown, one.project, SKILL).follow(until=1)
+
+
+@pytest.mark.parametrize("skill", bundles(), ids=lambda skill: skill.name)
+def test_no_skill_was_written_for_these_policies(skill: Bundle) -> None:
+    """Neither their names nor their numbers stand in any text that an agent reads."""
+    text = skill.text(full=True).lower()
+    names = {"leaner", "recaller", "bluish", "perceptron", "tinted", "tint", "proprio", "0.085"}
+    assert {name for name in names if re.search(rf"\b{re.escape(name)}\b", text)} == set()

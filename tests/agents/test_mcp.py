@@ -1,0 +1,220 @@
+"""`xpl mcp`: every tool answers what the command line answers, to the protocol's own client over a real pipe."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import uuid
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.support.peer import MARK, processes, wait_until, xpl
+from xpl_cli.agents.mcp.tools import OFFERS, Tool, tools
+from xpl_cli.basics.errors import ExitCode, UserError
+
+pytest.importorskip("mcp", reason="the extra `mcp` is not installed")
+
+import anyio
+from mcp import Client, StdioServerParameters
+
+if TYPE_CHECKING:
+    from mcp.types import CallToolResult
+
+Talk = Callable[[Client], Awaitable[Any]]
+
+
+def talk(folder: Path, conversation: Talk, **environment: str) -> Any:
+    """Start a server in a folder, talk to it, and return what came of that."""
+
+    async def talking() -> Any:
+        command = ["-m", "xpl_cli", "mcp", "--dir", str(folder)]
+        server = StdioServerParameters(command=sys.executable, args=command, env={**os.environ, **environment})
+        async with Client(server) as client:
+            return await conversation(client)
+
+    return anyio.run(talking)
+
+
+def tool(name: str) -> Tool:
+    """Return a tool by its name."""
+    return next(item for item in tools() if item.name == name)
+
+
+def steady(document: Any) -> Any:
+    """Return a document without what two equal runs differ in: times."""
+    if isinstance(document, dict):
+        return {key: steady(value) for key, value in document.items() if key not in {"seconds", "when"}}
+    return [steady(item) for item in document] if isinstance(document, list) else document
+
+
+def said(answer: CallToolResult) -> str:
+    """Return the last text of an answer, which tells how the command ended."""
+    return str(getattr(answer.content[-1], "text", ""))
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one adapter, which has a fault of the static gate."""
+    folder = tmp_path_factory.mktemp("project")
+    assert xpl("new-policy", "Foo", cwd=folder).returncode == ExitCode.CLEAN
+    with (folder / "policy/Foo/model.py").open("a", encoding="utf-8") as model:
+        model.write(
+            "\n    def reset(self):\n        try:\n            super().reset()\n        except:\n            pass\n"
+        )
+    return folder
+
+
+CALLS = [
+    ("new_policy", {"name": "Bar", "dry_run": True, "chunk": 4}),
+    ("new_env", {"name": "bar", "dry_run": True}),
+    ("audit", {"paths": ["policy/Foo"], "gate": ["static"]}),
+    ("audit", {"paths": ["Nowhere"]}),
+    ("audit", {"paths": ["policy/Foo"], "gate": ["statics"]}),
+    ("explain", {"name": "XPL101"}),
+    ("explain", {"name": "batch-by-positio"}),
+    ("status", {"packages": ["policy/Foo"]}),
+]
+
+
+def test_every_tool_answers_what_the_command_answers(project: Path) -> None:
+    """The same document, the same exit code, and the same sentence where there is no document."""
+
+    async def all_calls(client: Client) -> list[CallToolResult]:
+        return [await client.call_tool(name, arguments) for name, arguments in CALLS]
+
+    for (name, arguments), answer in zip(CALLS, talk(project, all_calls), strict=True):
+        done = xpl(*tool(name).command_line(arguments), cwd=project)
+        where = f"{name} {arguments}: {said(answer)}"
+        expected = json.loads(done.stdout) if done.stdout.strip() else None
+        assert steady(answer.structured_content) == steady(expected), where
+        assert said(answer).startswith(f"exit code {done.returncode} ("), where
+        assert answer.is_error == (done.returncode not in {ExitCode.CLEAN, ExitCode.FINDINGS, ExitCode.NOT_RUN}), where
+        for line in done.stderr.splitlines():
+            if line.startswith(("error:", "Hint:")):
+                assert line in said(answer), where
+    assert {name for name, _ in CALLS} | {"eval_summary"} == set(OFFERS)
+
+
+def test_a_recorded_run_is_summarised(tmp_path: Path) -> None:
+    """What `xpl report` writes of it, from its record."""
+    recorded = ("--env", "mujoco", "--episodes", "1", "--out", "run", "--film", "0")
+    assert xpl("eval", "demo_policy", *recorded, cwd=tmp_path).returncode == ExitCode.CLEAN
+
+    async def summarise(client: Client) -> CallToolResult:
+        return await client.call_tool("eval_summary", {"runs": ["run"]})
+
+    answer = talk(tmp_path, summarise)
+    assert not answer.is_error, said(answer)
+    assert answer.structured_content == json.loads(xpl("report", "run", "--json", cwd=tmp_path).stdout)
+
+
+def test_tools_describe_themselves(project: Path) -> None:
+    """Each has a schema and says whether it changes anything; the server says how to read an answer."""
+
+    async def look(client: Client) -> Any:
+        return (await client.list_tools()).tools, client.instructions
+
+    listed, instructions = talk(project, look)
+    assert {item.name: item.input_schema for item in listed} == {item.name: item.schema for item in tools()}
+    assert {item.name for item in listed if item.annotations.read_only_hint} >= {"explain", "status"}
+    assert all(item.description for item in listed)
+    assert "not_run" in instructions
+
+
+def test_what_a_command_says_meanwhile_arrives_as_progress(project: Path) -> None:
+    """An audit takes long, and clients give up on silence."""
+    heard: list[str] = []
+
+    async def hear(progress: float, total: float | None, message: str | None) -> None:
+        heard.append(message or "")
+
+    async def audit(client: Client) -> CallToolResult:
+        arguments = {"paths": ["policy/Foo"], "gate": ["static"]}
+        return await client.call_tool("audit", arguments, progress_callback=hear)
+
+    answer = talk(project, audit)
+    assert not answer.is_error
+    assert any("static gate" in line for line in heard)
+
+
+def test_a_wrong_call_is_answered_and_the_server_goes_on(project: Path) -> None:
+    """An unknown tool, an unknown argument, a value of another type, a missing argument: each is told what is wrong."""
+
+    async def wrong(client: Client) -> list[CallToolResult]:
+        calls: list[tuple[str, dict[str, Any]]] = [
+            ("evaluate", {}),
+            ("explain", {"name": "XPL101", "loud": True}),
+            ("audit", {"paths": "policy/Foo"}),
+            ("explain", {}),
+            ("explain", {"name": "XPL101"}),
+        ]
+        return [await client.call_tool(name, arguments) for name, arguments in calls]
+
+    *refused, answered = talk(project, wrong)
+    assert [answer.is_error for answer in refused] == [True] * len(refused)
+    for answer, word in zip(refused, ("there is no tool 'evaluate'", "loud", "array", "'name'"), strict=True):
+        assert word in said(answer)
+    assert not answered.is_error
+
+
+def test_an_argument_cannot_become_an_option() -> None:
+    """What stands in a place stays there, whatever it begins with."""
+    assert tool("explain").command_line({"name": "--help"}) == ["explain", "--json", "--", "--help"]
+    given = {"paths": ["--fix"], "gate": ["static", "--fix"], "keep_going": False, "episodes": 3}
+    assert tool("audit").command_line(given) == [
+        *("audit", "--json", "--gate=static", "--gate=--fix", "--episodes=3", "--", "--fix")
+    ]
+    with pytest.raises(UserError, match="episodes"):
+        tool("audit").command_line({"episodes": "--fix"})
+
+
+def test_a_call_that_is_given_up_ends_its_command(project: Path) -> None:
+    """Neither the audit nor the server and the worker that it started are left."""
+    mark = uuid.uuid4().hex
+
+    async def give_up(client: Client) -> None:
+        began = anyio.Event()
+
+        async def hear(progress: float, total: float | None, message: str | None) -> None:
+            if "offline gate" in (message or ""):
+                began.set()
+
+        async def audit() -> None:
+            arguments = {"paths": ["policy/Foo"], "gate": ["offline"]}
+            await client.call_tool("audit", arguments, progress_callback=hear)
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(audit)
+            await began.wait()
+            group.cancel_scope.cancel()
+
+        def only_the_server() -> bool:
+            return all(" mcp " in f"{command} " for command in processes(mark).values())
+
+        await anyio.to_thread.run_sync(wait_until, only_the_server, "the audit has ended")
+        answer = await client.call_tool("explain", {"name": "XPL101"})
+        assert not answer.is_error
+
+    talk(project, give_up, **{MARK: mark})
+    wait_until(lambda: not processes(mark), "the server has ended, too")
+
+
+def test_without_the_sdk_the_command_says_what_to_install(project: Path, tmp_path: Path) -> None:
+    """One sentence and a command, and no traceback."""
+    (tmp_path / "mcp.py").write_text("raise ImportError('there is none')\n")
+    done = xpl("mcp", cwd=tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert "there is none" in done.stderr
+    assert "pip install 'xpl-cli[mcp]'" in done.stderr
+    assert xpl("mcp", "--json", cwd=tmp_path).returncode == ExitCode.CLEAN
+
+
+@pytest.mark.parametrize("name", OFFERS)
+def test_an_offer_names_options_that_the_command_has(name: str) -> None:
+    """Making the tools reads them, and fails otherwise; what concerns output is not among them."""
+    assert not {"json", "format", "output"}.intersection(OFFERS[name].takes)
+    assert len(tool(name).parameters) == len(OFFERS[name].takes)

@@ -1,0 +1,357 @@
+"""`xpl review`: real branches of real repositories, and what a bot says of them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.peer import xpl
+from tests.support.places import ROOT
+from xpl_cli.agents.review import form, page, review
+from xpl_cli.agents.review.change import Change, Touched
+from xpl_cli.agents.review.description import TEMPLATE
+from xpl_cli.agents.review.harm import HARMS, harm
+from xpl_cli.audit.formats import Context
+from xpl_cli.audit.rules.model import Finding, Gate, GateReport, Outcome, Result, TargetReport
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.packages.targets import Target
+from xpl_cli.standard import spec
+
+FORM = (ROOT / TEMPLATE).read_text(encoding="utf-8")
+SWALLOWS = "\n    def reset(self):\n        try:\n            super().reset()\n        except:\n            pass\n"
+STATIC = ("--base", "main", "--gate", "static")
+
+
+def git(folder: Path, *arguments: str) -> str:
+    """Run git as somebody."""
+    who = ["-c", "user.name=Somebody", "-c", "user.email=somebody@example.org", "-c", "commit.gpgsign=false"]
+    command = [str(shutil.which("git")), *who, *arguments]
+    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    return done.stdout.strip()
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A repository whose main branch has the form for policies and an adapter that warns."""
+    folder = tmp_path_factory.mktemp("started")
+    assert xpl("new-policy", "Foo", cwd=folder).returncode == ExitCode.CLEAN
+    (folder / TEMPLATE).parent.mkdir(parents=True)
+    (folder / TEMPLATE).write_text(FORM, encoding="utf-8")
+    git(folder, "init", "--quiet", "--initial-branch=main")
+    git(folder, "add", ".")
+    git(folder, "commit", "--quiet", "-m", "start")
+    git(folder, "switch", "--quiet", "-c", "work")
+    return folder
+
+
+@pytest.fixture
+def repository(started: Path, tmp_path: Path) -> Path:
+    """A copy of it, on a branch of its own."""
+    return shutil.copytree(started, tmp_path / "repository")
+
+
+def add_policy(folder: Path, name: str = "Bar") -> Path:
+    """Add a copy of the adapter under another name."""
+    package = shutil.copytree(folder / "policy/Foo", folder / "policy" / name)
+    for file in package.rglob("*"):
+        if file.is_file():
+            file.write_text(file.read_text(encoding="utf-8").replace("Foo", name), encoding="utf-8")
+    return package
+
+
+def spoil(package: Path, text: str = SWALLOWS) -> None:
+    """Add a method to an adapter."""
+    with (package / "model.py").open("a", encoding="utf-8") as model:
+        model.write(text)
+
+
+def reviewed(folder: Path, *options: str) -> dict[str, Any]:
+    """Return a review as JSON; its exit code is the one that it names."""
+    done = xpl("review", *(options or STATIC), "--json", cwd=folder)
+    document: dict[str, Any] = json.loads(done.stdout)
+    assert done.returncode == document["exit_code"], done.stderr
+    return document
+
+
+# --- What a change touches --------------------------------------------------------------------------------------------
+
+
+def test_packages_that_came_changed_or_went_are_told_and_others_left_alone(repository: Path) -> None:
+    """Committed or not; files of no package are counted, and what main did meanwhile is not part of the change."""
+    add_policy(repository, "Old")
+    add_policy(repository, "Quiet")
+    git(repository, "add", ".")
+    git(repository, "commit", "--quiet", "-m", "more")
+    git(repository, "branch", "--force", "main")
+    shutil.rmtree(repository / "policy/Old")
+    add_policy(repository)
+    git(repository, "add", ".")
+    git(repository, "commit", "--quiet", "-m", "work")
+    (repository / "policy/Foo/notes.txt").write_text("not committed\n", encoding="utf-8")
+    (repository / "README.md").write_text("about\n", encoding="utf-8")
+    found = reviewed(repository)
+    assert [(entry["path"], entry["change"]) for entry in found["packages"]] == [
+        ("policy/Bar", "added"),
+        ("policy/Foo", "changed"),
+    ]
+    assert (found["removed"], found["elsewhere"], found["verdict"]) == (["policy/Old"], 1, "green")
+
+
+def test_a_change_of_no_package_is_reviewed_at_once(repository: Path) -> None:
+    """Exit code 0, a sentence, and no table."""
+    (repository / "README.md").write_text("about\n", encoding="utf-8")
+    done = xpl("review", *STATIC, cwd=repository)
+    assert done.returncode == ExitCode.CLEAN
+    assert "touches no policy and no environment" in done.stdout
+    assert "|" not in done.stdout
+
+
+def test_it_may_be_called_from_a_folder_below(repository: Path) -> None:
+    """The whole repository is looked at, and commands that are offered work from there."""
+    spoil(repository / "policy/Foo")
+    found = reviewed(repository / "policy")
+    assert [entry["name"] for entry in found["packages"]] == ["Foo"]
+    assert found["next"][-1] == "xpl audit Foo --gate static"
+
+
+@pytest.mark.parametrize("ref", ["nowhere", "--output=trace", ""])
+def test_a_commit_that_is_not_there_is_told(repository: Path, ref: str) -> None:
+    """Neither taken for an option of git nor for no change."""
+    done = xpl("review", f"--base={ref}", cwd=repository)
+    assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
+    assert "has no commit" in done.stderr
+    assert not (repository / "trace").exists()
+
+
+def test_outside_of_git_nobody_knows_what_changed(tmp_path: Path) -> None:
+    """One sentence, and no traceback."""
+    done = xpl("review", "--base", "main", cwd=tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert "needs a git repository" in done.stderr
+
+
+# --- What is found ----------------------------------------------------------------------------------------------------
+
+
+def test_what_the_base_has_already_is_marked(repository: Path) -> None:
+    """A fault that came with this change stands before one that was there, wherever its lines have moved."""
+    spoil(
+        repository / "policy/Foo",
+        "\n    def old(self):\n        try:\n            return 1\n        except:\n            return 0\n",
+    )
+    git(repository, "commit", "--quiet", "-am", "old")
+    git(repository, "branch", "--force", "main")
+    model = repository / "policy/Foo/model.py"
+    model.write_text(f"# moved\n{model.read_text(encoding='utf-8')}{SWALLOWS}", encoding="utf-8")
+    found = reviewed(repository)
+    state = {entry["code"]: entry["was_there_before"] for entry in found["findings"]}
+    assert state["XPL116"] is False
+    assert state["XPL139"] is True  # the template's placeholders
+    bare = next(entry for entry in found["findings"] if entry["code"] == "XPL131")
+    assert bare["was_there_before"] is False
+    assert len(bare["also"]) == 1
+    told = xpl("review", *STATIC, cwd=repository).stdout
+    assert re.search(r"XPL139.*was there before", told)
+    assert not re.search(r"XPL116.*was there before", told)
+
+
+def test_a_package_may_be_the_whole_repository(started: Path, tmp_path: Path) -> None:
+    """What the base has is known there, too, also where a message names the folder."""
+    package = shutil.copytree(started / "policy/Foo", tmp_path / "Renamed")
+    git(package, "init", "--quiet", "--initial-branch=main")
+    git(package, "add", ".")
+    git(package, "commit", "--quiet", "-m", "start")
+    spoil(package, "\n# changed\n")
+    found = reviewed(package)
+    assert [entry["path"] for entry in found["packages"]] == ["."]
+    assert "XPL103" in {entry["code"] for entry in found["findings"]}
+    assert all(entry["was_there_before"] for entry in found["findings"])
+
+
+def test_the_whole_audit_is_in_every_format_of_it(repository: Path) -> None:
+    """The review on stdout or in a file, and any format of the audit besides."""
+    spoil(repository / "policy/Foo")
+    files = ("--output", "sarif=a.sarif", "--output", "github=a.txt", "--output", "review.md")
+    done = xpl("review", *STATIC, *files, cwd=repository)
+    assert (done.returncode, done.stdout) == (ExitCode.FINDINGS, "")
+    sarif = json.loads((repository / "a.sarif").read_text(encoding="utf-8"))
+    assert "XPL116" in {result["ruleId"] for result in sarif["runs"][0]["results"]}
+    assert "::error file=policy/Foo/model.py" in (repository / "a.txt").read_text(encoding="utf-8")
+    told = (repository / "review.md").read_text(encoding="utf-8")
+    assert told.startswith(f"{page.MARK}\n## xpl review: changes are needed\n")
+    assert "1. **XPL116 reset-swallows** `policy/Foo/model.py:" in told
+    assert reviewed(repository)["audit"]["schema"] == spec.schema("audit")["title"]
+
+
+def test_without_weights_the_shadow_is_audited(repository: Path) -> None:
+    """The offline gate serves what is there, and the review says what stood in for the model."""
+    package = add_policy(repository)
+    shutil.rmtree(repository / "policy/Foo")
+    model = (package / "model.py").read_text(encoding="utf-8")
+    head = "def load(self, config: Mapping[str, Any]) -> None:\n"
+    assert head in model
+    (package / "model.py").write_text(
+        model.replace(head, f"{head}        import a_library_of_the_model\n\n        a_library_of_the_model.load()\n"),
+        encoding="utf-8",
+    )
+    done = xpl("review", "--base", "main", "--select", "XPL201", "--select", "XPL203", cwd=repository)
+    assert "shadow mode" in done.stdout, done.stdout + done.stderr
+    assert "a\\_library\\_of\\_the\\_model is not installed" in done.stdout
+    assert done.returncode == ExitCode.CLEAN
+
+
+def test_every_requirement_has_a_place_in_the_order_of_harm() -> None:
+    """A requirement that is new has to be judged; what leaks or sends wrong commands comes first."""
+    names = [name for kind in HARMS for name in kind.requirements]
+    for version in spec.versions():
+        for requirement in spec.requirements(version):
+            assert any(requirement == name or requirement.startswith(f"{name}-") for name in names), requirement
+    known = spec.requirements()
+    assert [name for name in names if not any(item == name or item.startswith(f"{name}-") for item in known)] == []
+    ranks = [harm(f"XPL-{name}")[0] for name in ("PKG-3", "ACT-4", "EPI-1", "CON-1", "PKG-5")]
+    assert ranks == list(range(len(HARMS)))
+
+
+# --- The page ---------------------------------------------------------------------------------------------------------
+
+
+def finding(number: int, requirement: str, outcome: Outcome, message: str = "one is wrong") -> Result:
+    """Return a result with a finding in each of two lines."""
+    lines = tuple(Finding(message, "model.py", line) for line in (number, number + 1))
+    return Result(f"XPL{number}", f"rule-{number}", requirement, "must", outcome, lines)
+
+
+def of_results(*results: Result) -> review.Review:
+    """Return a review of one package with these results."""
+    report = TargetReport("policy/Foo", "Foo", "policy", [GateReport(Gate.OFFLINE, list(results))])
+    context = Context(here=Path("/"))
+    remarks = tuple(review._remarks(review.listed([report], context), set()))
+    touched = Touched(Target(Path("/policy/Foo"), "policy", "policy/Foo"), "policy/Foo", 1, "added")
+    return review.Review(Change("main", "0" * 40, (touched,), (), ()), (report,), remarks, None, context)
+
+
+def test_ten_findings_are_told_in_order_of_harm() -> None:
+    """What fails before what warns, then what does more harm; a rule counts once, and the rest is named."""
+    made = of_results(
+        *(finding(100 + number, "XPL-PKG-5", Outcome.FAIL) for number in range(10)),
+        finding(120, "XPL-PKG-3", Outcome.WARN),
+        finding(121, "XPL-EPI-1", Outcome.FAIL),
+        finding(122, "XPL-ACT-4", Outcome.FAIL),
+    )
+    assert [remark.first.result.code for remark in made.told] == [
+        *("XPL122", "XPL121"),
+        *(f"XPL{100 + number}" for number in range(8)),
+    ]
+    told = page.render(made)
+    assert len(re.findall(r"^\d+\. \*\*XPL", told, re.MULTILINE)) == review.MOST
+    assert "3 findings of less harm not told: XPL108, XPL109, XPL120." in told
+    assert "`policy/Foo/model.py:122`: sends a robot the wrong commands" in told
+    assert "also `policy/Foo/model.py:123`" in told
+
+
+def test_a_review_fits_into_a_comment_and_calls_nobody() -> None:
+    """However long a message is, and whatever a stranger writes into it."""
+    made = of_results(
+        finding(101, "XPL-ACT-1", Outcome.FAIL, "ask @everyone ![x](http://example.org/x) <b>now</b>"),
+        finding(102, "XPL-ACT-2", Outcome.FAIL, "long " * 20_000),
+        *(finding(number, "XPL-ACT-3", Outcome.FAIL, "short") for number in (103, 104)),
+    )
+    told = page.render(made)
+    assert "XPL104" in told
+    assert len(told) < 65_536
+    assert len(page._bounded(["long"] * 20_000)) < 65_536
+    assert "@everyone" not in told
+    assert "!\\[x\\]" in told
+    assert "<b>" not in told
+
+
+# --- The description --------------------------------------------------------------------------------------------------
+
+
+def filled(finish: list[str]) -> str:
+    """Return the form, filled in."""
+    text = re.sub(r"^- ([^:\[`]+):$", r"- \1: something", FORM, flags=re.MULTILINE)
+    text = text.replace("- [ ]", "- [x]").replace("```text\n", "```text\n" + "".join(f"{line}\n" for line in finish))
+    return text.replace("## What was not proved\n", "## What was not proved\n\nNo robot has seen it.\n")
+
+
+def test_the_form_is_complete_once_it_is_filled_in() -> None:
+    """As it comes it is open everywhere, filled in nowhere; comments fill in nothing."""
+    assert form.sections(FORM).keys() >= {"What it is", "What was proved", "What was not proved"}
+    asked = form.sections(FORM).values()
+    places = sum(len(section.fields) + len(section.boxes) for section in asked)
+    free = sum(not (section.fields or section.boxes) for section in asked)
+    assert len(list(form.open_places(FORM, FORM))) == places + free
+    assert list(form.open_places(filled(["XPL-FINISH"]), FORM)) == []
+    assert list(form.open_places(filled(["XPL-FINISH"]).replace("\n", "\r\n"), FORM)) == []
+    hidden = filled(["XPL-FINISH"]).replace("No robot has seen it.", "<!-- No robot has seen it. -->")
+    assert list(form.open_places(hidden, FORM)) == ["What was not proved: nothing is said"]
+    assert "is missing" in "".join(form.open_places("Please merge.", FORM))
+
+
+def test_a_policy_needs_a_description_that_belongs_to_its_files(repository: Path) -> None:
+    """Each gate's finish line, with the model, of the state that is reviewed; then nothing is left to mend."""
+    package = add_policy(repository)
+    done = xpl("audit", "policy/Bar", "--gate", "static", "--json", cwd=repository)
+    (gate,) = json.loads(done.stdout)["targets"][0]["gates"]
+    others = [f"XPL-FINISH gate={name} pass pass=1 digest=0 fingerprint=elsewhere" for name in ("offline", "mujoco")]
+    text = repository / "description.md"
+    options = (*STATIC, "--description", str(text))
+
+    text.write_text(filled([gate["finish"], *others]), encoding="utf-8")
+    found = reviewed(repository, *options)
+    assert (found["verdict"], found["description"]["problems"]) == ("green", [])
+    assert len(found["description"]["notes"]) == 2, "a digest of another machine is no proof here"
+
+    shadow = f"{others[0]} profile=shadow"
+    text.write_text(filled([gate["finish"], shadow]), encoding="utf-8")
+    problems = reviewed(repository, *options)["description"]["problems"]
+    assert problems == [
+        "the offline gate ran without the model: run it where the weights are",
+        "the line XPL-FINISH of the mujoco gate is missing",
+    ]
+
+    spoil(package, "\n# changed after the audit\n")
+    text.write_text(filled([gate["finish"], *others]), encoding="utf-8")
+    found = reviewed(repository, *options)
+    assert found["exit_code"] == ExitCode.FINDINGS
+    (problem,) = found["description"]["problems"]
+    assert "the static gate of the description is not that of these files" in problem
+    assert gate["digest"] in problem
+
+
+def test_a_description_is_held_against_the_form_of_the_base(repository: Path) -> None:
+    """A change that takes a box out of the form is held to it all the same."""
+    add_policy(repository)
+    box = next(line for line in FORM.splitlines() if line.startswith("- [ ]"))
+    (repository / TEMPLATE).write_text(FORM.replace(f"{box}\n", ""), encoding="utf-8")
+    done = subprocess.run(
+        [*xpl("--version", cwd=repository).args[:3], "review", *STATIC, "--description", "-"],
+        cwd=repository,
+        input=filled(["XPL-FINISH gate=static pass pass=1 digest=0 fingerprint=elsewhere"]).replace(
+            box.replace("[ ]", "[x]"), ""
+        ),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == ExitCode.FINDINGS
+    assert "### Description" in done.stdout
+    assert "is gone" in done.stdout
+
+
+def test_a_small_change_needs_no_form(repository: Path) -> None:
+    """Only what brings a policy, or was begun with the form, is held against it."""
+    (repository / "policy/Foo/notes.txt").write_text("a note\n", encoding="utf-8")
+    text = repository / "description.md"
+    text.write_text("Adds a note.\n", encoding="utf-8")
+    found = reviewed(repository, *STATIC, "--description", str(text))
+    assert found["description"] == {"form": None, "problems": [], "notes": []}
+    text.write_text(FORM, encoding="utf-8")
+    assert reviewed(repository, *STATIC, "--description", str(text))["description"]["problems"]

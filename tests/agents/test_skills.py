@@ -1,0 +1,563 @@
+"""Skills: the bundles themselves, and how they get to coding agents and stay what they are."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import xpl
+from tests.support.places import ROOT
+from xpl_cli.agents.skills import bundle as bundles
+from xpl_cli.agents.skills import instructions, placing, specification
+from xpl_cli.basics.errors import UserError
+from xpl_cli.main import app
+
+NAMES = [
+    "xpl-audit-policy",
+    "xpl-debug-policy",
+    "xpl-evaluate-policy",
+    "xpl-integrate-environment",
+    "xpl-integrate-policy",
+]
+SECTIONS = ["When to use it", "Ask first", "Steps", "Symptoms", "Never claim", "Report"]
+
+each_skill = pytest.mark.parametrize("skill", bundles.bundles(), ids=lambda skill: skill.name)
+
+
+class Answer:
+    """What a command printed and how it ended."""
+
+    def __init__(self, done: Any) -> None:
+        if done.exception is not None and not isinstance(done.exception, (SystemExit, UserError)):
+            raise done.exception
+        refused = done.exception if isinstance(done.exception, UserError) else None
+        self.out = done.stdout
+        self.code = int(refused.code) if refused else done.exit_code
+        self.err = f"{refused} {refused.hint or ''}" if refused else done.stderr
+
+    @property
+    def json(self) -> Any:
+        """Its standard output as JSON."""
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the home of a user without any skills."""
+    folder = tmp_path / "home"
+    folder.mkdir()
+    monkeypatch.setenv("HOME", str(folder))
+    monkeypatch.delenv("CLAUDE_CONFIG_DIR", raising=False)
+    return folder
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """Return the top of a project, which has a blank in its path."""
+    folder = tmp_path / "my project"
+    (folder / ".git").mkdir(parents=True)
+    return folder
+
+
+@pytest.fixture
+def skills(project: Path, home: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Answer]:
+    """Return a function that runs `xpl skills` in the project."""
+
+    def run(*arguments: str | Path, cwd: Path = project) -> Answer:
+        monkeypatch.chdir(cwd)
+        return Answer(CliRunner().invoke(app, ["skills", *map(str, arguments)]))
+
+    return run
+
+
+def _tree(folder: Path) -> dict[str, bytes | str]:
+    """Return all files and links below a folder."""
+    found: dict[str, bytes | str] = {}
+    for path in folder.rglob("*"):
+        if path.is_symlink():
+            found[str(path.relative_to(folder))] = str(path.readlink())
+        elif path.is_file():
+            found[str(path.relative_to(folder))] = path.read_bytes()
+    return found
+
+
+# -- the bundles -------------------------------------------------------------------------------------------------------
+
+
+def test_there_are_five_skills() -> None:
+    """The names are part of the interface: people and agents call skills by them."""
+    assert [skill.name for skill in bundles.bundles()] == NAMES
+
+
+@each_skill
+def test_a_skill_is_valid(skill: bundles.Bundle) -> None:
+    """Nothing that the specification, or an agent that reads it, refuses."""
+    assert specification.problems(skill.folder) == []
+
+
+@each_skill
+def test_a_description_says_what_and_when_in_few_words(skill: bundles.Bundle) -> None:
+    """All descriptions are in every context, so they are short; they say when to use the skill, and when not to."""
+    assert len(skill.description) < 400
+    assert "Use when" in skill.description
+    assert "Not for" in skill.description or "not for" in skill.description
+    # One line: some agents read the head without a YAML parser.
+    line = f"description: {skill.description}\n"
+    assert line in (skill.folder / bundles.FILE).read_text(encoding="utf-8")
+
+
+@each_skill
+def test_a_skill_names_the_version_that_it_belongs_to(skill: bundles.Bundle) -> None:
+    """An agent that reads a stale copy can tell: the version is that of the tool."""
+    assert skill.version == xpl.__version__
+
+
+@each_skill
+def test_a_body_is_short_and_has_every_part(skill: bundles.Bundle) -> None:
+    """Under 150 lines, with questions, steps that can be ticked off, symptoms, what not to claim, and a report."""
+    assert len(skill.body.strip().splitlines()) < 150
+    headings = re.findall(r"^## (.+)$", skill.body, re.MULTILINE)
+    assert [heading for heading in headings if heading in SECTIONS] == SECTIONS
+    assert skill.body.count("- [ ] ") >= 5
+    assert "<" not in re.sub(r"```.*?```|`[^`]*`", "", skill.body, flags=re.DOTALL)
+    never = skill.body.split("## Never claim")[1]
+    assert "not_run" in never or "not run" in never or "shadow" in never
+
+
+@each_skill
+def test_every_reference_is_reached_from_the_body(skill: bundles.Bundle) -> None:
+    """A file that nothing points to is never read."""
+    assert skill.references
+    for path in skill.references:
+        assert f"({bundles.REFERENCES}/{path.name})" in skill.body, f"{path.name} is linked nowhere"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("name: a\n", "must begin with a line of three hyphens"),
+        ("---\nname: a\n", "no closing line"),
+        ("---\nname: [\n---\n", "no YAML"),
+        ("---\n- name\n---\n", "must be a mapping"),
+        ("---\ndescription: d\n---\n", "name is missing"),
+        ("---\nname: other\ndescription: d\n---\n", "not that of its folder"),
+        ("---\nname: My_Skill\ndescription: d\n---\n", "must be small letters"),
+        ("---\nname: my--skill\ndescription: d\n---\n", "must be small letters"),
+        ("---\nname: -my-skill\ndescription: d\n---\n", "must be small letters"),
+        ("---\nname: " + 65 * "a" + "\ndescription: d\n---\n", "65 characters, more than 64"),
+        ("---\nname: my-skill\n---\n", "description is missing"),
+        ("---\nname: my-skill\ndescription: ' '\n---\n", "description is missing"),
+        ("---\nname: my-skill\ndescription: " + 1025 * "d" + "\n---\n", "1025 characters, more than 1024"),
+        ("---\nname: my-skill\ndescription: a <b>\n---\n", "angle bracket"),
+        ("---\nname: my-skill\ndescription: d\ntriggers: x\n---\n", "unknown key 'triggers'"),
+        ("---\nname: my-skill\ndescription: d\ncompatibility: ''\n---\n", "compatibility must be"),
+        ("---\nname: my-skill\ndescription: d\nmetadata: {version: 1.0}\n---\n", "metadata must map texts to texts"),
+        ("---\nname: my-skill\ndescription: d\nlicense: [MIT]\n---\n", "license must be a text"),
+        ("---\nname: my-skill\ndescription: d\n---\n[x](../other/a.md)\n", "which is not in the skill"),
+        ("---\nname: my-skill\ndescription: d\n---\n[x](references/none.md)\n", "which is not there"),
+        ("---\nname: my-skill\ndescription: d\n---\n[x](references/deep/a.md)\n", "deeper than one folder"),
+    ],
+)
+def test_what_is_wrong_with_a_skill_is_said(tmp_path: Path, text: str, told: str) -> None:
+    """Each way in which the specification can be missed has its sentence."""
+    folder = tmp_path / "my-skill"
+    (folder / "references" / "deep").mkdir(parents=True)
+    (folder / "references" / "deep" / "a.md").write_text("", encoding="utf-8")
+    (folder / bundles.FILE).write_text(text, encoding="utf-8")
+    assert [problem.message for problem in specification.problems(folder) if told in problem.message]
+
+
+def test_a_misspelt_file_name_is_told(tmp_path: Path) -> None:
+    """Agents look for SKILL.md, also where the file system takes skill.md for the same."""
+    (tmp_path / "skill.md").write_text("---\nname: x\n---\n", encoding="utf-8")
+    (problem,) = specification.problems(tmp_path)
+    assert problem.dropped
+
+
+# -- list and get ------------------------------------------------------------------------------------------------------
+
+
+def test_skills_are_listed_and_printed(skills: Callable[..., Answer]) -> None:
+    """`get` prints the body, `--full` the references too; without a project, an installation or a network."""
+    listed = skills("list", "--json").json
+    assert [entry["name"] for entry in listed["skills"]] == NAMES
+    short, full = skills("get", NAMES[0]), skills("get", NAMES[0], "--full")
+    assert short.out.startswith("# ")
+    assert "--full" in short.err
+    assert full.out.startswith(short.out.rstrip("\n"))
+    reference = bundles.bundles()[0].references[0]
+    assert reference.read_text(encoding="utf-8").strip() in full.out
+    assert skills("get", NAMES[0], "--full", "--json").json["text"] == full.out
+
+
+def test_an_unknown_skill_names_the_nearest(skills: Callable[..., Answer]) -> None:
+    """A misspelt name is answered with the one that was meant."""
+    done = skills("get", "xpl-audit-polcy")
+    assert done.code == 3
+    assert "did you mean xpl-audit-policy?" in done.err
+
+
+# -- install -----------------------------------------------------------------------------------------------------------
+
+
+def test_skills_lie_where_agents_look(skills: Callable[..., Answer], project: Path) -> None:
+    """Files in .agents/skills, a relative link for each in .claude/skills, and nothing of how skills are tested."""
+    assert skills("install").code == 0
+    for name in NAMES:
+        stored, link = project / ".agents/skills" / name, project / ".claude/skills" / name
+        assert bundles.read(stored).name == name
+        assert not (stored / "evals").exists()
+        assert str(link.readlink()) == f"../../.agents/skills/{name}"
+        assert specification.problems(stored) == specification.problems(link) == []
+    moved = project.rename(project.parent / "moved")
+    assert (moved / ".claude/skills" / NAMES[0] / bundles.FILE).is_file()
+
+
+def test_installing_again_changes_nothing(skills: Callable[..., Answer], project: Path) -> None:
+    """The second call finds all in its place."""
+    skills("install")
+    before = _tree(project)
+    again = skills("install", "--json")
+    assert again.code == 0
+    assert {item["state"] for item in again.json["items"]} == {"unchanged"}
+    assert _tree(project) == before
+
+
+def test_skills_go_to_the_top_of_the_work_tree(skills: Callable[..., Answer], project: Path) -> None:
+    """Agents look there, wherever in the project the command runs."""
+    inside = project / "policy" / "Foo"
+    inside.mkdir(parents=True)
+    assert skills("install", cwd=inside).code == 0
+    assert (project / ".agents/skills" / NAMES[0]).is_dir()
+    assert not (inside / ".agents").exists()
+
+
+def test_only_what_is_named_is_installed(skills: Callable[..., Answer], project: Path) -> None:
+    """One skill for one agent."""
+    assert skills("install", NAMES[1], "--agent", "codex").code == 0
+    assert [path.name for path in (project / ".agents/skills").iterdir()] == [NAMES[1]]
+    assert not (project / ".claude").exists()
+
+
+def test_skills_for_all_projects_of_a_user(skills: Callable[..., Answer], project: Path, home: Path) -> None:
+    """Below the home, and no instructions: these belong to projects."""
+    assert skills("install", "--user").code == 0
+    assert (home / ".claude/skills" / NAMES[0] / bundles.FILE).is_file()
+    assert (home / ".agents/skills" / NAMES[0] / bundles.FILE).is_file()
+    assert not list(home.glob("*.md"))
+    assert not list(project.glob("*.md"))
+    assert skills("check").code == 0
+
+
+def test_claude_codes_own_folder_is_found(
+    skills: Callable[..., Answer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its variable moves its folder of the user, and the link follows."""
+    monkeypatch.setenv("CLAUDE_CONFIG_DIR", str(tmp_path / "elsewhere"))
+    assert skills("install", "--user").code == 0
+    assert (tmp_path / "elsewhere/skills" / NAMES[0] / bundles.FILE).is_file()
+
+
+def test_a_trial_run_writes_nothing(skills: Callable[..., Answer], project: Path) -> None:
+    """It tells what would be done."""
+    (project / "CLAUDE.md").write_text("# Mine\n", encoding="utf-8")
+    before = _tree(project)
+    done = skills("install", "--dry-run", "--json")
+    assert {item["state"] for item in done.json["items"]} == {"written", "linked", "left"}
+    assert _tree(project) == before
+
+
+def test_copies_instead_of_links(skills: Callable[..., Answer], project: Path) -> None:
+    """A copy is renewed like any other place."""
+    assert skills("install", "--copy").code == 0
+    copy = project / ".claude/skills" / NAMES[0]
+    assert not copy.is_symlink()
+    assert bundles.read(copy).name == NAMES[0]
+    assert skills("install").code == 0
+    assert not copy.is_symlink()
+
+
+def test_copies_where_links_do_not_work(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system without links says so when the first one is made."""
+
+    def refuse(self: Path, target: str, *, target_is_directory: bool = False) -> None:
+        raise PermissionError(1, "Operation not permitted", str(self))
+
+    monkeypatch.setattr(Path, "symlink_to", refuse)
+    done = placing.Installation(project, "project").put(bundles.bundles()[:1], ["claude"])
+    assert [item.state for item in done] == ["written", "copied"]
+    assert bundles.read(project / ".claude/skills" / NAMES[0]).name == NAMES[0]
+
+
+def _age(place: Path) -> None:
+    """Make an installed skill that of an older version: other text, and a stamp that fits it."""
+    path = place / bundles.FILE
+    path.write_text(path.read_text(encoding="utf-8") + "\nAn older text.\n", encoding="utf-8")
+    stamped = place / bundles.STAMP
+    noted = json.loads(stamped.read_text(encoding="utf-8"))
+    digests = placing._digests(bundles.contents(place))
+    stamped.write_text(json.dumps({**noted, "version": "0.0.9", "files": digests}), encoding="utf-8")
+
+
+def test_an_older_copy_is_renewed(skills: Callable[..., Answer], project: Path) -> None:
+    """What was written by an earlier version, and left as it was, is ours to replace."""
+    skills("install")
+    place = project / ".agents/skills" / NAMES[0]
+    _age(place)
+    assert skills("check").code == 1
+    done = skills("install", "--json")
+    assert done.code == 0
+    assert [item["path"] for item in done.json["items"] if item["state"] == "renewed"] == [str(place)]
+    assert skills("check").code == 0
+
+
+def test_an_edited_copy_is_its_users(skills: Callable[..., Answer], project: Path) -> None:
+    """It is left alone until that is asked for."""
+    skills("install")
+    path = project / ".agents/skills" / NAMES[0] / bundles.FILE
+    path.write_text("mine", encoding="utf-8")
+    done = skills("install")
+    assert done.code == 1
+    assert path.read_text(encoding="utf-8") == "mine"
+    assert "--overwrite" in done.out
+    assert skills("install", "--overwrite").code == 0
+    assert path.read_text(encoding="utf-8") != "mine"
+
+
+@pytest.mark.parametrize("folder", [".agents/skills", ".claude/skills"])
+def test_what_is_not_ours_is_never_replaced(skills: Callable[..., Answer], project: Path, folder: str) -> None:
+    """A skill of the same name from somewhere else stays, whatever is asked for; the others are installed."""
+    path = project / folder / NAMES[0] / bundles.FILE
+    path.parent.mkdir(parents=True)
+    path.write_text("somebody else's", encoding="utf-8")
+    done = skills("install", "--overwrite")
+    assert done.code == 1
+    assert path.read_text(encoding="utf-8") == "somebody else's"
+    assert (project / folder / NAMES[1] / bundles.FILE).is_file()
+
+
+def test_a_link_to_elsewhere_is_left(skills: Callable[..., Answer], project: Path, tmp_path: Path) -> None:
+    """A link that somebody made, to another folder or to nowhere, is not ours."""
+    links = project / ".claude/skills"
+    links.mkdir(parents=True)
+    (links / NAMES[0]).symlink_to(tmp_path / "nowhere")
+    assert skills("install", "--overwrite").code == 1
+    assert (links / NAMES[0]).readlink() == tmp_path / "nowhere"
+
+
+def test_a_place_that_cannot_be_written_is_told(skills: Callable[..., Answer], project: Path) -> None:
+    """With the path, and no traceback."""
+    (project / ".agents").write_text("a file", encoding="utf-8")
+    done = skills("install")
+    assert done.code == 4
+    assert ".agents" in done.err
+
+
+def test_one_link_for_the_whole_folder_is_as_good(skills: Callable[..., Answer], project: Path) -> None:
+    """Some projects link .claude/skills as a whole; then there is nothing to link."""
+    (project / ".claude").mkdir()
+    (project / ".claude/skills").symlink_to("../.agents/skills")
+    assert skills("install").code == 0
+    assert skills("check").code == 0
+    assert not (project / ".agents/skills" / NAMES[0]).is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [(["--agent", "emacs"], 2), (["--user", "--dir", "."], 2), (["--dir", "nowhere"], 3), (["xpl-nothing"], 3)],
+)
+def test_wrong_calls_are_refused(skills: Callable[..., Answer], arguments: list[str], code: int) -> None:
+    """With one sentence and the code of usage or of what is not there."""
+    done = skills("install", *arguments)
+    assert done.code == code
+    assert done.err
+    assert not done.out
+
+
+# -- the rules that always apply ---------------------------------------------------------------------------------------
+
+
+def test_instructions_are_written_and_imported(skills: Callable[..., Answer], project: Path) -> None:
+    """AGENTS.md for all, and a CLAUDE.md that imports it."""
+    skills("install")
+    assert (project / "AGENTS.md").read_text(encoding="utf-8") == instructions.block() + "\n"
+    assert (project / "CLAUDE.md").read_text(encoding="utf-8") == "@AGENTS.md\n"
+
+
+def test_around_the_block_nothing_changes(skills: Callable[..., Answer], project: Path) -> None:
+    """What a project says itself stays to the byte, before and after; an old block is renewed in its place."""
+    path = project / "AGENTS.md"
+    before, after = b"# Mine\r\n\nUse tabs, caf\xe9.\n\n", b"\n\nAnd spaces.  \n"
+    path.write_bytes(before + b"<!-- xpl: begin. Written long ago. -->\nold\n<!-- xpl: end -->" + after)
+    path.chmod(0o600)
+    assert skills("check").code == 3
+    skills("install")
+    assert path.read_bytes() == before + instructions.block().encode() + after
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_project_keeps_its_own_agents_file(skills: Callable[..., Answer], project: Path) -> None:
+    """The block is added at its end."""
+    path = project / "AGENTS.md"
+    path.write_text("# Mine\n", encoding="utf-8")
+    skills("install")
+    assert path.read_text(encoding="utf-8") == f"# Mine\n\n{instructions.block()}\n"
+
+
+def test_somebodys_own_claude_file_is_left(skills: Callable[..., Answer], project: Path) -> None:
+    """It is told which line it lacks, and `check` notes it without failing."""
+    path = project / "CLAUDE.md"
+    path.write_text("# Mine\n", encoding="utf-8")
+    done = skills("install")
+    assert done.code == 1
+    assert "@AGENTS.md" in done.out
+    assert path.read_text(encoding="utf-8") == "# Mine\n"
+    checked = skills("check", "--json")
+    assert checked.code == 0
+    assert [(finding["kind"], finding["fails"]) for finding in checked.json["findings"]] == [("rules", False)]
+    path.write_text("# Mine\n\nRead @AGENTS.md first.\n", encoding="utf-8")
+    assert skills("install").code == 0
+
+
+@pytest.mark.parametrize(("memory", "text"), [(".claude/CLAUDE.md", "@../AGENTS.md\n"), ("CLAUDE.md", None)])
+def test_other_ways_to_import_are_understood(
+    skills: Callable[..., Answer], project: Path, memory: str, text: str | None
+) -> None:
+    """Claude Code's other place for instructions, and a link to AGENTS.md."""
+    (project / "AGENTS.md").write_text("# Mine\n", encoding="utf-8")
+    (project / ".claude").mkdir()
+    path = project / memory
+    path.symlink_to("AGENTS.md") if text is None else path.write_text(text, encoding="utf-8")
+    assert skills("install").code == 0
+    assert skills("check").code == 0
+    assert path.is_symlink() == (text is None)
+    assert "xpl: begin" in (project / "AGENTS.md").read_text(encoding="utf-8")
+
+
+def test_instructions_may_be_left_out(skills: Callable[..., Answer], project: Path) -> None:
+    """Only the skills, on demand."""
+    assert skills("install", "--no-instructions").code == 0
+    assert not list(project.glob("*.md"))
+    assert skills("check").code == 0
+
+
+def test_the_rules_are_few(project: Path) -> None:
+    """They are in every context, so they are kept to a page, and name every skill."""
+    text = instructions.block()
+    assert len(text.splitlines()) < 50
+    assert all(f"`{name}`" in text for name in NAMES)
+
+
+# -- check -------------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_to_check(skills: Callable[..., Answer]) -> None:
+    """Where no skill is installed the command says how to have them."""
+    done = skills("check")
+    assert done.code == 3
+    assert "xpl skills install" in done.err
+
+
+def _stale(project: Path) -> None:
+    _age(project / ".agents/skills" / NAMES[0])
+
+
+def _edited(project: Path) -> None:
+    path = project / ".agents/skills" / NAMES[0] / bundles.FILE
+    path.write_text(path.read_text(encoding="utf-8") + "mine\n", encoding="utf-8")
+
+
+def _foreign(project: Path) -> None:
+    _edited(project)
+    (project / ".agents/skills" / NAMES[0] / bundles.STAMP).unlink()
+
+
+def _broken(project: Path) -> None:
+    link = project / ".claude/skills" / NAMES[0]
+    link.unlink()
+    link.symlink_to("nowhere")
+
+
+def _unlinked(project: Path) -> None:
+    (project / ".claude/skills" / NAMES[0]).unlink()
+
+
+def _dropped(project: Path) -> None:
+    path = project / ".agents/skills" / NAMES[0] / bundles.FILE
+    path.write_text(path.read_text(encoding="utf-8").replace("name: xpl-", "name: XPL-"), encoding="utf-8")
+
+
+def _old_rules(project: Path) -> None:
+    path = project / "AGENTS.md"
+    path.write_text(path.read_text(encoding="utf-8").replace("Always:", "Mostly:"), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "kind"),
+    [
+        (_stale, "stale"),
+        (_edited, "edited"),
+        (_foreign, "foreign"),
+        (_broken, "broken"),
+        (_unlinked, "unlinked"),
+        (_dropped, "dropped"),
+        (_old_rules, "rules"),
+    ],
+)
+def test_what_keeps_a_skill_from_agents_is_found(
+    skills: Callable[..., Answer], project: Path, spoil: Callable[[Path], None], kind: str
+) -> None:
+    """Each fault by itself, with the way out, and exit code 1."""
+    skills("install")
+    assert skills("check").code == 0
+    spoil(project)
+    done = skills("check", "--json")
+    assert done.code == 1
+    found = [finding for finding in done.json["findings"] if finding["kind"] == kind]
+    assert found
+    assert all(finding["fails"] and finding["fix"] for finding in found)
+    assert skills("check").out.startswith("FAIL")
+
+
+def test_other_peoples_skills_are_told_and_fail_nothing(skills: Callable[..., Answer], project: Path) -> None:
+    """A skill that agents drop, a link into nothing, and a list that is too long for them."""
+    skills("install")
+    folder = project / ".agents/skills"
+    for number in range(12):
+        other = folder / f"other-{number}"
+        other.mkdir()
+        text = f"---\nname: other-{number}\ndescription: {'words ' * 120}\n---\n"
+        (other / bundles.FILE).write_text(text, encoding="utf-8")
+    (folder / "other-0" / bundles.FILE).write_text("---\nname: another\ndescription: d\n---\n", encoding="utf-8")
+    (folder / "lost").symlink_to("nowhere")
+    done = skills("check", "--json")
+    assert done.code == 0
+    assert sorted(finding["kind"] for finding in done.json["findings"]) == ["broken", "budget", "dropped"]
+    lengths = {listing["agent"]: listing for listing in done.json["listings"]}
+    assert lengths["codex"]["characters"] > lengths["codex"]["budget"]
+    assert lengths["claude"]["skills"] == len(NAMES)
+
+
+def test_a_skill_counts_once_in_an_agents_list(skills: Callable[..., Answer]) -> None:
+    """A link and the file behind it are one skill, and ours leave most of the budget to others."""
+    skills("install")
+    for listing in skills("check", "--json").json["listings"]:
+        assert listing["skills"] == len(NAMES)
+        assert listing["characters"] < 2400
+
+
+# -- this repository ---------------------------------------------------------------------------------------------------
+
+
+def test_this_repository_follows_its_own_rules(home: Path) -> None:
+    """Its AGENTS.md has the present block, and its links lead to the skills."""
+    from xpl_cli.agents.skills.check import Check
+
+    assert Check(ROOT, home).findings() == []
+    assert (ROOT / ".claude/skills" / NAMES[0]).is_symlink()

@@ -1,0 +1,344 @@
+"""Every format says what its readers expect, whatever a finding holds; the sample and the schemas are in `formats/`."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.audit.formats import sample
+from tests.support.peer import xpl
+from tests.support.rules import made_adapter, made_room
+from xpl_cli import __version__
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.formats import FORMATS, Context, as_json, render
+from xpl_cli.audit.formats.delivery import Delivery
+from xpl_cli.audit.formats.human import on_terminal
+from xpl_cli.audit.formats.listing import in_repository, listed
+from xpl_cli.audit.formats.painted import Terminal
+from xpl_cli.audit.formats.steps import next_commands
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, Gate, GateReport, Outcome, TargetReport, exit_code
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.standard.validate import validate
+
+SNAPSHOTS = Path(__file__).parent / "snapshots"
+SUFFIXES = {"human": "txt", "concise": "txt", "github": "txt", "junit": "xml", "markdown": "md", "jsonl": "jsonl"}
+
+
+@pytest.fixture
+def context(tmp_path: Path) -> Context:
+    """A checkout that holds the files of the sample."""
+    return sample.repository(tmp_path)
+
+
+# -- all formats -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_sample_looks_as_it_did(name: str, context: Context) -> None:
+    """A change of a format shows as a change of its snapshot."""
+    text = render(name, sample.reports(), context).replace(__version__, "VERSION")
+    file = SNAPSHOTS / f"{name}.{SUFFIXES.get(name, 'json')}"
+    if os.environ.get("XPL_SNAPSHOTS") == "write":
+        file.write_bytes(text.encode())
+    assert text == file.read_bytes().decode()
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_report_names_no_place_of_this_machine(name: str, context: Context) -> None:
+    """Reports are published, and compared between machines."""
+    assert str(context.here) not in render(name, sample.reports(), context)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_nothing_audited_is_a_valid_report(name: str, context: Context) -> None:
+    """No target is no crash."""
+    text = render(name, [], context)
+    assert text == "" or text.endswith("\n")
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_name_that_is_no_text_can_be_reported(name: str, context: Context) -> None:
+    """A file name may hold bytes that are not UTF-8; the report is UTF-8 all the same."""
+    found = Finding("this file", path=os.fsdecode(b"sc\xffripts.py"), line=1, column=1)
+    assert render(name, sample.one_target(found), context).encode()
+
+
+@pytest.mark.parametrize("name", ["human", "concise", "github", "markdown"])
+@given(text=st.text(min_size=1))
+def test_no_text_of_a_finding_commands_a_terminal(name: str, text: str) -> None:
+    """What an adapter holds reaches a terminal without escape sequences, and starts no line of its own."""
+    found = Finding(f"message {text}", path="model.py", line=1, got=text, evidence={"seen": text})
+    shown = render(name, sample.one_target(found), Context(Path("/nowhere"), rule=sample.RULES.__getitem__))
+    if name != "github":  # escapes line ends; a workflow log shows other characters as they are
+        assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", shown)
+    assert not any(line.startswith("::") for line in shown.splitlines()) or name == "github"
+
+
+def test_a_format_that_is_not_there_is_an_error() -> None:
+    """The message lists those that are."""
+    with pytest.raises(UserError, match=r"human, concise, json, .*markdown; got 'xml'"):
+        Delivery.asked("xml", [])
+
+
+# -- JSON --------------------------------------------------------------------------------------------------------------
+
+
+def test_json_is_what_its_schema_says(context: Context) -> None:
+    """`xpl.audit/1`, spec/v1/audit.schema.json."""
+    assert validate(json.loads(render("json", sample.reports(), context)), "audit") == []
+
+
+def test_jsonl_has_a_line_for_every_finding_and_for_what_was_not_proved(context: Context) -> None:
+    """Each line is valid by itself, and names target, gate and rule."""
+    lines = [json.loads(line) for line in render("jsonl", sample.reports(), context).splitlines()]
+    assert [problem for line in lines for problem in validate(line, "audit#/$defs/record")] == []
+    assert [line["code"] for line in lines if line["outcome"] in {"error", "not_run"}] == [
+        "XPL121",
+        "XPL203",
+        "XPL204",
+        "XPL203",
+    ]
+    assert len(lines) == len(list(listed(sample.reports(), context))) + 4
+
+
+def test_jsonl_and_json_agree(context: Context) -> None:
+    """The findings of both have the same fields and values."""
+    document = as_json(sample.reports(), context)
+    nested = [
+        finding
+        for target in document["targets"]
+        for gate in target["gates"]
+        for result in gate["results"]
+        for finding in result["findings"]
+    ]
+    lines = [json.loads(line) for line in render("jsonl", sample.reports(), context).splitlines()]
+    assert [{key: line[key] for key in nested[0]} for line in lines[: len(nested)]] == nested
+
+
+def test_paths_are_relative_to_the_repository_wherever_the_audit_runs(context: Context) -> None:
+    """From a subfolder the target has another path, its findings have not."""
+    found = Finding("this", path="model.py", line=1)
+    here = context.here / "policy"
+    inside = as_json(sample.one_target(found, path="Grün 1"), Context(here))
+    (finding,) = inside["targets"][0]["gates"][0]["results"][0]["findings"]
+    assert finding["path"] == "policy/Grün 1/model.py"
+    assert inside["targets"][0]["path"] == "Grün 1"
+    assert finding["fingerprint"] == next(listed(sample.one_target(found, path="policy/Grün 1"), context)).fingerprint
+
+
+def test_without_a_repository_the_workspace_or_the_absolute_path_counts(tmp_path: Path) -> None:
+    """A checkout without `.git` names files the same; a folder that lies nowhere keeps its absolute path."""
+    here, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
+    assert in_repository(here / "policy/Foo", here) == "policy/Foo"
+    assert in_repository(elsewhere / "policy/Foo", here) == "policy/Foo"
+    assert in_repository(elsewhere / "Foo", here) == f"{elsewhere}/Foo"
+    assert in_repository(here, here) == "."
+
+
+# -- fingerprints ------------------------------------------------------------------------------------------------------
+
+
+def test_a_fingerprint_survives_edits_and_tells_findings_apart(context: Context) -> None:
+    """Other lines and other numbers leave it; another file, rule, message or a second occurrence does not."""
+    first = Finding("answers environment 3 when asked for 9", path="model.py", line=5)
+    moved = Finding("answers environment 4 when asked for 11", path="model.py", line=90)
+    other = Finding("answers environment 3 when asked for 9", path="deploy.py", line=5)
+
+    def of(*findings: Finding, **options: str) -> list[str]:
+        return [entry.fingerprint for entry in listed(sample.one_target(*findings, **options), context)]
+
+    assert of(first) == of(moved)
+    differing = [*of(first), *of(other), *of(first, path="policy/Bar"), *of(first, rule="XPL101"), of(first, moved)[1]]
+    assert len(set(differing)) == len(differing)
+
+
+def test_every_fingerprint_of_a_report_is_unique(context: Context) -> None:
+    """Readers take two findings with one fingerprint for one."""
+    found = [entry.fingerprint for entry in listed(sample.reports(), context)]
+    assert len(set(found)) == len(found)
+
+
+# -- for people --------------------------------------------------------------------------------------------------------
+
+
+def test_concise_is_what_editors_read(context: Context) -> None:
+    """`path:line:column: CODE message`, one line each."""
+    lines = render("concise", sample.reports(), context).splitlines()
+    assert "policy/Grün 1/model.py:5:9: XPL109 answers environment 3 when asked for 9" in lines
+    assert len(lines) == len(list(listed(sample.reports(), context))) + 3
+
+
+@pytest.mark.parametrize("count", [1, 5, 9, 12, 20, 200])
+def test_a_human_report_fits_one_screen(count: int, context: Context) -> None:
+    """With more findings it says less of each, failures first, and how to see them all."""
+    found = [
+        Finding(
+            f"fault {number}: {'word ' * 12}", path="model.py", line=number + 1, got="x", expected="y", fix=_advice()
+        )
+        for number in range(count)
+    ]
+    lines = render("human", sample.one_target(*found), context).splitlines()
+    assert sum(max(1, math.ceil(len(line) / 100)) for line in lines) <= 40
+    assert lines[-1].startswith("  xpl ")
+    assert any("--format concise" in line for line in lines) == (count > 29)
+    if count <= 12:  # whole messages
+        assert all(f"    fault {number}: {'word ' * 11}word" in lines for number in range(count))
+
+
+def _advice() -> Fix:
+    return Fix("advice", "write it again")
+
+
+def test_many_targets_take_a_line_each_if_all_is_well(context: Context) -> None:
+    """Forty green adapters are forty lines and a sum."""
+    passed = GateReport(Gate.STATIC, [sample.result("XPL101", Outcome.PASS)], digest="d", fingerprint="f")
+    reports = [TargetReport(f"policy/P{number}", f"P{number}", "policy", [passed]) for number in range(40)]
+    lines = render("human", reports, context).splitlines()
+    assert len(lines) == 41
+    assert lines[-1] == "40 targets: 40 green"
+
+
+def test_next_commands_can_be_pasted(context: Context) -> None:
+    """Paths are quoted, gates are asked for again, and edits that are safe are offered first."""
+    commands = next_commands(sample.reports(), context)
+    again = ["xpl", "audit", "policy/Grün 1", "--gate", "static", "--gate", "offline"]
+    assert [shlex.split(line) for line in commands] == [
+        *(["xpl", "explain", code] for code in ("XPL101", "XPL109", "XPL110")),
+        again,
+    ]
+    edit = Fix("safe_edit", "delete", (Edit("model.py", 1, 1, 2, 1, ""),))
+    assert next_commands(sample.one_target(Finding("this", fix=edit)), context)[0].endswith("Foo --gate static --fix")
+
+
+# -- where reports go --------------------------------------------------------------------------------------------------
+
+
+def test_output_takes_the_report_and_stdout_stays_empty(
+    context: Context, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The file holds what would have been printed."""
+    file = tmp_path / "audit.sarif"
+    Delivery.asked("sarif", [str(file)]).deliver(sample.reports(), context)
+    assert file.read_text(encoding="utf-8") == render("sarif", sample.reports(), context)
+    assert capsys.readouterr() == ("", f"wrote {file}\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".git", "audit.sarif", "policy"]
+
+
+def test_one_audit_gives_several_reports(context: Context, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--output FORMAT=FILE` writes besides what is printed."""
+    outputs = [f"{name}={tmp_path / name}" for name in ("junit", "markdown")]
+    Delivery.asked("github", outputs).deliver(sample.reports(), context)
+    assert capsys.readouterr().out == render("github", sample.reports(), context)
+    for name in ("junit", "markdown"):
+        assert (tmp_path / name).read_bytes().decode() == render(name, sample.reports(), context)
+
+
+def test_a_link_and_a_pipe_stay_what_they_are(context: Context, tmp_path: Path) -> None:
+    """The file behind a link is replaced, not the link; a pipe is written to."""
+    file, link = tmp_path / "file", tmp_path / "link"
+    file.write_text("old")
+    link.symlink_to(file)
+    Delivery.asked("json", [str(link)]).deliver(sample.reports(), context)
+    assert link.is_symlink()
+    assert file.read_text(encoding="utf-8") == render("json", sample.reports(), context)
+    Delivery.asked("json", ["/dev/null"]).deliver(sample.reports(), context)
+    assert not Path("/dev/null").is_file()
+
+
+def test_an_output_that_cannot_be_written_is_told_before_the_audit(tmp_path: Path) -> None:
+    """An audit may take minutes."""
+    with pytest.raises(UserError, match="takes a file"):
+        Delivery.asked("json", [str(tmp_path)])
+    with pytest.raises(NotFoundError, match="there is no folder"):
+        Delivery.asked("json", [str(tmp_path / "none" / "audit.json")])
+
+
+def test_the_command_writes_and_fails_alike(tmp_path: Path) -> None:
+    """The exit code does not depend on the format; stdout holds nothing but the report."""
+    folder = tmp_path / "policy" / "Foo"
+    folder.mkdir(parents=True)
+    (folder / "model.py").write_text("class Model:\n    pass\n")
+    plain = xpl("audit", "policy/Foo", "--gate", "static", "--format", "concise", cwd=tmp_path)
+    assert plain.returncode == ExitCode.FINDINGS
+    assert all(re.match(r"policy/Foo(/[\w.]+(:\d+(:\d+)?)?)?: XPL\d{3} ", line) for line in plain.stdout.splitlines())
+    written = xpl("audit", "policy/Foo", "--gate", "static", "--format", "sarif", "--output", "a.sarif", cwd=tmp_path)
+    assert (written.returncode, written.stdout) == (ExitCode.FINDINGS, "")
+    assert sample.problems(json.loads((tmp_path / "a.sarif").read_text(encoding="utf-8")), "sarif") == []
+
+
+def test_warnings_fail_only_where_they_are_asked_to() -> None:
+    """`fail_on` is the mildest outcome that counts."""
+    gate = GateReport(Gate.STATIC, [sample.result("XPL101", Outcome.PASS), sample.result("XPL120", Outcome.WARN)])
+    report = TargetReport("policy/Foo", "Foo", "policy", [gate])
+    assert exit_code([report]) is ExitCode.CLEAN
+    assert exit_code([report], Outcome.WARN) is ExitCode.FINDINGS
+
+
+# -- rules that are broken themselves ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("broken", ["syntax error(", "import no_such_module", "raise SystemExit(3)"])
+def test_a_rule_that_cannot_be_imported_is_a_crash_in_every_format(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    """Its requirement is not known; it fails the audit, and hides nothing that the other rules find."""
+    room = made_room(tmp_path / "conformance", monkeypatch)
+    room.rule("broken", "yield from ()", code="XPL101").write_text(f'"""XPL101: broken."""\n{broken}\n')
+    room.rule("finds", '"""Finds."""\nyield Finding("something", path="model.py", line=1)', code="XPL102")
+    report = engine.audit(made_adapter(tmp_path / "Foo"), "policy", Options(gates=(Gate.STATIC,)), shown="Foo")
+    context = Context(tmp_path)
+    texts = {name: render(name, [report], context) for name in FORMATS}
+    assert exit_code([report]) is ExitCode.INTERNAL
+    assert all("XPL101" in text and "something" in text for text in texts.values())
+    assert validate(json.loads(texts["json"]), "audit") == []
+    for line in texts["jsonl"].splitlines():
+        assert validate(json.loads(line), "audit#/$defs/record") == []
+    for name in ("sarif", "gitlab", "rdjson"):
+        assert sample.problems(json.loads(texts[name]), name) == []
+    (run,) = json.loads(texts["sarif"])["runs"]
+    assert not run["invocations"][0]["executionSuccessful"]
+    assert [result["ruleId"] for result in run["results"]] == ["XPL102"]
+    assert texts["human"].splitlines()[-2:] == ["next", "  xpl audit Foo --gate static"]
+
+
+def test_commands_repeat_what_the_audit_was_asked(context: Context) -> None:
+    """Rules, settings and interpreter; a folder whose name begins like an option is no option."""
+    wide = Context(context.here, choice=("--select", "XPL1", "--fail-on", "warn"), running=("--set", "task=stack cups"))
+    report = sample.one_target(Finding("this"), path="-odd name")
+    again = ["xpl", "audit", "./-odd name", "--gate", "static", "--select", "XPL1", "--fail-on", "warn"]
+    assert shlex.split(next_commands(report, wide)[-1]) == [*again, "--set", "task=stack cups"]
+    passed = GateReport(Gate.STATIC, [sample.result("XPL101", Outcome.PASS)])
+    green = [TargetReport("policy/Foo", "Foo", "policy", [passed])]
+    assert next_commands(green, context) == ["xpl audit policy/Foo"]
+    assert next_commands(green, wide) == []
+
+
+def test_a_terminal_gets_colours_and_lines_that_fit(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Words stay whole, what follows is indented, and commands are left in one piece."""
+    message = "answers environment 3 when asked for 9, 環境 " * 4
+    report = sample.one_target(Finding(message, path="model.py", line=3), path=f"policy/{'long' * 30}")
+    plain = on_terminal(report, context, Terminal(60))
+    coloured = on_terminal(report, context, Terminal(60, colour=True))
+    assert re.sub(r"\x1b\[[\d;]*m", "", coloured) == plain
+    assert "\x1b[1;31m" in coloured
+    assert "\n      " in plain
+    assert any(
+        line.startswith("  xpl audit policy/longlong") and line.endswith(" static") for line in plain.split("\n")
+    )
+    told = plain[plain.index("    answers") : plain.index("  XPL-FINISH")]
+    assert " ".join(told.split()) == message.strip()
+    assert max(len(line) + line.count("環") + line.count("境") for line in told.split("\n")) <= 60
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert Terminal.of(io.StringIO()) == Terminal(None, colour=True)
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert Terminal.of(io.StringIO()) == Terminal()

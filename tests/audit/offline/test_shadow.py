@@ -1,0 +1,397 @@
+"""Audits without the model: what the shadow proves, when it is chosen, and what stubs may not prove."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from xpl.policy import Policy
+from xpl.worker.lacking import is_third_party, lacking
+from xpl.worker.shadow import ShadowError, UndividedError, shadow_of
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.formats import as_json, render
+from xpl_cli.audit.rules.model import Gate, GateReport, Outcome, Profile, exit_code
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.scaffold import adapter
+from xpl_cli.serving.launch import ServerStartError, serving
+from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl_cli.audit.rules.model import TargetReport
+
+NAME = "Subject"
+CONFIG = {"env_cfg_type": "arx_x5", "action_type": "joint"}
+MISSING = "a_library_that_nobody_has"
+RULES = ("serves", "action-structure", "batch-order", "inputs-matter", "reset-then-ask")
+SPLIT = f"""
+import numpy as np
+from xpl import Policy
+from xpl.checkpoint import resolve
+from xpl.observation import pack_state
+
+
+class Model(Policy):
+    def load(self, config):
+        import {MISSING}
+
+        self.net = {MISSING}.load(resolve(config, self.policy_dir))
+
+    def encode(self, obs, env):
+        return pack_state(obs, self.embodiment, self.action_type)
+
+    def predict(self, inputs, envs):
+        return self.net(np.stack(inputs))
+"""
+BARE = f"""
+import numpy as np
+import {MISSING} as lib
+from {MISSING}.nn import Module
+
+
+class Net(Module):
+    def __init__(self):
+        super().__init__()
+        self.layer = lib.nn.Linear(3, 4)
+
+
+class Model:
+    def __init__(self, config):
+        self.net = Net().to("cuda" if lib.cuda.is_available() else "cpu").eval()
+        self.reset()
+
+    def reset(self):
+        self.obs = {{}}
+        self.order = []
+
+    def update_obs(self, obs):
+        self.update_obs_batch([obs])
+
+    def update_obs_batch(self, obs_list):
+        self.order = [obs.get("env_idx", place) for place, obs in enumerate(obs_list)]
+        self.obs.update(zip(self.order, obs_list))
+
+    @lib.no_grad()
+    def get_action(self):
+        return self.get_action_batch(self.order)[0]
+
+    def get_action_batch(self, env_idx_list=None):
+        envs = self.order if env_idx_list is None else env_idx_list
+        states = [self.obs[env]["state"]["left_arm_joint_state"] for env in envs]
+        return self.answer(self.net(lib.from_numpy(np.stack(states))), len(envs))
+
+    def answer(self, out, count):
+        return [[{{"left_arm_joint_state": row}} for row in chunk] for chunk in out.cpu().numpy()]
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """Return a fresh scaffold."""
+    folder = tmp_path / NAME
+    adapter.write(adapter.render(adapter.Answers(**{**adapter.defaults(), "name": NAME})), folder)
+    return folder
+
+
+def _offline(package: Path, model: str | None = None, **options: Any) -> TargetReport:
+    if model is not None:
+        (package / "model.py").write_text(model, encoding="utf-8")
+    return engine.audit(package, "policy", Options(gates=(Gate.OFFLINE,), names=RULES, **options))
+
+
+def _gate(report: TargetReport) -> GateReport:
+    (gate,) = report.gates
+    return gate
+
+
+def _outcomes(gate: GateReport) -> dict[str, str]:
+    return {result.slug: result.outcome.value for result in gate.results}
+
+
+def _reasons(gate: GateReport) -> str:
+    return "\n".join(result.reason or "" for result in gate.results)
+
+
+# -- which profile -----------------------------------------------------------------------------------------------------
+
+
+def test_what_can_be_loaded_is_audited_in_full(package: Path) -> None:
+    """Nothing stands in, and the finish line does not speak of a profile."""
+    gate = _gate(_offline(package))
+    assert (gate.profile, gate.stood_in, gate.outcome) == (Profile.FULL, None, Outcome.PASS)
+    assert "profile" not in str(gate.finish)
+
+
+@pytest.mark.parametrize(
+    ("model", "lacks"),
+    [
+        pytest.param(SPLIT, MISSING, id="module"),
+        pytest.param(SPLIT.replace(f"import {MISSING}", "pass").replace(MISSING, "np"), "checkpoint", id="checkpoint"),
+        pytest.param(
+            SPLIT.replace(f"import {MISSING}\n", "return\n").replace(
+                "return self.net", f"import {MISSING}\n        return"
+            ),
+            MISSING,
+            id="module of predict",
+        ),
+    ],
+)
+def test_a_missing_part_makes_a_shadow_that_is_told_and_can_be_green(package: Path, model: str, lacks: str) -> None:
+    """Chosen by itself, also where the model is built at the first question; the reason is in every report."""
+    report = _offline(package, model)
+    gate = _gate(report)
+    assert set(_outcomes(gate).values()) == {"pass"}, gate.results
+    assert (report.verdict, exit_code([report])) == ("green", ExitCode.CLEAN)
+    assert gate.profile is Profile.SHADOW
+    assert lacks in str(gate.stood_in)
+    assert str(gate.finish).endswith("profile=shadow")
+    for name in ("human", "markdown", "concise", "github", "sarif", "junit"):
+        assert "shadow mode" in render(name, [report]), name
+    document = as_json([report])
+    assert validate(document, "audit") == []
+    assert (document["targets"][0]["gates"][0]["profile"], document["exit_code"]) == ("shadow", 0)
+
+
+def test_the_full_profile_is_not_given_for_a_shadow(package: Path) -> None:
+    """What was demanded cannot run: exit code 4, with the module's name."""
+    report = _offline(package, SPLIT, profile=Profile.FULL)
+    assert set(_outcomes(_gate(report)).values()) == {"not_run"}
+    assert f"module {MISSING} is not installed" in _reasons(_gate(report))
+    assert exit_code([report]) is ExitCode.NOT_RUN
+
+
+def test_a_shadow_has_a_digest_of_its_own_that_repeats(package: Path) -> None:
+    """Equal in two runs under an equal fingerprint, which is not that of a full run."""
+    shadows = [_gate(_offline(package, profile=Profile.SHADOW)) for _ in range(2)]
+    assert shadows[0].finish == shadows[1].finish
+    assert shadows[0].fingerprint != _gate(_offline(package)).fingerprint
+
+
+def test_the_physics_gate_judges_no_values_of_a_shadow(package: Path) -> None:
+    """Rules about values are listed as not applicable; the others run, without trying the model once more."""
+    report = engine.audit(
+        package, "policy", Options(gates=(Gate.MUJOCO,), names=("XPL301", "XPL302", "XPL304"), profile=Profile.SHADOW)
+    )
+    found = _outcomes(_gate(report))
+    assert found == {"closed-loop": "pass", "few-clamps": "not_applicable", "chunk-seams": "not_applicable"}
+    assert report.verdict == "green"
+
+
+# -- what a shadow still catches ---------------------------------------------------------------------------------------
+
+
+def test_a_shadow_shows_what_is_wrong_around_the_model(package: Path) -> None:
+    """An adapter that reads a batch by position, and one that reads no input it requires."""
+    by_position = """
+    def get_action_batch(self, env_idx_list=None):
+        answers = super().get_action_batch(None if env_idx_list else env_idx_list)
+        return answers[: len(env_idx_list)] if env_idx_list else answers
+"""
+    assert _outcomes(_gate(_offline(package, SPLIT + by_position)))["batch-order"] == "fail"
+    blind = SPLIT.replace("return pack_state", "return 0 * pack_state")
+    assert _outcomes(_gate(_offline(package, blind)))["inputs-matter"] == "warn"
+
+
+def test_a_raw_output_of_another_shape_is_declared(package: Path) -> None:
+    """`shadow` in policy.yml: decode gets that shape and that range."""
+    decode = """
+    def decode(self, raw, obs, env):
+        assert raw.shape == (50, 32) and np.abs(raw).max() <= 0.01
+        return super().decode(raw[: self.chunk, :14] + pack_state(obs, self.embodiment, self.action_type), obs, env)
+"""
+    assert _outcomes(_gate(_offline(package, SPLIT + decode)))["serves"] == "pass"
+    assert _outcomes(_gate(_offline(package)))["action-structure"] == "fail"
+    with (package / "policy.yml").open("a", encoding="utf-8") as stream:
+        stream.write("\nshadow: {shape: [50, 32], range: [-0.01, 0.01]}\n")
+    assert _outcomes(_gate(_offline(package)))["action-structure"] == "pass"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("return pack_state", "self.tokenizer(obs)\n        return pack_state", "no 'tokenizer'"),
+        ("return pack_state(obs, self.embodiment, self.action_type)", "return dict(obs)", "passes on the observation"),
+        ("import numpy as np", f"import numpy as np\nimport {MISSING}", "import it in load"),
+        ("class Model(Policy):", "class Model:\n    def __init__(self, config):\n        self.load(config)", "derives"),
+    ],
+)
+def test_what_a_shadow_cannot_stand_in_for_is_not_run(package: Path, old: str, new: str, told: str) -> None:
+    """It is no fault of the adapter's, and nothing is green."""
+    report = _offline(package, SPLIT.replace(old, new, 1))
+    assert set(_outcomes(_gate(report)).values()) == {"not_run"}, _gate(report).results
+    assert told in _reasons(_gate(report))
+
+
+def test_a_misspelt_module_of_the_adapter_is_a_fault(package: Path) -> None:
+    """It is like a file of the adapter; a module that the requirements name is not."""
+    (package / "helpers.py").write_text("x = 1\n", encoding="utf-8")
+    gate = _gate(_offline(package, SPLIT.replace(MISSING, "helpes")))
+    assert _outcomes(gate)["serves"] == "fail"
+    (package / "transformer.py").write_text("x = 1\n", encoding="utf-8")
+    assert not is_third_party("transformers_x", package)
+    (package / "requirements.txt").write_text("transformers-x==4.1\n", encoding="utf-8")
+    assert is_third_party("transformers_x", package)
+    assert not is_third_party("numpy.no_such_part", package)
+
+
+def test_only_files_of_the_checkpoint_are_a_missing_checkpoint(package: Path) -> None:
+    """A statistics file of the adapter itself that is missing is a fault."""
+    config = {"ckpt_name": "weights/run7"}
+    missing = [
+        FileNotFoundError(2, "", str(package / name)) for name in ("weights/run7/a.pt", "checkpoints/b", "stats")
+    ]
+    found = [(lacking(error, package, config) or {}).get("kind") for error in missing]
+    assert found == ["checkpoint", "checkpoint", None]
+
+
+# -- the function ------------------------------------------------------------------------------------------------------
+
+
+class _Adapter(Policy):
+    def encode(self, obs: Any, env: int) -> Any:
+        return obs["inputs"]
+
+    def predict(self, inputs: Any, envs: Any) -> Any:
+        raise AssertionError
+
+
+def _shadow(action_type: str = "joint") -> Policy:
+    return shadow_of(_Adapter)({**CONFIG, "action_type": action_type})
+
+
+@pytest.mark.parametrize("action_type", ["joint", "ee"])
+def test_the_shadow_answers_valid_actions_that_follow_every_bit(action_type: str) -> None:
+    """Whatever holds the inputs; the default decode accepts them; neighbours in the batch do not matter."""
+    shadow = _shadow(action_type)
+    image = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    inputs = {"image": image, "state": [0.5, 1.5], "text": "pick", "more": [{"mask": True}, None, 3]}
+    (plain,) = shadow.predict([inputs], [0])
+    shadow.decode(plain, {}, 0)
+    other = image.copy()
+    other[5, 6, 1] ^= 1
+    changes: list[dict[str, Any]] = [
+        {"image": other},
+        {"state": [0.5, 1.5000001]},
+        {"text": "pick "},
+        {"more": [{"mask": False}, None, 3]},
+    ]
+    for change in changes:
+        assert not np.array_equal(shadow.predict([{**inputs, **change}], [0])[0], plain), change
+    assert np.array_equal(shadow.predict([{**inputs, "state": np.float32([0.5, 1.5])}], [0])[0], plain)
+    assert np.array_equal(shadow.predict([{**inputs, "text": "x"}, inputs], [0, 1])[1], plain)
+    assert np.isnan(shadow.predict([{**inputs, "state": [np.nan, 0]}], [0])[0]).all()
+
+
+def test_the_shadow_is_smooth() -> None:
+    """Noise as compression leaves it moves the actions much less than an exchange of red and blue."""
+    shadow = _shadow()
+    rng = np.random.default_rng(1)
+    image = np.dstack([rng.integers(low, low + 60, (48, 64)) for low in (10, 90, 180)]).astype(np.uint8)
+    plain, noisy, swapped = (
+        shadow.predict([item], [0])[0]
+        for item in (image, image + rng.integers(0, 4, image.shape, np.uint8), image[..., ::-1])
+    )
+    assert np.abs(noisy - plain).max() < 0.1 * np.abs(swapped - plain).max()
+
+
+def test_the_shadow_reads_tensors_and_refuses_what_it_cannot_read() -> None:
+    """Whatever offers `detach` or `__array__` is an array; an object of another kind is named."""
+
+    class Tensor:
+        dtype = "float32"
+
+        def detach(self) -> Any:
+            return self
+
+        cpu = detach
+
+        def numpy(self) -> np.ndarray:
+            return np.ones(3, np.float32)
+
+    shadow = _shadow()
+    assert np.array_equal(shadow.predict([Tensor()], [0]), shadow.predict([np.ones(3)], [0]))
+    with pytest.raises(ShadowError, match=r"builtins\.object"):
+        shadow.predict([object()], [0])
+    with pytest.raises(UndividedError):
+        shadow_of(object)
+
+
+# -- stubs -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        pytest.param(
+            "return [[{'left_arm_joint_state': row} for row in chunk] for chunk in out.cpu().numpy()]", id="raised"
+        ),
+        pytest.param(
+            "try:\n            return np.asarray(out).tolist()\n"
+            "        except Exception:\n            return [[{'left_arm_joint_state': np.zeros(6)}]] * count",
+            id="swallowed",
+        ),
+    ],
+)
+def test_no_pass_rests_on_a_stub(package: Path, answer: str) -> None:
+    """What ends before a stub is asked is proven, the rest is not run, also where the failure is swallowed."""
+    head, _, _ = BARE.rpartition("        return [[")
+    report = _offline(package, f"{head}        {answer}\n", stub_missing=True)
+    gate = _gate(report)
+    assert gate.served is not None
+    assert gate.served.stubbed == (MISSING,)
+    found = _outcomes(gate)
+    assert found["reset-then-ask"] == "pass"
+    assert {found[slug] for slug in RULES} == {"pass", "not_run"}
+    assert list(found.values()).count("pass") == 1, found
+    assert "is not installed here, and stubbed" in _reasons(gate)
+    assert str(gate.finish).endswith(f"stubbed={MISSING}")
+    assert exit_code([report]) is ExitCode.NOT_RUN
+
+
+def test_stubs_make_a_shadow_of_an_adapter_that_imports_at_its_top(package: Path) -> None:
+    """All that the shadow needs of the library is that it can be imported."""
+    report = _offline(package, SPLIT.replace("import numpy", f"import {MISSING}\nimport numpy", 1), stub_missing=True)
+    gate = _gate(report)
+    assert gate.outcome is Outcome.PASS, gate.results
+    assert gate.profile is Profile.SHADOW
+    assert MISSING in str(gate.stood_in)
+
+
+def test_a_model_that_fails_in_a_stub_is_not_run(package: Path) -> None:
+    """The reason names the stub."""
+    report = _offline(
+        package, BARE.replace("self.reset()", "self.size = int(lib.size(self.net))", 1), stub_missing=True
+    )
+    assert set(_outcomes(_gate(report)).values()) == {"not_run"}
+    assert f"{MISSING}.size() has no value" in _reasons(_gate(report))
+
+
+def test_own_modules_are_not_stubbed(package: Path) -> None:
+    """A misspelt import stays one."""
+    (package / "helpers.py").write_text("x = 1\n", encoding="utf-8")
+    gate = _gate(_offline(package, "import helpes\n" + BARE, stub_missing=True))
+    assert _outcomes(gate)["serves"] == "fail"
+
+
+# -- the server --------------------------------------------------------------------------------------------------------
+
+
+def test_a_shadow_is_served_and_says_so(package: Path) -> None:
+    """In its announcement; a server that cannot load says what is missing."""
+    (package / "model.py").write_text(SPLIT, encoding="utf-8")
+    with pytest.raises(ServerStartError) as caught, serving(package):
+        pass
+    assert caught.value.lacks == {"kind": "module", "name": MISSING}
+    command = [sys.executable, "-m", "xpl_cli", "serve", str(package), "--port", "0", "--shadow", "--until-stdin-ends"]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert process.stdout is not None
+    ready = json.loads(process.stdout.readline())
+    process.communicate(timeout=30)
+    assert (ready["event"], ready["shadow"]) == ("ready", True)

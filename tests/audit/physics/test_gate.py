@@ -1,0 +1,312 @@
+"""The MuJoCo gate: what it drives, what it measures and films, and that it repeats."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from tests.support.peer import xpl
+from xpl import _spec as sdk
+from xpl import get_embodiment
+from xpl.kinematics import Chain
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.formats import as_json, render
+from xpl_cli.audit.formats.listing import Context
+from xpl_cli.audit.physics.conventions import mistakes
+from xpl_cli.audit.physics.figures import World
+from xpl_cli.audit.physics.loop import Course, Query, Rollout, jumps_of_chunks
+from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.audit.rules.model import Gate, NotApplicable, Outcome, Profile
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.served.probe import Probe
+from xpl_cli.basics import content
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.packages import environments
+from xpl_cli.scaffold import adapter
+from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from xpl_cli.audit.rules.model import GateReport
+
+OPTIONS = Options(gates=(Gate.MUJOCO,))
+WRITTEN = dict[str, Any]
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Callable[..., Path]:
+    """Return a function that writes a scaffold: text to replace in policy.yml, and text for its end."""
+
+    def write(edits: dict[str, str] | None = None, end: str = "", **answers: Any) -> Path:
+        folder = tmp_path / "Subject"
+        filled = adapter.Answers(**{**adapter.defaults(), "name": folder.name, **answers})
+        adapter.write(adapter.render(filled), folder)
+        manifest = folder / sdk.File.POLICY_YML
+        text = manifest.read_text()
+        for old, new in (edits or {}).items():
+            assert old in text
+            text = text.replace(old, new)
+        manifest.write_text(text + end)
+        return folder
+
+    return write
+
+
+def gate(folder: Path, *names: str, **options: Any) -> GateReport:
+    """Run rules of the gate."""
+    (report,) = engine.audit(folder, "policy", replace(OPTIONS, names=names, **options)).gates
+    return report
+
+
+def courses(folder: Path, options: Options = OPTIONS) -> tuple[Course, ...]:
+    """Return what would be driven, without serving anything."""
+    with Probe.start(folder, options, Gate.MUJOCO) as probe:
+        return Simulation(probe).courses
+
+
+# -- what is driven ----------------------------------------------------------------------------------------------------
+
+
+def test_every_declared_pair_that_the_environment_offers_is_driven(package: Callable[..., Path]) -> None:
+    """The configured one first, and in one task of each capability dimension; robots that it lacks are left out."""
+    edits = {
+        "embodiments: [arx_x5]": "embodiments: [arx_x5, franka, franka_single]",
+        "action_types: [joint]": "action_types: [joint, ee]",
+    }
+    found = courses(package(edits))
+    pairs = list(dict.fromkeys((course.embodiment, course.action_type) for course in found))
+    assert pairs == [(robot, kind) for robot in ("arx_x5", "franka_single") for kind in ("joint", "ee")]
+    tasks = environments.manifest(environments.find("mujoco"))["tasks"]
+    several = [course.task for course in found if (course.embodiment, course.action_type) == pairs[0]]
+    assert sorted(tasks[task]["dimension"] for task in several) == sorted({t["dimension"] for t in tasks.values()})
+    assert len(found) == len(several) + len(pairs) - 1
+
+
+def test_tasks_are_those_that_are_asked_for_or_claimed(package: Callable[..., Path]) -> None:
+    """What the command says counts before what the manifest claims, and that before our own choice."""
+    folder = package(end="claims:\n  - {environment: mujoco, task: peg_insert, success_rate: 0.5}\n")
+    assert [course.task for course in courses(folder)] == ["peg_insert"]
+    asked = replace(OPTIONS, tasks=("push_block", "lift_cube"))
+    assert [course.task for course in courses(folder, asked)] == ["push_block", "lift_cube"]
+
+
+def test_a_robot_that_the_environment_lacks_is_not_applicable(package: Callable[..., Path]) -> None:
+    """With the reason, and the robots that there are."""
+    folder = package(embodiment="tianji_marvin_wuji")
+    with pytest.raises(NotApplicable, match="no tianji_marvin_wuji; it has arx_x5"):
+        courses(folder)
+    assert gate(folder).outcome is Outcome.NOT_APPLICABLE
+
+
+def test_an_unknown_task_is_refused_at_once(package: Callable[..., Path], tmp_path: Path) -> None:
+    """With the names that there are."""
+    done = xpl("audit", str(package()), "--gate", "mujoco", "--task", "fold_shirt", cwd=tmp_path)
+    assert done.returncode == ExitCode.NOT_FOUND
+    assert "lift_cube" in done.stderr
+
+
+# -- what comes of it --------------------------------------------------------------------------------------------------
+
+
+def test_a_robot_that_is_told_to_be_where_it_is_stays_there(package: Callable[..., Path]) -> None:
+    """The environment keeps the convention that it holds policies to: the flange of a held pose moves by under 2 mm."""
+    with Probe.start(package(action_type="ee"), replace(OPTIONS, tasks=("lift_cube",)), Gate.MUJOCO) as probe:
+        (played,) = Simulation(probe).sound_rollouts()
+    places = [query.state["left_ee_pose"] for query in played.queries[0]]
+    assert np.linalg.norm(places[-1][:3] - places[0][:3]) < 0.002
+    assert not any(played.corrections[0])
+
+
+def test_success_is_reported_with_its_interval(package: Callable[..., Path]) -> None:
+    """In the report for people, as JSON that its schema allows, and judged only where something is claimed."""
+    report = engine.audit(package(), "policy", replace(OPTIONS, names=("claimed-success",), episodes=2))
+    (found,) = report.gates
+    assert found.outcome is Outcome.NOT_APPLICABLE
+    (figure,) = found.figures
+    assert (figure.successes, figure.episodes) == (0, 2)
+    told = "0 of 2 episodes succeed (0% to 66%), mean score 0.00 (0.00 to 0.66)"
+    assert told in render("human", [report], Context())
+    document = as_json([report], Context())
+    assert validate(document, "audit") == []
+    (entry,) = document["targets"][0]["gates"][0]["figures"]
+    assert entry["success_interval"] == pytest.approx([0, 0.6576], abs=1e-4)
+
+
+def test_a_claim_is_measured_as_it_says(package: Callable[..., Path]) -> None:
+    """Its task, robot, kind of action and setting; one that was exceeded is none either."""
+    claim = "{environment: mujoco, task: push_block, embodiment: piper, action_type: ee, setting: randomized, "
+    folder = package(end=f"claims:\n  - {claim}success_rate: 0.9, episodes: 4}}\n")
+    found = gate(folder, "claimed-success")
+    assert found.outcome is Outcome.FAIL
+    assert found.figures[0].course == Course("push_block", "piper", "ee", "randomized")
+    assert found.figures[0].episodes == 4
+
+
+def test_a_shadow_is_held_to_what_any_model_has_to_do(package: Callable[..., Path]) -> None:
+    """Nothing is measured of it, and no value is judged."""
+    report = gate(package(), profile=Profile.SHADOW, tasks=("push_block",))
+    asked = {result.slug for result in report.results if result.outcome is not Outcome.NOT_APPLICABLE}
+    assert asked == {"closed-loop", "same-seed-same-motion", "batch-moves-alike", "newest-observation", "own-loop"}
+    assert report.outcome is Outcome.PASS
+    assert report.figures == ()
+
+
+def test_an_adapter_that_dies_in_the_loop_is_a_finding(package: Callable[..., Path]) -> None:
+    """Neither a crash of the rule nor a check that could not run."""
+    folder = package()
+    with (folder / sdk.File.MODEL_PY).open("a") as model:
+        model.write(
+            "\n    def predict(self, inputs, envs):\n        import os\n\n"
+            "        self.asked = getattr(self, 'asked', 0) + 1\n        if self.asked > 2:\n            os._exit(3)\n"
+            "        return np.repeat(np.stack(inputs)[:, None], self.chunk, axis=1)\n"
+        )
+    (result,) = gate(folder, "closed-loop", tasks=("push_block",)).results
+    assert result.outcome is Outcome.FAIL
+    assert "breaks off" in result.findings[0].message
+
+
+def test_two_runs_print_the_same_finish_line(package: Callable[..., Path]) -> None:
+    """The digest holds every answer and every trajectory, and no time."""
+    folder = package()
+    finishes = {gate(folder, "closed-loop", "loop-keeps-up", tasks=("push_block",)).finish for _ in range(2)}
+    assert len(finishes) == 1
+
+
+def test_every_episode_is_filmed(package: Callable[..., Path], tmp_path: Path) -> None:
+    """A file for each, that shows every second control step."""
+    films = tmp_path / "films"
+    done = xpl(
+        "audit", str(package()), "--gate", "mujoco", "--select", "closed-loop", "--task", "push_block",
+        "--video", str(films), "--json", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == ExitCode.CLEAN, done.stdout + done.stderr
+    (film,) = films.iterdir()
+    assert film.name == "Subject-push_block-arx_x5-joint-seed0.webp"
+    with Image.open(film) as shown:
+        lasts = 0
+        for frame in ImageSequence.Iterator(shown):
+            frame.load()
+            lasts += frame.info["duration"]  # equal pictures are one frame that lasts longer
+    assert lasts == 1000 * 2 / 25 * (64 // 2 + 1)
+    assert validate(json.loads(done.stdout), "audit") == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["demo_policy", "scripted_expert"])
+def test_our_own_policies_are_green(name: str) -> None:
+    """With every robot and action type that they declare, twice with the same digest."""
+    reports = [gate(content.room("policy") / name) for _ in range(2)]
+    found = [(result.slug, result.outcome, result.reason, result.findings) for result in reports[0].results]
+    assert {outcome for _, outcome, _, _ in found} == {Outcome.PASS, Outcome.NOT_APPLICABLE}, found
+    assert reports[0].finish == reports[1].finish
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", environments.manifest(environments.find("mujoco"))["embodiments"])
+@pytest.mark.parametrize("action_type", sdk.ACTION_TYPES)
+def test_a_fresh_scaffold_is_green_in_physics(robot: str, action_type: str, package: Callable[..., Path]) -> None:
+    """For every robot of the environment and both kinds of action."""
+    report = gate(package(embodiment=robot, action_type=action_type))
+    found = {result.slug: result.findings for result in report.results if result.findings}
+    assert report.outcome is Outcome.PASS, found
+    assert not found
+
+
+# -- what it is made of ------------------------------------------------------------------------------------------------
+
+
+def queries(action: Callable[[int], np.ndarray], state: WRITTEN) -> list[Query]:
+    """Return four questions at one state, answered by chunks of one step."""
+    return [Query(step, state, action(step)[None].astype(np.float32), 0.0) for step in range(4)]
+
+
+@pytest.fixture
+def arm_state() -> WRITTEN:
+    """What is observed of one arm, somewhere in the world."""
+    robot = get_embodiment("franka_single")
+    joints = np.array([0.2, -0.1, 0.1, -2.4, 0.3, 2.3, 0.785])
+    chain = Chain.from_embodiment(robot.data)
+    flange = chain.flange(joints) + np.array([0.3, -0.2, 0.765, 0, 0, 0, 0])
+    tcp = chain.tcp_from_flange(flange)
+    return {"arm_joint_state": joints, "ee_joint_state": np.ones(1), "ee_pose": flange, "tcp_pose": tcp}
+
+
+def test_one_answer_in_another_convention_is_no_mistake(arm_state: WRITTEN) -> None:
+    """Only what explains every answer is: a policy may pass any place once."""
+    robot = get_embodiment("franka_single")
+    there, here = (np.append(arm_state[key], 1.0) for key in ("tcp_pose", "ee_pose"))
+    assert [found.what for found in mistakes(robot, "ee", queries(lambda _: there, arm_state))] == [
+        "the point between the fingertips"
+    ]
+    assert not list(mistakes(robot, "ee", queries(lambda step: here if step == 2 else there, arm_state)))
+    assert not list(mistakes(robot, "ee", queries(lambda _: here, arm_state)[:1]))
+
+
+def test_a_policy_on_its_way_mistakes_nothing(arm_state: WRITTEN) -> None:
+    """Far from where it is, and near nothing that is expressed otherwise."""
+    robot = get_embodiment("franka_single")
+    away = np.append(arm_state["arm_joint_state"] + 0.3, 1.0)
+    assert not list(mistakes(robot, "joint", queries(lambda _: away, arm_state)))
+
+
+@pytest.mark.parametrize(
+    ("said", "what"),
+    [
+        (lambda state: np.degrees(state["left_arm_joint_state"]), "joint angles in degrees"),
+        (lambda state: state["right_arm_joint_state"], "where the other arm is"),
+    ],
+)
+def test_joints_in_another_convention_are_told(said: Callable[[WRITTEN], np.ndarray], what: str) -> None:
+    """Of the arm whose commands they are; the other one holds its pose."""
+    robot = get_embodiment("arx_x5")
+    state = {
+        "left_arm_joint_state": np.array([0.2, 1.1, 0.9, -0.8, 0.1, 0.3]),
+        "right_arm_joint_state": np.array([-0.4, 0.9, 1.2, -0.5, 0.0, 0.1]),
+    }
+    action = np.concatenate([said(state), [1.0], state["right_arm_joint_state"], [1.0]])
+    (found,) = mistakes(robot, "joint", queries(lambda _: action, state))
+    assert (found.key, found.what) == ("left_arm_joint_state", what)
+
+
+def test_seams_are_told_from_the_inside_of_chunks() -> None:
+    """A gripper may jump; chunks of one step have no inside."""
+    robot = get_embodiment("franka_single")
+    played = Rollout(Course("lift_cube", robot.name, "joint"), robot, (0,))
+    played.commands[0] = [np.full(8, 0.01 * step + 0.5 * (step >= 2)) for step in range(4)]
+    for command in played.commands[0]:
+        command[7] = 0.0
+    played.commands[0][1][7] = 1.0
+    chunk = np.zeros((2, 8))
+    played.queries[0] = [Query(0, {}, chunk, 0.0), Query(2, {}, chunk, 0.0)]
+    assert list(jumps_of_chunks(played)) == [pytest.approx((0.51, 0.01))]
+    played.queries[0] = [Query(step, {}, chunk[:1], 0.0) for step in range(4)]
+    assert list(jumps_of_chunks(played)) == []
+
+
+def test_a_mirrored_world_turns_grippers_round_and_nothing_else() -> None:
+    """Commands, observations or both."""
+    robot = get_embodiment("arx_x5")
+    config = {"task": "lift_cube", "embodiment": "arx_x5", "cameras": False}
+    env = environments.make("mujoco", config)
+    env.reset([1])
+    (real,) = env.get_obs_batch([0])
+    (seen,) = World(commands=False, observations=True).around(env, robot).get_obs_batch([0])
+    assert {key for key in real["state"] if not np.array_equal(real["state"][key], seen["state"][key])} == {
+        "left_ee_joint_state",
+        "right_ee_joint_state",
+    }
+    held = {key: real["state"][key] for key in robot.dims("joint")}
+    mirrored = World(commands=True, observations=False).around(env, robot)
+    for _ in range(10):
+        mirrored.take_action_batch([held], [0])  # told to stay open
+    after = mirrored.get_obs_batch([0])[0]["state"]
+    assert real["state"]["left_ee_joint_state"] > 0.9
+    assert after["left_ee_joint_state"] < 0.1
+    assert after["left_arm_joint_state"] == pytest.approx(real["state"]["left_arm_joint_state"], abs=0.02)

@@ -1,0 +1,249 @@
+"""The static gate reads any folder: it runs nothing of it, survives what cannot be read, and says where things are."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import pytest
+
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.rules.model import Gate, GateReport, Outcome
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.static.manifests import deleted
+from xpl_cli.audit.static.reading import SIZE_LIMIT
+from xpl_cli.audit.static.shell import parse
+from xpl_cli.audit.static.source import Source
+from xpl_cli.scaffold import adapter as scaffold
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def adapter(tmp_path: Path) -> Path:
+    """A fresh scaffold, to break."""
+    folder = tmp_path / "Foo"
+    scaffold.write(scaffold.render(scaffold.Answers(**{**scaffold.defaults(), "name": "Foo"})), folder)
+    return folder
+
+
+def audit(path: Path, *names: str) -> GateReport:
+    """Run the static gate."""
+    return engine.audit(path, "policy", Options(gates=(Gate.STATIC,), names=names)).gates[0]
+
+
+def outcomes(report: GateReport) -> dict[str, Outcome]:
+    """Return the outcome of each rule."""
+    return {result.slug: result.outcome for result in report.results}
+
+
+def findings(report: GateReport, slug: str) -> list[str]:
+    """Return the messages of one rule."""
+    return [finding.message for result in report.results if result.slug == slug for finding in result.findings]
+
+
+def test_nothing_of_the_adapter_is_executed(adapter: Path, tmp_path: Path) -> None:
+    """Code at the top of every Python file of the adapter would leave a trace."""
+    trace = tmp_path / "trace"
+    for name in ("model.py", "deploy.py", "__init__.py", "process_data.py"):
+        file = adapter / name
+        text = file.read_text() if file.is_file() else ""
+        head = f'open({str(trace)!r}, "a").write({name!r})\n'
+        file.write_text(text.replace("from __future__ import annotations\n", "") + "\n" + head)
+    audit(adapter)
+    assert not trace.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("model.py", b"class Model(:\n"),
+        ("model.py", b"x = 1\0\n"),
+        ("model.py", b"\xff\xfe\x00c\x00l"),
+        ("model.py", b"(" * 5000),
+        ("model.py", b"x = " + b"-" * 50_000 + b"1\n"),
+        ("model.py", b"# coding: no-such-codec\nclass Model: pass\n"),
+        ("deploy.py", b"def eval_one_episode(\n"),
+        ("deploy.yml", b"a: [1, 2\n"),
+        ("deploy.yml", b"\xff\xfe"),
+        ("deploy.yml", b"- a list\n"),
+        ("deploy.yml", b"1: 2\nnull: 3\n[a, b]: 4\n"),
+        ("policy.yml", b"inputs: 3\nmethods: 4\nembodiments: {a: 1}\ntemporal: []\nevaluation_only: [x]\n"),
+        ("policy.yml", b"inputs: {optional: 5, required: {a: 1}}\nembodiments: [[1], {}]\n"),
+        (
+            "model.py",
+            b"class Model:\n    def get_action_batch(self, x):\n        for () in enumerate(x): a[()]; f''; open()\n",
+        ),
+        ("policy.yml", b"{" * 3000),
+        ("eval.sh", b'\x80\x81 "unclosed $( ${ `\n<<EOF\n'),
+        ("train.sh", b""),
+    ],
+)
+def test_a_file_that_cannot_be_read_crashes_no_rule(adapter: Path, name: str, content: bytes) -> None:
+    """Rules that need the file are not run, or say what is wrong; the others run as always."""
+    (adapter / name).write_bytes(content)
+    report = audit(adapter)
+    assert Outcome.ERROR not in outcomes(report).values(), [result.reason for result in report.results]
+    assert outcomes(report)["required-files"] is Outcome.PASS
+
+
+def test_a_syntax_error_is_found_once_and_blocks_only_what_needs_the_file(adapter: Path) -> None:
+    """`parses` says where; rules about the class are not run; rules about other files are."""
+    (adapter / "model.py").write_text("class Model:\n    def reset(self:\n        pass\n")
+    report = audit(adapter)
+    assert outcomes(report)["parses"] is Outcome.FAIL
+    assert outcomes(report)["reset-incomplete"] is Outcome.NOT_RUN
+    assert outcomes(report)["deploy-config"] is Outcome.PASS
+    (finding,) = next(result.findings for result in report.results if result.slug == "parses")
+    assert (finding.path, finding.line) == ("model.py", 2)
+    assert report.outcome is Outcome.FAIL
+
+
+def test_a_huge_file_is_not_read(adapter: Path) -> None:
+    """A generated module of many megabytes is data; the gate says that it did not check it."""
+    (adapter / "tables.py").write_text("x = 1\n" * (SIZE_LIMIT // 6 + 1))
+    report = audit(adapter)
+    assert Outcome.ERROR not in outcomes(report).values()
+    assert "tables.py" in str(findings(report, "parses"))
+
+
+def test_links_that_loop_or_lead_away_are_not_followed(adapter: Path, tmp_path: Path) -> None:
+    """A link to itself, to its own folder, and to a file elsewhere."""
+    outside = tmp_path / "secret.py"
+    outside.write_text("def broken(:\n")
+    (adapter / "loop.py").symlink_to("loop.py")
+    (adapter / "inside").symlink_to(adapter, target_is_directory=True)
+    (adapter / "away.py").symlink_to(outside)
+    with (adapter / "model.py").open("a") as model:
+        model.write("\nfrom .inside.inside.model import Model as Again\nfrom . import away, loop\n")
+    report = audit(adapter)
+    assert Outcome.ERROR not in outcomes(report).values()
+    assert outcomes(report)["parses"] is Outcome.PASS
+
+
+def test_a_pipe_in_the_folder_does_not_block(adapter: Path) -> None:
+    """Only regular files are opened."""
+    os.mkfifo(adapter / "pipe.py")
+    assert outcomes(audit(adapter))["parses"] is Outcome.PASS
+
+
+def test_only_the_boundary_is_read(adapter: Path) -> None:
+    """A vendored tree is left out, except for what model.py imports from it and process_data.sh calls."""
+    for place in range(30):
+        folder = adapter / "vendor" / f"part{place}"
+        folder.mkdir(parents=True)
+        (folder / "code.py").write_text("<<<<<<< HEAD\n")
+    (adapter / "vendor/used.py").write_text("from vendor.part0 import code\n\nVALUE = 1\n")
+    (adapter / "vendor/convert.py").write_text("VALUE = 2\n")
+    with (adapter / "model.py").open("a") as model:
+        model.write("\nfrom .vendor.used import VALUE\n")
+    (adapter / "process_data.sh").write_text('ROOT="$(pwd)"\nTOOLS=${ROOT}/vendor\npython "${TOOLS}/convert.py" "$1"\n')
+    source = Source(adapter)
+    assert {name for name in source.files if name.startswith("vendor")} == {"vendor/used.py", "vendor/convert.py"}
+    assert source.conversion_files == ("vendor/convert.py",)
+
+
+def test_an_adapter_of_the_ecosystem_is_not_asked_for_our_manifest(adapter: Path) -> None:
+    """Without policy.yml: no training scripts, no manifest, imports at the top of model.py."""
+    for name in ("policy.yml", "process_data.sh", "train.sh"):
+        (adapter / name).unlink()
+    (adapter / "model.py").write_text(
+        "import torch\n\nfrom framework.model_template import ModelTemplate\n\n\n"
+        "class Model(ModelTemplate):\n"
+        "    def __init__(self, model_cfg):\n        self.store = {}\n\n"
+        "    def update_obs(self, obs):\n        self.update_obs_batch([obs])\n\n"
+        "    def update_obs_batch(self, obs_list):\n"
+        "        self.store = {obs.get('env_idx', place): obs for place, obs in enumerate(obs_list)}\n\n"
+        "    def get_action(self):\n        return self.get_action_batch()[0]\n\n"
+        "    def get_action_batch(self, env_idx_list=None):\n"
+        "        wanted = self.store if env_idx_list is None else env_idx_list\n"
+        "        return [self.model(self.store[env]) for env in wanted]\n\n"
+        "    def reset(self):\n        self.store = {}\n"
+    )
+    report = audit(adapter)
+    assert outcomes(report)["manifest"] is Outcome.NOT_APPLICABLE
+    assert outcomes(report)["heavy-imports"] is Outcome.NOT_APPLICABLE
+    assert report.outcome is Outcome.PASS, [result for result in report.results if result.findings]
+
+
+def test_places_count_characters_from_one(adapter: Path) -> None:
+    """Columns are those of an editor, also behind letters that take several bytes."""
+    with (adapter / "model.py").open("a", encoding="utf-8") as model:
+        model.write("\n    def load(self, config):\n        self.schön = 'äöü'; self.flag = bool(config['flag'])\n")
+    lines = (adapter / "model.py").read_text(encoding="utf-8").split("\n")
+    report = audit(adapter, "flag-from-text")
+    (finding,) = report.results[0].findings
+    assert finding.line is not None
+    assert finding.column is not None
+    assert lines[finding.line - 1][finding.column - 1 :].startswith("bool(config")
+    assert finding.end_column == finding.column + len("bool(config['flag'])")
+
+
+def test_equal_files_have_equal_digests(adapter: Path) -> None:
+    """The finish line repeats, and changes with any file of the boundary."""
+    first = audit(adapter).finish
+    assert audit(adapter).finish == first
+    with (adapter / "deploy.py").open("a") as deploy:
+        deploy.write("# another line\n")
+    assert audit(adapter).finish != first
+
+
+@pytest.mark.parametrize(
+    ("script", "commands"),
+    [
+        ("a b # c\nd", [["a", "b"], ["d"]]),
+        ('a \'b # c\' "d $(e "f g") h"', [["a", "'b # c'", '"d $(e "f g") h"']]),
+        ("cat <<'EOF' && b\nseed=$5\nEOF\nc", [["cat"], ["b"], ["c"]]),
+        ("cat <<<word; b", [["cat", "word"], ["b"]]),
+        ("a \\\n  b", [["a", "b"]]),
+        ("a >log 2>&1 &\nb", [["a", "log"], ["b"]]),
+        ("args=(a 'b c' d)\ne", [["args=(a 'b c' d)"], ["e"]]),
+        ("if a; then b; else c; fi", [["a"], ["b"], ["c"]]),
+        ("x=${1:-${2:-a b}} c", [["x=${1:-${2:-a b}}", "c"]]),
+        ("(( n < 3 )) && a", [["n", "3"], ["a"]]),
+        ("a 'unclosed\nb", [["a", "'unclosed\nb"]]),
+    ],
+)
+def test_scripts_are_parsed_into_commands(script: str, commands: list[list[str]]) -> None:
+    """Quotes, substitutions, here-documents, redirections and arrays; what is not closed ends with the file."""
+    assert [[word.raw for word in command.words] for command in parse(script)] == commands
+
+
+def test_words_know_their_place_and_position() -> None:
+    """Line and column, positional arguments, loops and functions."""
+    commands = parse("set -e\n  seed=${6:-0}\nf() {\n  local a=$1\n}\nuntil b; do sleep 1; done\nsleep 2\n")
+    (name, word) = commands[1].assignments[0]
+    assert (name, word.position, word.line, word.column) == ("seed", 6, 2, 8)
+    assert [(command.name, command.functions) for command in commands if command.functions] == [("local", 1)]
+    assert [command.loops for command in commands if command.name == "sleep"] == [1, 0]
+
+
+def test_rules_share_the_functions_of_a_file(adapter: Path) -> None:
+    """What a function computes of itself is computed once, whether a rule comes by the class or by the file."""
+    source = Source(adapter)
+    by_file = {function.name: function for function in source.functions("model.py")}
+    assert by_file["encode"] is source.adapter.methods["encode"]
+    assert by_file["encode"].owner is source.adapter.node
+    (adapter / "broken.py").write_text("def f(:\n")
+    assert source.functions("broken.py") == ()
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("a: 1\nb: 2 # two\nc: 3\n", "a: 1\nc: 3\n"),
+        ("a: 1\nb:\n  - x\n  - y: [1,\n      2]\n# about c\nc: 3\n", "a: 1\n# about c\nc: 3\n"),
+        ("a: 1\nb: |\n  text\n  more\nc: 3\n", "a: 1\nc: 3\n"),
+        ("a: 1\nb: 2", "a: 1\n"),
+    ],
+)
+def test_a_key_is_deleted_with_its_value_and_nothing_else(tmp_path: Path, before: str, after: str) -> None:
+    """Values of one line, blocks, texts, and the last line of a file without a line break."""
+    (tmp_path / "deploy.yml").write_text(before)
+    lines = before.split("\n")
+    (edit,) = deleted(Source(tmp_path), "deploy.yml", "b")
+    text = "\n".join(lines[: edit.line - 1]) + "\n"
+    rest = lines[edit.end_line - 1 :]
+    rest[0] = rest[0][edit.end_column - 1 :]
+    assert text + "\n".join(rest) == after

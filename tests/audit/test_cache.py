@@ -1,0 +1,230 @@
+"""The cache of the static gate: what did not change is not read again, and nothing else is believed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.support.rules import Room, made_adapter, made_room
+from xpl_cli.audit.engine import cache, engine
+from xpl_cli.audit.rules.model import Gate, GateReport, Outcome
+from xpl_cli.audit.rules.options import Options
+
+
+@pytest.fixture
+def adapter(tmp_path: Path) -> Path:
+    """A scaffold that imports a module of a subfolder."""
+    folder = made_adapter(tmp_path / "Foo")
+    (folder / "tools").mkdir()
+    (folder / "tools/maths.py").write_text("VALUE = 1\n")
+    (folder / "tools/unread.py").write_text("VALUE = 1\n")
+    with (folder / "model.py").open("a") as model:
+        model.write("\n\nfrom .tools.maths import VALUE\n")
+    return folder
+
+
+@pytest.fixture
+def trace(tmp_path: Path) -> Path:
+    """A file to which rules of a test write their names when they run."""
+    return tmp_path / "trace"
+
+
+@pytest.fixture
+def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trace: Path) -> Room:
+    """Three rules: one passes, one finds something, one does not apply."""
+    cache._version.cache_clear()
+    made = made_room(tmp_path / "room", monkeypatch)
+    made.rule("passes", ran("passes", trace), code="XPL101")
+    made.rule("finds", ran("finds", trace) + "yield Finding('wrong')", code="XPL102")
+    made.rule("asks", ran("asks", trace), code="XPL103", facts="source, options")
+    return made
+
+
+def ran(name: str, trace: Path) -> str:
+    """Return the beginning of a rule that says that it runs, and reads all files of the boundary."""
+    return (
+        f"with open({str(trace)!r}, 'a') as trace: trace.write('{name} ')\n"
+        "for name in source.text_files: source.text(name)\nyield from ()\n"
+    )
+
+
+def audit(adapter: Path, folder: Path | None) -> GateReport:
+    """Run the static gate."""
+    return engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,), cache=folder)).gates[0]
+
+
+def again(adapter: Path, tmp_path: Path, trace: Path) -> list[str]:
+    """Audit with the cache of the test and return which rules ran."""
+    cache._version.cache_clear()
+    trace.write_text("")
+    audit(adapter, tmp_path / "cache")
+    return trace.read_text().split()
+
+
+def test_only_passes_that_follow_from_the_files_are_kept(
+    room: Room, adapter: Path, tmp_path: Path, trace: Path
+) -> None:
+    """Findings are found anew; so is what depends on options."""
+    assert again(adapter, tmp_path, trace) == ["passes", "finds", "asks"]
+    assert again(adapter, tmp_path, trace) == ["finds", "asks"]
+
+
+def test_a_report_is_the_same_with_and_without_the_cache(adapter: Path, tmp_path: Path) -> None:
+    """With the rules of the project: results, digest, and finish line."""
+    fresh = audit(adapter, None)
+    for _ in range(2):
+        kept = audit(adapter, tmp_path / "cache")
+        assert (kept.results, kept.finish) == (fresh.results, fresh.finish)
+    (record,) = (tmp_path / "cache").iterdir()
+    assert len(json.loads(record.read_text())["passes"]) > 30
+
+
+CHANGES: dict[str, Callable[[Path], object]] = {
+    "a file": lambda folder: (folder / "deploy.yml").write_text((folder / "deploy.yml").read_text() + "# more\n"),
+    "its mode": lambda folder: (folder / "eval.sh").chmod(0o600),
+    "a deeper file that is read": lambda folder: (folder / "tools/maths.py").write_text("VALUE = 2\n"),
+    "a new file": lambda folder: (folder / "notes.txt").write_text(""),
+    "a new deeper name": lambda folder: (folder / "tools/new.py").write_text(""),
+    "a removed file": lambda folder: (folder / "README.md").unlink(),
+    "a link": lambda folder: (folder / "weights").symlink_to(folder.parent),
+    "what takes a file's place": lambda folder: ((folder / "README.md").unlink(), (folder / "README.md").mkdir()),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_any_change_that_a_rule_could_see_makes_it_run(
+    room: Room, adapter: Path, tmp_path: Path, trace: Path, change: str
+) -> None:
+    """And what it finds is kept in turn."""
+    again(adapter, tmp_path, trace)
+    CHANGES[change](adapter)
+    assert "passes" in again(adapter, tmp_path, trace)
+    assert "passes" not in again(adapter, tmp_path, trace)
+
+
+def test_files_that_no_rule_reads_may_change(room: Room, adapter: Path, tmp_path: Path, trace: Path) -> None:
+    """The content of a vendored file, and the times of all files."""
+    again(adapter, tmp_path, trace)
+    (adapter / "tools/unread.py").write_text("VALUE = 3\n")
+    os.utime(adapter / "model.py", (0, 0))
+    assert "passes" not in again(adapter, tmp_path, trace)
+
+
+def test_another_name_is_another_package(room: Room, adapter: Path, tmp_path: Path, trace: Path) -> None:
+    """Rules compare names with the folder's."""
+    again(adapter, tmp_path, trace)
+    assert "passes" in again(adapter.rename(tmp_path / "Bar"), tmp_path, trace)
+
+
+def test_a_changed_rule_runs_again_and_others_do_not(room: Room, adapter: Path, tmp_path: Path, trace: Path) -> None:
+    """A rule's version is the content of its folder."""
+    room.rule("second", ran("second", trace), code="XPL104")
+    again(adapter, tmp_path, trace)
+    room.rule("passes", ran("passes", trace) + "# more", code="XPL101")
+    assert again(adapter, tmp_path, trace) == ["passes", "finds", "asks"]
+
+
+def test_what_rules_are_built_on_is_part_of_their_version(
+    room: Room, adapter: Path, tmp_path: Path, trace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another release, or an edit in the engine or the standard."""
+    again(adapter, tmp_path, trace)
+    monkeypatch.setattr(cache, "tool", lambda: "another")
+    assert "passes" in again(adapter, tmp_path, trace)
+
+
+def test_what_does_not_apply_is_kept_with_its_reason(adapter: Path, tmp_path: Path) -> None:
+    """A report from the cache differs from a fresh one in nothing."""
+    first = audit(adapter, tmp_path / "cache")
+    assert any(result.outcome is Outcome.NOT_APPLICABLE for result in first.results)
+    (record,) = (tmp_path / "cache").iterdir()
+    codes = json.loads(record.read_bytes())["passes"]
+    inapplicable = {result.code for result in first.results if result.outcome is Outcome.NOT_APPLICABLE}
+    assert inapplicable - set(codes) == {"XPL501"}  # it judges the audit, and not the files alone
+    again = audit(adapter, tmp_path / "cache")
+    assert (again.results, again.finish) == (first.results, first.finish)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b"[]", b'{"format": 1}', b'{"format": 1, "files": {}, "passes": {"XPL101": 3}}']
+)
+def test_a_broken_record_counts_as_none(room: Room, adapter: Path, tmp_path: Path, trace: Path, content: bytes) -> None:
+    """It is replaced by a whole one."""
+    again(adapter, tmp_path, trace)
+    (record,) = (tmp_path / "cache").iterdir()
+    record.write_bytes(content)
+    assert "passes" in again(adapter, tmp_path, trace)
+    assert "passes" not in again(adapter, tmp_path, trace)
+
+
+def test_a_cache_that_cannot_be_written_changes_nothing(room: Room, adapter: Path, tmp_path: Path) -> None:
+    """Its folder is a file."""
+    (tmp_path / "cache").write_text("")
+    assert audit(adapter, tmp_path / "cache").finish == audit(adapter, None).finish
+
+
+def test_a_package_that_changes_while_it_is_audited_is_not_kept(room: Room, adapter: Path, tmp_path: Path) -> None:
+    """What was read may be neither the old state nor the new one."""
+    file = str(adapter / "README.md")
+    room.rule("passes", f"with open({file!r}, 'a') as readme: readme.write('more')\nyield from ()", code="XPL101")
+    audit(adapter, tmp_path / "cache")
+    assert not (tmp_path / "cache").exists()
+
+
+def test_records_that_were_not_used_for_long_are_removed(tmp_path: Path) -> None:
+    """A fifth more than needed, so that this is done seldom."""
+    for number in range(12):
+        (tmp_path / f"{number}.json").write_text("{}")
+        os.utime(tmp_path / f"{number}.json", (number, number))
+    cache._prune(tmp_path, limit=12)
+    assert len(list(tmp_path.iterdir())) == 12
+    cache._prune(tmp_path, limit=10)
+    assert sorted(int(path.stem) for path in tmp_path.iterdir()) == list(range(4, 12))
+
+
+def test_a_folder_of_very_many_names_is_not_looked_through(
+    room: Room, adapter: Path, tmp_path: Path, trace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is kept for it, and it is audited all the same."""
+    monkeypatch.setattr(cache, "_MOST_NAMES", 3)
+    for _ in range(2):
+        assert again(adapter, tmp_path, trace) == ["passes", "finds", "asks"]
+
+
+def test_runs_at_the_same_time_leave_a_whole_record(adapter: Path, tmp_path: Path) -> None:
+    """Several processes audit one adapter with an empty cache; each is right, and the next one is served by it."""
+    command = [sys.executable, "-m", "xpl_cli", "audit", str(adapter), "--gate", "static", "--json"]
+    surroundings = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "home")}
+    runs = [
+        subprocess.Popen(command, env=surroundings, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) for _ in range(4)
+    ]
+    reports = [json.loads(run.communicate()[0]) for run in runs]
+    assert len({report["targets"][0]["gates"][0]["finish"] for report in reports}) == 1
+    (record,) = (tmp_path / "home/xpl/audit").iterdir()
+    passes = json.loads(record.read_text())["passes"]
+    results = reports[0]["targets"][0]["gates"][0]["results"]
+    kept = {Outcome.PASS, Outcome.NOT_APPLICABLE}
+    assert set(passes) == {result["code"] for result in results if result["outcome"] in kept} - {"XPL501"}
+
+
+def test_the_cache_lies_where_the_user_keeps_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """XDG_CACHE_HOME if it is an absolute path, else `.cache` at home."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache.default_folder() == tmp_path / "xpl/audit"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache.default_folder() == tmp_path / ".cache/xpl/audit"
+
+
+def test_no_cache_neither_reads_nor_writes(adapter: Path, tmp_path: Path) -> None:
+    """`--no-cache` leaves the folder as it is."""
+    command = [sys.executable, "-m", "xpl_cli", "audit", str(adapter), "--gate", "static", "--no-cache"]
+    surroundings = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "home")}
+    subprocess.run(command, env=surroundings, check=False, capture_output=True)
+    assert not (tmp_path / "home").exists()

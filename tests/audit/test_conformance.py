@@ -1,0 +1,112 @@
+"""Every rule is well formed, catches the subjects it must catch, and leaves its near misses alone."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import pytest
+
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.engine.subjects import Subject, build, subjects
+from xpl_cli.audit.rules import registry
+from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.scaffold import adapter
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl_cli.audit.rules.model import Result
+    from xpl_cli.audit.rules.registry import Rule
+
+NAME = "Subject"
+"""Folder of a subject; the manifests of environment subjects bear it."""
+TASK = "lift_cube"
+"""In which the physics gate drives a subject; what a rule says of it shows in one."""
+HEADINGS = ("What it does", "Why it matters", "Example", "Use instead", "Fix safety")
+HUNDREDS = {Gate.STATIC: "1", Gate.OFFLINE: "2", Gate.MUJOCO: "3"}
+ENVIRONMENTS = "4"
+EVERY_GATE = "5"
+ADVICE = "6"
+RULES = registry.rules()
+OPEN = {"placeholders"}
+"""Rules that a fresh scaffold does not satisfy, on purpose: its author has not filled it in yet."""
+
+
+CASES = [pytest.param(rule, subject, id=f"{rule.slug}-{subject.name}") for rule in RULES for subject in subjects(rule)]
+
+
+def _audit(rule: Rule, path: Path) -> Result:
+    report = engine.audit(path, rule.target, Options(gates=(rule.gate,), names=(rule.slug,), tasks=(TASK,)))
+    (result,) = report.gates[0].results
+    return result
+
+
+def test_codes_and_slugs_are_unique() -> None:
+    """A code or a slug stands for one rule for good."""
+    assert len({rule.code for rule in RULES}) == len({rule.slug for rule in RULES}) == len(RULES)
+
+
+def test_codes_have_no_gaps_and_tell_the_gate() -> None:
+    """XPL1xx static, XPL2xx offline, XPL3xx MuJoCo, XPL4xx environments; 5xx audit, 6xx advice; each counted from 1."""
+    for hundred, group in itertools.groupby(RULES, key=lambda rule: rule.code[3]):
+        members = list(group)
+        assert [rule.code for rule in members] == [f"XPL{hundred}{number:02}" for number in range(1, len(members) + 1)]
+        told = {ENVIRONMENTS if rule.target == "env" else HUNDREDS[rule.gate] for rule in members}
+        assert told == {hundred} or hundred in {EVERY_GATE, ADVICE}
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.slug)
+def test_a_rule_is_documented_and_proves_a_requirement(rule: Rule) -> None:
+    """Its folder bears its slug, its requirement exists, and its docstring has every heading with text below."""
+    assert rule.folder.name == rule.slug
+    assert rule.requirement in spec.requirements()
+    title, *sections = rule.documentation.split("\n## ")
+    assert title.strip().endswith(".")
+    assert [section.partition("\n")[0] for section in sections] == list(HEADINGS)
+    assert all(section.partition("\n")[2].strip() for section in sections)
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.slug)
+def test_a_rule_has_subjects_of_both_kinds(rule: Rule) -> None:
+    """Without a bad subject a rule proves nothing, without a near miss it may flag too much."""
+    found = list(subjects(rule))
+    assert {subject.good for subject in found} == {True, False}
+    assert all(subject.message for subject in found if not subject.good)
+
+
+@pytest.mark.parametrize(("rule", "subject"), CASES)
+def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Subject, tmp_path: Path) -> None:
+    """It catches a bad subject, and says what the subject's overlay asks for; it leaves a good one alone."""
+    result = _audit(rule, build(subject, tmp_path / NAME))
+    if subject.good:
+        assert result.outcome in {Outcome.PASS, Outcome.NOT_APPLICABLE}, (result.reason, result.findings)
+        return
+    assert result.outcome in {Outcome.FAIL, Outcome.WARN}, (result.outcome, result.reason)
+    assert any(str(subject.message) in finding.message for finding in result.findings), result.findings
+    for finding in result.findings:
+        assert finding.expected
+        assert finding.got
+        assert finding.fix is not None
+
+
+@pytest.mark.parametrize("robot", sorted(spec.embodiments()))
+@pytest.mark.parametrize("action_type", ["joint", "ee"])
+def test_a_fresh_scaffold_has_no_static_finding(robot: str, action_type: str, tmp_path: Path) -> None:
+    """Whatever robot it is made for; only its placeholders are still open."""
+    answers = adapter.Answers(**{**adapter.defaults(), "name": NAME, "embodiment": robot, "action_type": action_type})
+    adapter.write(adapter.render(answers), tmp_path / NAME)
+    report = engine.audit(tmp_path / NAME, "policy", Options(gates=(Gate.STATIC,)))
+    found = {result.slug: result.findings for result in report.gates[0].results if result.findings}
+    assert set(found) == OPEN, found
+    assert report.gates[0].outcome is Outcome.PASS
+
+
+@pytest.mark.parametrize("entry", registry.entries(), ids=lambda entry: entry.slug)
+def test_a_rule_is_what_its_folder_and_first_line_say(entry: registry.Entry) -> None:
+    """The code that begins the file decides whether the rule is imported for a gate, so it has to be the rule's own."""
+    rule = entry.load()
+    assert (entry.code, entry.slug) == (rule.code, rule.slug)
+    assert rule.gate in entry.gates

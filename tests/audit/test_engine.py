@@ -1,0 +1,281 @@
+"""The engine: order and isolation of rules, many packages at once, and which packages a request means."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.support.peer import xpl
+from tests.support.rules import Room, made_adapter, made_room
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.rules.facts import Facts
+from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.registry import RegistryError
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.packages.targets import Target
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STATIC = Options(gates=(Gate.STATIC,))
+NAMES = ("Bar", "Baz", "Foo")
+
+
+@pytest.fixture
+def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Room:
+    """An empty conformance room."""
+    return made_room(tmp_path / "room", monkeypatch)
+
+
+@pytest.fixture
+def adapter(tmp_path: Path) -> Path:
+    """A fresh scaffold."""
+    return made_adapter(tmp_path / "Foo")
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with three adapters; Baz has a failure."""
+    folder = tmp_path_factory.mktemp("workspace")
+    for name in NAMES:
+        made_adapter(folder / "policy" / name)
+    deploy = folder / "policy/Baz/deploy.yml"
+    deploy.write_text(deploy.read_text().replace("policy_name: Baz", "policy_name: Other"))
+    return folder
+
+
+def said(word: str, folder: Path) -> str:
+    """Return a statement of a rule that leaves a trace."""
+    return f"with open({str(folder / 'trace')!r}, 'a') as trace: trace.write({word!r})"
+
+
+def outcomes(path: Path, options: Options = STATIC) -> dict[str, Outcome]:
+    """Return the outcome of each rule of the static gate, in the order of the report."""
+    return {result.slug: result.outcome for result in engine.audit(path, "policy", options).results}
+
+
+# -- order and isolation -----------------------------------------------------------------------------------------------
+
+
+def test_a_rule_runs_after_those_it_needs_and_the_report_is_in_order_of_code(
+    room: Room, adapter: Path, tmp_path: Path
+) -> None:
+    """The first by code needs the last."""
+    room.rule("first", f"{said('first ', tmp_path)}\nyield from ()", code="XPL101", after=("last",))
+    room.rule("last", f"{said('last ', tmp_path)}\nyield from ()", code="XPL102")
+    assert outcomes(adapter) == {"first": Outcome.PASS, "last": Outcome.PASS}
+    assert (tmp_path / "trace").read_text() == "last first "
+
+
+@pytest.mark.parametrize(
+    ("body", "outcome"),
+    [
+        ("raise ZeroDivisionError('on purpose')", Outcome.ERROR),
+        ("raise SystemExit(3)", Outcome.ERROR),
+        ("raise NotRun('no weights')", Outcome.NOT_RUN),
+        ("raise NotApplicable('nothing there')", Outcome.NOT_APPLICABLE),
+        ("yield Finding('a warning')", Outcome.WARN),
+    ],
+)
+def test_a_rule_whose_ground_does_not_hold_is_not_run(room: Room, adapter: Path, body: str, outcome: Outcome) -> None:
+    """It says on what it waited; others run. What does not apply, or only warns, holds."""
+    room.rule("ground", body, code="XPL101")
+    room.rule("upper", "yield from ()", code="XPL102", after=("ground",))
+    room.rule("other", "yield from ()", code="XPL103")
+    holds = outcome in {Outcome.NOT_APPLICABLE, Outcome.WARN}
+    found = outcomes(adapter)
+    assert found == {"ground": outcome, "upper": Outcome.PASS if holds else Outcome.NOT_RUN, "other": Outcome.PASS}
+    alone = engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,), names=("upper",))).results
+    assert [(result.slug, result.outcome) for result in alone] == [("upper", found["upper"])]
+    assert holds or "XPL101 ground" in str(alone[0].reason)
+
+
+def test_a_crash_says_what_and_where(room: Room, adapter: Path) -> None:
+    """The reason names the exception, the file and the line."""
+    file = room.rule("crash", "raise ZeroDivisionError('on purpose')", code="XPL101")
+    (result,) = engine.audit(adapter, "policy", STATIC).results
+    assert result.reason == f"ZeroDivisionError: on purpose ({file}:{len(file.read_text().splitlines())})"
+
+
+def test_a_rule_that_cannot_be_imported_is_an_error_and_hides_no_other(room: Room, adapter: Path) -> None:
+    """A syntax error in one rule's file."""
+    file = room.rule("broken", "yield from ()", code="XPL101")
+    file.write_text('"""XPL101: A rule of a test."""\n\ndef broken(:\n')
+    room.rule("sound", "yield from ()", code="XPL102")
+    assert outcomes(adapter) == {"broken": Outcome.ERROR, "sound": Outcome.PASS}
+
+
+def test_rules_that_wait_for_each_other_are_a_mistake_of_the_registry(room: Room, adapter: Path) -> None:
+    """The message shows the circle."""
+    room.rule("one", "yield from ()", code="XPL101", after=("two",))
+    room.rule("two", "yield from ()", code="XPL102", after=("three",))
+    room.rule("three", "yield from ()", code="XPL103", after=("one",))
+    with pytest.raises(RegistryError, match="one after two after three after one"):
+        engine.audit(adapter, "policy", STATIC)
+
+
+def test_a_rule_can_only_need_a_rule_of_its_gate(room: Room, adapter: Path) -> None:
+    """A name that stands for none is a mistake of the registry too."""
+    room.rule("one", "yield from ()", code="XPL101", after=("nobody",))
+    with pytest.raises(RegistryError, match="'nobody', which is no rule of the static gate"):
+        engine.audit(adapter, "policy", STATIC)
+
+
+def test_a_fact_whose_provider_crashes_is_computed_once() -> None:
+    """Every rule that needs it hears the same error."""
+    asked = []
+
+    def broken() -> None:
+        asked.append(1)
+        raise OSError("disk full")
+
+    facts = Facts({}, {"broken": broken})
+    for _ in range(2):
+        with pytest.raises(OSError, match="disk full"):
+            facts.get("broken")
+    assert len(asked) == 1
+
+
+# -- many packages -----------------------------------------------------------------------------------------------------
+
+
+def targets(workspace: Path) -> list[Target]:
+    """Return the packages of the workspace."""
+    return [Target(workspace / "policy" / name, "policy", f"policy/{name}") for name in NAMES]
+
+
+def test_many_packages_at_once_give_what_each_gives_alone(workspace: Path) -> None:
+    """In the order in which they were asked for."""
+    asked = targets(workspace)[::-1]
+    together = engine.audit_all(asked, STATIC)
+    alone = [engine.audit(target.path, target.kind, STATIC, shown=target.shown) for target in asked]
+    assert [report.path for report in together] == [target.shown for target in asked]
+    assert [report.results for report in together] == [report.results for report in alone]
+    assert [report.gates[0].finish for report in together] == [report.gates[0].finish for report in alone]
+
+
+def test_a_package_that_kills_its_reader_is_an_error_and_takes_no_other_with_it(room: Room, workspace: Path) -> None:
+    """Its process dies without a word, as under the kernel's memory limit."""
+    room.rule("parses", "import os\nif source.path.name == 'Baz': os._exit(9)\nyield from ()", code="XPL101")
+    reports = engine.audit_all(targets(workspace), STATIC)
+    assert [report.gates[0].outcome for report in reports] == [Outcome.PASS, Outcome.ERROR, Outcome.PASS]
+    assert "died" in str(reports[1].results[0].reason)
+
+
+def test_all_means_every_package_below_policy_and_envs(workspace: Path) -> None:
+    """Sorted by name; folders that are no package are left out."""
+    (workspace / "policy/notes").mkdir(exist_ok=True)
+    done = xpl("audit", "--all", "policy/Foo", "--gate", "static", "--json", "--no-cache", cwd=workspace)
+    report = json.loads(done.stdout)
+    assert sorted(target["name"] for target in report["targets"]) == list(NAMES)
+    assert done.returncode == ExitCode.FINDINGS
+
+
+def test_all_without_packages_says_where_it_looked(tmp_path: Path) -> None:
+    """An empty folder is a mistake, not a success."""
+    done = xpl("audit", "--all", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (ExitCode.NOT_FOUND, "")
+    assert "policy/ and envs/" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "code"),
+    [
+        ("Foo", [], ExitCode.CLEAN),
+        ("Foo", ["--fail-on", "warn"], ExitCode.FINDINGS),
+        ("Foo", ["--fail-on", "warn", "--ignore", "placeholders"], ExitCode.CLEAN),
+        ("Baz", [], ExitCode.FINDINGS),
+        ("Baz", ["--exit-zero"], ExitCode.CLEAN),
+        ("Baz", ["--fail-on", "never"], ExitCode.USAGE),
+        ("Baz", ["--unsafe-fixes"], ExitCode.USAGE),
+    ],
+)
+def test_what_counts_for_the_exit_code_can_be_chosen(
+    workspace: Path, name: str, options: list[str], code: ExitCode
+) -> None:
+    """Warnings count when asked to, nothing counts when asked to."""
+    done = xpl("audit", f"policy/{name}", "--gate", "static", *options, cwd=workspace)
+    assert done.returncode == code, done.stdout + done.stderr
+
+
+# -- changed packages --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Path:
+    """A git repository with Foo and Bar, on a branch that left main."""
+    for name in ("Foo", "Bar"):
+        made_adapter(tmp_path / "policy" / name)
+    (tmp_path / "policy/Foo/vendor").mkdir()
+    (tmp_path / "policy/Foo/vendor/unread.py").write_text("VALUE = 1\n")
+    git(tmp_path, "init", "--quiet", "--initial-branch=main")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "--quiet", "-m", "start")
+    git(tmp_path, "switch", "--quiet", "-c", "work")
+    return tmp_path
+
+
+def git(folder: Path, *arguments: str) -> None:
+    """Run git as somebody."""
+    who = ["-c", "user.name=Somebody", "-c", "user.email=somebody@example.org", "-c", "commit.gpgsign=false"]
+    command = [str(shutil.which("git")), *who, *arguments]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True, stdin=subprocess.DEVNULL)
+
+
+def changed(repository: Path, ref: str = "main") -> list[str]:
+    """Return the packages that an audit of what changed looks at."""
+    done = xpl("audit", "--all", "--gate", "static", "--changed-since", ref, "--json", cwd=repository)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    return [target["name"] for target in json.loads(done.stdout)["targets"]]
+
+
+def test_only_packages_whose_files_changed_are_audited(repository: Path) -> None:
+    """Committed, not committed, new and removed files of the boundary count; the inside of a vendored tree does not."""
+    assert changed(repository) == []
+    (repository / "policy/Foo/vendor/unread.py").write_text("VALUE = 2\n")
+    (repository / "README.md").write_text("about\n")
+    assert changed(repository) == []
+    (repository / "policy/Bar/helper.py").write_text("VALUE = 1\n")
+    assert changed(repository) == ["Bar"]
+    with (repository / "policy/Foo/model.py").open("a") as model:
+        model.write("# changed\n")
+    git(repository, "commit", "--quiet", "-am", "change")
+    assert changed(repository) == ["Bar", "Foo"]
+    assert changed(repository, "HEAD") == ["Bar"]
+
+
+def test_a_removed_file_counts(repository: Path) -> None:
+    """Nobody can say any more whether it was read."""
+    (repository / "policy/Foo/vendor/unread.py").unlink()
+    assert changed(repository) == ["Foo"]
+
+
+def test_what_others_changed_meanwhile_does_not_count(repository: Path) -> None:
+    """The working tree is compared with where it left main, not with what main has become."""
+    git(repository, "switch", "--quiet", "main")
+    with (repository / "policy/Foo/model.py").open("a") as model:
+        model.write("# changed\n")
+    git(repository, "commit", "--quiet", "-am", "change")
+    git(repository, "switch", "--quiet", "work")
+    assert changed(repository) == []
+
+
+@pytest.mark.parametrize("ref", ["nowhere", "--output=trace", ""])
+def test_a_commit_that_is_not_there_is_told(repository: Path, ref: str) -> None:
+    """Neither taken for an option of git nor for no change."""
+    done = xpl("audit", "policy/Foo", f"--changed-since={ref}", cwd=repository)
+    assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
+    assert "has no commit" in done.stderr
+    assert not (repository / "trace").exists()
+
+
+def test_a_folder_outside_git_is_told(workspace: Path) -> None:
+    """Without a history nobody knows what changed."""
+    done = xpl("audit", "policy/Foo", "--changed-since", "main", cwd=workspace)
+    assert done.returncode == ExitCode.USAGE
+    assert "needs a git repository" in done.stderr

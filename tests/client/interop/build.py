@@ -1,0 +1,119 @@
+"""Build the environments of third parties that tests run, one per lock file: `./dev peers`.
+
+An environment is made under another name and renamed when it is complete; one whose lock has not changed is left as it
+is. What cannot be built is told in one line and is no failure: its tests then say that they were not run.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+LOCKS = Path(__file__).resolve().parent
+ROOT = LOCKS.parents[2]
+ALL_LOCKS = (LOCKS, ROOT / "tests" / "environments" / "gymnasium", ROOT / "tests" / "evaluation" / "cluster")
+"""Peers of the wire, simulators that live in a Python of their own, and the tool itself with Ray."""
+PEERS = ROOT / ".peers"
+SUFFIX = ".lock.txt"
+NAMES = tuple(sorted(lock.name.removesuffix(SUFFIX) for lock in LOCKS.glob(f"*{SUFFIX}")))
+INSTALL_S = 180.0
+
+
+class NotBuiltError(Exception):
+    """An environment that cannot be built; the message is the installer's last line."""
+
+
+def interpreter(name: str, *, locks: Path = LOCKS, peers: Path = PEERS) -> Path | None:
+    """Return the interpreter of an environment, or None if it was not built from the present lock."""
+    try:
+        built_from = (peers / name / "built-from").read_text(encoding="utf-8")
+    except OSError:
+        return None
+    python = peers / name / "bin" / "python"
+    return python if built_from == _source(locks / (name + SUFFIX)) and python.exists() else None
+
+
+def build(name: str, *, locks: Path = LOCKS, peers: Path = PEERS) -> None:
+    """Build one environment, or replace it; the old one stays until the new one is complete.
+
+    Raises:
+        NotBuiltError: if the packages cannot be had.
+    """
+    lock = locks / (name + SUFFIX)
+    with tempfile.TemporaryDirectory(prefix=".", dir=peers) as scratch:
+        new = Path(scratch) / "new"
+        for command in _commands(new, lock):
+            _run(command)
+        (new / "built-from").write_text(_source(lock), encoding="utf-8")
+        if (peers / name).exists():
+            (peers / name).rename(Path(scratch) / "old")
+        # Scripts in bin/ name the folder they were made in, but only bin/python is used, and it finds its own way.
+        new.rename(peers / name)
+
+
+def main(locks: Path = LOCKS, peers: Path = PEERS) -> int:
+    """Build what is not there yet; return the exit code, which is 0 even if that fails."""
+    peers.mkdir(exist_ok=True)
+    held = os.open(peers, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)  # one builder at a time; the lock ends with the process at the latest
+    try:
+        for leftover in peers.glob(".*"):
+            shutil.rmtree(leftover)  # of a builder that was killed
+        for lock in sorted(locks.glob(f"*{SUFFIX}")):
+            name = lock.name.removesuffix(SUFFIX)
+            if interpreter(name, locks=locks, peers=peers) is not None:
+                continue
+            try:
+                build(name, locks=locks, peers=peers)
+            except NotBuiltError as error:
+                _tell(f"not run: tests with the packages of {lock.name}, which cannot be installed: {error}")
+            else:
+                _tell(f"built {peers.name}/{name} from {lock.name}")
+    finally:
+        os.close(held)
+    return 0
+
+
+def _tell(sentence: str) -> None:
+    sys.stdout.write(sentence + "\n")
+
+
+def _source(lock: Path) -> str:
+    """Return all that an environment depends on, as text."""
+    return f"{sys.version}\n{sys.base_prefix}\n{lock.read_text(encoding='utf-8')}"
+
+
+def _commands(folder: Path, lock: Path) -> list[list[str]]:
+    # Wheels only: a compiler is no part of what is tested. No look at dependencies: the lock has all of them.
+    what = ["--quiet", "--no-deps", "--only-binary", ":all:", "-r", str(lock)]
+    python = str(folder / "bin" / "python")
+    if uv := shutil.which("uv"):
+        return [
+            [uv, "venv", "--quiet", "--no-project", "--python", sys.executable, str(folder)],
+            [uv, "pip", "install", "--python", python, *what],
+        ]
+    return [
+        [sys.executable, "-m", "venv", "--without-pip", str(folder)],
+        [sys.executable, "-m", "pip", "--python", python, "install", "--retries", "1", "--timeout", "15", *what],
+    ]
+
+
+def _run(command: list[str]) -> None:
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=INSTALL_S, stdin=subprocess.DEVNULL, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise NotBuiltError(f"not done within {INSTALL_S:g} s") from None
+    if done.returncode:
+        lines = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()
+        raise NotBuiltError(lines[-1].strip())
+
+
+if __name__ == "__main__":
+    sys.exit(max(main(locks) for locks in ALL_LOCKS))

@@ -1,0 +1,569 @@
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import websockets.sync.server
+
+from tests.support.peer import Peer, wait_until
+from xpl import Client
+from xpl import _spec as spec
+from xpl.client import (
+    ClientError,
+    PolicyServerError,
+    RequestTimeoutError,
+    ServerConnectionError,
+    ServerRestartedError,
+)
+from xpl.observation import ObservationError
+from xpl.wire import codec
+from xpl.wire.codec import Frame, WireError
+from xpl_cli.serving.launch import RunningServer, serving
+
+HASTE: dict[str, Any] = {
+    "connect_retry_delay_s": 0,
+    "max_connect_attempts": 2,
+    "request_timeout_s": 10,
+    "close_timeout_s": 1,
+}
+
+COUNTING = """
+    import numpy as np
+    from xpl import Policy
+
+    class Model(Policy):
+        def load(self, config):
+            self.runs = 0
+
+        def encode(self, obs, env):
+            return obs
+
+        def predict(self, inputs, envs):
+            self.runs += 1
+            if inputs[0].get("fifo"):
+                open(inputs[0]["fifo"]).read()
+            return np.array([np.full((2, 8), obs.get("n", 0) + 0.0) for obs in inputs])
+
+        def decode(self, raw, obs, env):
+            raw[:, -1] = 0.5
+            return super().decode(raw, obs, env)
+
+        def count(self):
+            return self.runs
+"""
+
+
+@pytest.fixture(scope="module")
+def adapter(write_adapter: Callable[..., Path]) -> Path:
+    """Return an adapter whose actions are the number in the observation, and which counts its runs."""
+    return write_adapter(COUNTING, methods=["count"], temporal={"chunk": 2})
+
+
+@pytest.fixture(scope="module")
+def shared(adapter: Path) -> Iterator[RunningServer]:
+    """Serve it once."""
+    with serving(adapter) as server:
+        yield server
+
+
+class Relay:
+    """A TCP relay that can be cut and pointed elsewhere.
+
+    Attributes:
+        url: where clients connect.
+        upstream: port of the server.
+    """
+
+    def __init__(self, upstream: int) -> None:
+        self.upstream = upstream
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._sockets: list[socket.socket] = []
+        self._threads = [threading.Thread(target=self._accept)]
+        self._threads[0].start()
+
+    def cut(self) -> None:
+        """Lose every connection."""
+        for end in self._sockets:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """End the relay."""
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self.cut()
+        for thread in list(self._threads):
+            thread.join()
+        for end in (self._listener, *self._sockets):
+            end.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                self._sockets.append(near)
+                try:
+                    far = socket.create_connection(("127.0.0.1", self.upstream))
+                except OSError:
+                    near.shutdown(socket.SHUT_RDWR)
+                    continue
+                self._sockets.append(far)
+                for source, target in ((near, far), (far, near)):
+                    self._threads.append(threading.Thread(target=self._pump, args=(source, target)))
+                    self._threads[-1].start()
+
+    @staticmethod
+    def _pump(source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                target.sendall(data)
+        with contextlib.suppress(OSError):
+            target.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.fixture
+def relay() -> Iterator[Callable[[str], Relay]]:
+    """Return a function that puts a relay before a server."""
+    with contextlib.ExitStack() as stack:
+
+        def start(url: str) -> Relay:
+            made = Relay(int(url.rpartition(":")[2]))
+            stack.callback(made.close)
+            return made
+
+        yield start
+
+
+class StandIn:
+    """A server of our own making, on the real websockets library.
+
+    Attributes:
+        url: where it listens.
+        requests: what has arrived.
+    """
+
+    def __init__(self, answer: Callable[[Frame], Any]) -> None:
+        self._answer = answer
+        self.requests: list[Frame] = []
+        self._server = websockets.sync.server.serve(self._talk, "127.0.0.1", 0, compression=None)
+        self.url = f"ws://127.0.0.1:{self._server.socket.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._server.serve_forever)
+        self._thread.start()
+
+    def _talk(self, connection: websockets.sync.server.ServerConnection) -> None:
+        for data in connection:
+            assert isinstance(data, bytes)
+            frame = codec.decode(data)
+            self.requests.append(frame)
+            answers = self._answer(frame)
+            for answer in answers if isinstance(answers, list) else [answers]:
+                if isinstance(answer, Frame):
+                    connection.send(codec.encode(answer))
+                elif isinstance(answer, (bytes, str)):
+                    connection.send(answer)
+                elif isinstance(answer, tuple):
+                    connection.close(*answer)
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.shutdown()
+        self._thread.join()
+
+
+@pytest.fixture
+def stand_in() -> Iterator[Callable[[Callable[[Frame], Any]], StandIn]]:
+    """Return a function that starts a stand-in."""
+    with contextlib.ExitStack() as stack:
+
+        def start(answer: Callable[[Frame], Any]) -> StandIn:
+            made = StandIn(answer)
+            stack.callback(made.close)
+            return made
+
+        yield start
+
+
+def modern(frame: Frame, **answers: Any) -> Any:
+    """Answer as a server of today does; `answers` replace the answer to a type of message."""
+    if frame.message_type in answers:
+        return answers[frame.message_type]
+    if frame.message_type == "hello":
+        return frame.answer("hello_ack", {"ok": True, "server": "stand-in", "server_instance_id": "s1"})
+    return None
+
+
+def first_generation(frame: Frame) -> Frame | None:
+    """Answer as the servers of July do: no instance id, never an answer to call."""
+    if frame.message_type in ("call", "close"):
+        return None
+    answers = {"hello": "hello_ack", "infer": "infer_result", "reset": "reset_result"}
+    actions = {"actions": [{"env": frame.payload.get("observation", {}).get("env_idx")}], "latency_ms": 1.0}
+    return frame.answer(answers[frame.message_type], actions if frame.message_type == "infer" else {"ok": True})
+
+
+# -- the contract over the wire ----------------------------------------------------------------------------------------
+
+
+def numbers(chunk: Any) -> list[float]:
+    """Return what the adapter put into its actions."""
+    return [float(step["arm_joint_state"][0]) for step in chunk]
+
+
+def test_the_operations_of_the_contract(shared: RunningServer) -> None:
+    """As methods, and by name as benchmarks call them."""
+    with Client(shared.url) as client:
+        client.reset()
+        client.update_obs({"n": 3})
+        assert numbers(client.get_action()) == [3, 3]
+        assert numbers(client.get_action({"n": 4})) == [4, 4]
+        client.update_obs_batch([{"n": 5, "env_idx": 1}, {"n": 6, "env_idx": 0}])
+        assert [numbers(chunk) for chunk in client.get_action_batch()] == [[5, 5], [6, 6]]
+        assert [numbers(chunk) for chunk in client.get_action_batch([0])] == [[6, 6]]
+        assert client.get_action_batch([]) == []
+        assert client.call(func_name="reset") is None
+        assert client.call(func_name="update_obs", obs={"n": 7}) is None
+        assert numbers(client.call(func_name="get_action")) == [7, 7]
+        client.call(func_name="update_obs_batch", obs=[{"n": 8}, {"n": 9}])
+        assert [numbers(chunk) for chunk in client.call(func_name="get_action_batch", obs=[1, 0])] == [[9, 9], [8, 8]]
+        assert client.call("count") > 0
+        client.heartbeat()
+        assert client.prepare_case("case") is None
+        assert client.trial_end({"success": True}) is None
+        assert numbers(client.infer({"n": np.int64(2)})) == [2, 2]
+
+
+def test_errors_of_the_policy_are_raised_and_the_client_goes_on(shared: RunningServer) -> None:
+    """With their code."""
+    with Client(shared.url) as client:
+        client.reset()
+        with pytest.raises(PolicyServerError, match="call_failed: PolicyStateError: get_action needs") as failure:
+            client.get_action()
+        assert (failure.value.code, failure.value.details) == ("call_failed", {})
+        with pytest.raises(PolicyServerError, match="invalid_frame"):
+            client.call("_private")
+        with pytest.raises(WireError, match="cannot be sent"):
+            client.update_obs({"n": object()})
+        assert numbers(client.infer({"n": 1})) == [1, 1]
+
+
+def test_an_identifier_that_servers_refuse_is_refused_here(shared: RunningServer) -> None:
+    """A trial's name is a text."""
+    with pytest.raises(WireError, match="trial_id must be str"):
+        Client(shared.url, trial_id=5)  # type: ignore[arg-type]
+
+
+def test_a_closed_client_says_so(shared: RunningServer) -> None:
+    """Closing twice is fine; the next client is let in at once."""
+    client = Client(shared.url)
+    client.close()
+    client.close()
+    with pytest.raises(ServerConnectionError, match="the client is closed"):
+        client.reset()
+    Client(shared.url, config={**HASTE, "max_connect_attempts": 1}).close()
+
+
+def test_a_proxy_of_the_environment_is_not_asked(shared: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A policy server is reached directly."""
+    for name in ("http_proxy", "https_proxy", "all_proxy", "HTTP_PROXY"):
+        monkeypatch.setenv(name, "http://127.0.0.1:1")
+    monkeypatch.setenv("no_proxy", "")
+    Client(shared.url, config=HASTE).close()
+
+
+# -- connections that fail ---------------------------------------------------------------------------------------------
+
+
+def test_a_cut_while_the_model_thinks_runs_it_once(
+    shared: RunningServer, relay: Callable[[str], Relay], tmp_path: Path
+) -> None:
+    """The client reconnects and asks again under the same id."""
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    between = relay(shared.url)
+    with Client(between.url) as client:
+        client.reset()
+        before = client.call("count")
+
+        def cut_while_it_thinks() -> None:
+            with fifo.open("w"):  # opens when the model waits
+                between.cut()
+
+        helper = threading.Thread(target=cut_while_it_thinks)
+        helper.start()
+        assert numbers(client.infer({"n": 5, "fifo": str(fifo)})) == [5, 5]
+        helper.join()
+        assert client.call("count") == before + 1
+
+
+def test_a_cut_between_requests_goes_unnoticed(shared: RunningServer, relay: Callable[[str], Relay]) -> None:
+    """The state is still there."""
+    between = relay(shared.url)
+    with Client(between.url) as client:
+        client.reset()
+        client.update_obs({"n": 6})
+        for _ in range(3):
+            between.cut()
+            assert numbers(client.get_action()) == [6, 6]
+
+
+def test_another_server_instance_aborts_the_trial(
+    adapter: Path, serve: Callable[..., RunningServer], relay: Callable[[str], Relay]
+) -> None:
+    """Its state is not the episode's; after that a new episode may begin."""
+    first, second = serve(adapter), serve(adapter)
+    between = relay(first.url)
+    with Client(between.url) as client:
+        client.reset()
+        client.update_obs({"n": 6})
+        between.upstream = int(second.url.rpartition(":")[2])
+        between.cut()
+        with pytest.raises(ServerRestartedError, match="restarted"):
+            client.get_action()
+        client.reset()
+        assert numbers(client.infer({"n": 7})) == [7, 7]
+
+
+def test_a_server_that_does_not_come_back_ends_the_request_within_its_timeout(
+    adapter: Path, serve: Callable[..., RunningServer], relay: Callable[[str], Relay]
+) -> None:
+    """Although the limits of a first connection would allow a quarter of an hour."""
+    between = relay(serve(adapter).url)
+    client = Client(between.url, config={"request_timeout_s": 0.5, "connect_retry_delay_s": 0.05})
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))  # bound and not listening: connections are refused
+        between.upstream = unused.getsockname()[1]
+        between.cut()
+        started = time.monotonic()
+        with pytest.raises(ServerConnectionError, match="no policy server at"):
+            client.reset()
+        assert time.monotonic() - started < 5.0
+    with pytest.raises(ServerConnectionError, match="the client is closed"):
+        client.reset()
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"max_connect_attempts": 3, "max_connect_seconds": 0},
+        {"max_connect_attempts": 3, "max_connect_seconds": None},
+        {"max_connect_attempts": None, "max_connect_seconds": 0.2},
+        {"max_connect_attempts": 0, "max_connect_seconds": 0.2},
+    ],
+    ids=str,
+)
+def test_connecting_is_bounded_by_attempts_and_by_time(limits: dict[str, Any]) -> None:
+    """Either may be off."""
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        url = f"ws://127.0.0.1:{unused.getsockname()[1]}"
+        with pytest.raises(
+            ServerConnectionError, match=r"no policy server at ws://127.* after \d+ attempts"
+        ) as failure:
+            Client(url, config={"connect_retry_delay_s": 0.01, **limits})
+    if limits["max_connect_attempts"]:
+        assert re.search("after 3 attempts: .*refused", str(failure.value))
+
+
+def test_a_port_that_says_nothing_does_not_hold_the_client() -> None:
+    """One attempt has its own limit, and all of them together have theirs."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"ws://127.0.0.1:{silent.getsockname()[1]}"
+        started = time.monotonic()
+        with pytest.raises(ServerConnectionError, match="after 2 attempts"):
+            Client(url, config={**HASTE, "connect_timeout_s": 0.1})
+        with pytest.raises(ServerConnectionError, match="after 1 attempts"):
+            Client(url, config={"max_connect_seconds": 0.2, "max_connect_attempts": None})
+        assert time.monotonic() - started < 5.0
+
+
+def test_something_else_at_the_port_is_not_taken_for_a_server() -> None:
+    """An HTTP server, for example, that some other program started there."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def answer() -> None:
+        for _ in range(2):
+            connection, _ = listener.accept()
+            connection.recv(65536)
+            connection.sendall(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n")
+            connection.close()
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    with pytest.raises(ServerConnectionError, match=r"after 2 attempts: .*404"):
+        Client(f"ws://127.0.0.1:{listener.getsockname()[1]}", config=HASTE)
+    thread.join()
+    listener.close()
+
+
+@pytest.mark.parametrize("url", ["localhost:8000", "http://localhost:8000", "ws://", ""])
+def test_an_address_that_is_none_is_refused_at_once(url: str) -> None:
+    """With an example of one."""
+    with pytest.raises(ServerConnectionError, match="ws://host:port"):
+        Client(url)
+
+
+def test_a_hello_without_answer_is_tried_again(stand_in: Callable[..., StandIn]) -> None:
+    """A server that still loads its model holds hello back."""
+    server: StandIn = stand_in(lambda frame: modern(frame) if len(server.requests) > 3 else None)
+    with Client(server.url, config={**HASTE, "handshake_timeout_s": 0.1, "max_connect_attempts": 5}) as client:
+        assert client.server_instance_id == "s1"
+    hellos = [frame for frame in server.requests if frame.message_type == "hello"]
+    assert len({frame.message_id for frame in hellos}) == len(hellos) > 1
+    assert hellos[0].payload["capabilities"]["wire_version"] == 1
+
+
+def test_a_busy_server_is_tried_again(shared: RunningServer) -> None:
+    """Until the other client leaves."""
+    other = Client(shared.url)
+    with pytest.raises(ServerConnectionError, match=r"after 2 attempts: internal: .*in use"):
+        Client(shared.url, config=HASTE)
+    waiting: list[Client] = []
+    thread = threading.Thread(
+        target=lambda: waiting.append(
+            Client(shared.url, config={"connect_retry_delay_s": 0.01, "max_connect_attempts": None})
+        )
+    )
+    thread.start()
+    probe = Peer(shared.url)
+    assert probe.ask("hello").payload["details"] == {"reason": "busy"}
+    other.close()
+    thread.join()
+    assert numbers(waiting[0].infer({"n": 1})) == [1, 1]
+    waiting[0].close()
+    probe.close()
+
+
+def test_a_refusal_for_good_is_not_tried_again(stand_in: Callable[..., StandIn]) -> None:
+    """An error other than busy."""
+    server = stand_in(lambda frame: frame.answer("error", {"code": "internal", "message": "go away", "details": "x"}))
+    with pytest.raises(PolicyServerError, match="internal: go away"):
+        Client(server.url)
+    assert [frame.message_type for frame in server.requests if frame.message_type != "close"] == ["hello"]
+
+
+def test_a_server_that_failed_says_why_and_is_not_asked_again(stand_in: Callable[..., StandIn]) -> None:
+    """Whatever the limits for connecting are."""
+    server = stand_in(
+        lambda frame: modern(frame, reset=(spec.CLOSE_CODES["server_failed"], "the worker was ended by signal SIGKILL"))
+    )
+    client = Client(server.url)
+    with pytest.raises(ServerConnectionError, match="policy server ended: the worker was ended by signal SIGKILL"):
+        client.reset()
+    assert [frame.message_type for frame in server.requests] == ["hello", "reset"]
+
+
+def test_a_request_without_answer_ends_the_trial(stand_in: Callable[..., StandIn]) -> None:
+    """After its timeout; nothing is sent again."""
+    server = stand_in(modern)
+    client = Client(server.url, config={"request_timeout_s": 0.2})
+    with pytest.raises(RequestTimeoutError, match=r"reset was not answered within 0\.\d s"):
+        client.reset()
+    with pytest.raises(ServerConnectionError, match="the client is closed"):
+        client.reset()
+    wait_until(lambda: server.requests[-1].message_type == "close", "the goodbye arrived")
+    assert [frame.message_type for frame in server.requests] == ["hello", "reset", "close"]
+
+
+def test_what_is_not_the_answer_is_passed_over(stand_in: Callable[..., StandIn]) -> None:
+    """Text, and answers to other requests."""
+
+    def answer(frame: Frame) -> Any:
+        if frame.message_type != "reset":
+            return modern(frame)
+        return ["text", Frame("reset_result", "other", {"ok": True}), frame.answer("reset_result", {"ok": True})]
+
+    with Client(stand_in(answer).url) as client:
+        client.reset()
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        (lambda frame: b"\xc1", ClientError, "cannot be understood"),
+        (lambda frame: frame.answer("reset_result", {"ok": True}), ClientError, "infer was answered by reset_result"),
+        (lambda frame: frame.answer("infer_result", {"latency_ms": 1}), ClientError, "no 'actions'; it has latency_ms"),
+        (
+            lambda frame: frame.answer("error", {"code": "teapot", "message": "short"}),
+            PolicyServerError,
+            "internal: short",
+        ),
+        (lambda frame: frame.answer("error", {}), PolicyServerError, "internal: None"),
+    ],
+)
+def test_a_wrong_answer_is_a_clear_error(
+    stand_in: Callable[..., StandIn], answer: Callable[[Frame], Any], error: type[Exception], message: str
+) -> None:
+    """An unknown code counts as internal."""
+    server = stand_in(lambda frame: answer(frame) if frame.message_type == "infer" else modern(frame))
+    with Client(server.url) as client, pytest.raises(error, match=message):
+        client.infer({})
+
+
+def test_a_frame_over_the_limit_is_not_sent(shared: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server would close the connection over it."""
+    with Client(shared.url, shared_memory=False) as client:
+        monkeypatch.setitem(spec.LIMITS, "frame_bytes", 100_000)
+        with pytest.raises(WireError, match="over the limit"):
+            client.infer({"n": 1, "large": np.zeros(100_000, np.uint8)})
+        assert numbers(client.infer({"n": 1})) == [1, 1]
+
+
+# -- servers of the first generation -----------------------------------------------------------------------------------
+
+
+def test_an_old_server_is_served_by_infer_alone(stand_in: Callable[..., StandIn]) -> None:
+    """Observations are held back, and only the newest travels."""
+    server = stand_in(first_generation)
+    with Client(server.url) as client:
+        client.reset()
+        client.update_obs({"env_idx": 1})
+        client.update_obs({"env_idx": 2})
+        assert client.get_action() == [{"env": 2}]
+        assert client.get_action({"env_idx": 3}) == [{"env": 3}]
+    sent = [frame.message_type for frame in server.requests]
+    assert sent[:4] == ["hello", "reset", "infer", "infer"]
+    assert "call" not in sent
+
+
+def test_a_batch_to_an_old_server_is_one_infer_for_each_environment(stand_in: Callable[..., StandIn]) -> None:
+    """Each with its index, written out where it followed from the position."""
+    with Client(stand_in(first_generation).url) as client:
+        client.reset()
+        client.update_obs_batch([{}, {}, {}])
+        assert client.get_action_batch() == [[{"env": 0}], [{"env": 1}], [{"env": 2}]]
+        client.update_obs_batch([{"env_idx": 5}, {"env_idx": 3}])
+        assert client.get_action_batch([3]) == [[{"env": 3}]]
+        assert client.get_action_batch([]) == []
+        for wrong in ([4], [3, 3]):
+            with pytest.raises(ClientError, match="expected environments out of"):
+                client.get_action_batch(wrong)
+        with pytest.raises(ClientError, match="exactly one observation"):
+            client.get_action()
+        with pytest.raises(ClientError, match="first generation"):
+            client.call("count")
+        client.reset()
+        with pytest.raises(ClientError, match="exactly one observation"):
+            client.get_action()
+        client.update_obs_batch([{"env_idx": 1}, {}])
+        with pytest.raises(ObservationError, match="either all"):
+            client.get_action_batch()
+
+
+def test_nothing_is_sent_again_to_an_old_server(stand_in: Callable[..., StandIn]) -> None:
+    """It has no memory of answers: a second infer would run the model twice."""
+    server = stand_in(lambda frame: (1011, "cut") if frame.message_type == "infer" else first_generation(frame))
+    client = Client(server.url)
+    with pytest.raises(ServerConnectionError, match="first generation must not be asked twice"):
+        client.infer({})
+    assert [frame.message_type for frame in server.requests] == ["hello", "infer"]
+    with pytest.raises(ServerConnectionError, match="closed"):
+        client.reset()

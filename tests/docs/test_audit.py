@@ -1,0 +1,110 @@
+"""What docs/audit.md and docs/ci.md show works as shown."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.support.peer import xpl
+from tests.support.places import ROOT
+from tests.support.rules import made_adapter
+from xpl_cli.audit.formats import FORMATS
+from xpl_cli.audit.physics.figures import claims
+from xpl_cli.audit.physics.loop import Course
+from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.served.probe import Probe
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.standard.validate import validate
+
+PAGE = (ROOT / "docs" / "audit.md").read_text(encoding="utf-8")
+CI = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str, page: str = PAGE) -> list[str]:
+    """Return the examples of a language."""
+    return re.findall(rf"```{language}\n(.*?)```", page, flags=re.DOTALL)
+
+
+def commands(text: str) -> list[list[str]]:
+    """Return the commands of an example, without comments."""
+    return [shlex.split(line, comments=True)[1:] for line in text.splitlines() if line.startswith("xpl ")]
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Path:
+    """A folder with a fresh adapter."""
+    (tmp_path / "policy").mkdir()
+    made_adapter(tmp_path / "policy" / "Foo")
+    return tmp_path
+
+
+@pytest.mark.parametrize("example", blocks("console"))
+def test_every_command_of_the_page_runs(workspace: Path, example: str) -> None:
+    """Line by line, in one folder."""
+    found = commands(example)
+    assert found
+    for command in found:
+        done = xpl(*command, cwd=workspace)
+        assert done.returncode == ExitCode.CLEAN, (command, done.stderr)
+
+
+def test_the_waiver_of_the_page_waives(workspace: Path) -> None:
+    """It names a rule and the beginning of its message."""
+    folder = workspace / "policy" / "Foo"
+    with (folder / "eval.sh").open("a") as script:
+        script.write("\nsleep 5\n")
+    options = ("policy/Foo", "--gate", "static", "--select", "fixed-sleep", "--select", "stale-waiver", "--json")
+    before = json.loads(xpl("audit", *options, cwd=workspace).stdout)
+    assert before["summary"]["warn"] + before["summary"]["fail"] == 1
+    (example,) = (block for block in blocks("yaml") if "waivers" in block)
+    with (folder / "policy.yml").open("a") as manifest:
+        manifest.write(example)
+    after = json.loads(xpl("audit", *options, cwd=workspace).stdout)
+    results = after["targets"][0]["gates"][0]["results"]
+    assert [len(result["findings"]) for result in results] == [0, 0]
+    reasons = [waived["reason"] for result in results for waived in result["waived"]]
+    assert reasons == [yaml.safe_load(example)["waivers"][0]["reason"]]
+
+
+def test_the_claim_of_the_page_is_one(workspace: Path) -> None:
+    """The manifest's schema allows it, and the physics gate would measure it."""
+    (example,) = (block for block in blocks("yaml") if "claims" in block)
+    folder = workspace / "policy" / "Bar"
+    shutil.copytree(workspace / "policy" / "Foo", folder)
+    with (folder / "policy.yml").open("a") as manifest:
+        manifest.write(example)
+    assert validate(yaml.safe_load((folder / "policy.yml").read_text()), "policy") == []
+    with Probe.start(folder, Options(gates=(Gate.MUJOCO,)), Gate.MUJOCO) as probe:
+        (claim,) = claims(Simulation(probe))
+    assert (claim.course, claim.success_rate) == (Course("lift_cube", "arx_x5", "joint", "randomized"), 0.85)
+
+
+def test_the_page_knows_every_format_option_and_code(tmp_path: Path) -> None:
+    """Tables are complete."""
+    assert set(re.findall(r"^\| `([a-z]+)` \|", PAGE, flags=re.MULTILINE)) >= set(FORMATS)
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", PAGE, flags=re.MULTILINE)} == set(ExitCode)
+    told = set(re.findall(r"--[a-z][a-z-]+", PAGE))
+    offered = set(re.findall(r"--[a-z][a-z-]+", xpl("audit", "--help", cwd=tmp_path).stdout))
+    assert told - offered == {"--schema"}
+    assert offered - told <= {"--json", "--env", "--help"}
+
+
+def test_the_page_on_integration_uses_the_action_that_is_there() -> None:
+    """Every example is YAML, its action lies at its path, and the tables know each input and output."""
+    action = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
+    examples = [yaml.safe_load(example) for example in blocks("yaml", CI)]
+    steps = examples[0]["jobs"]["audit"]["steps"]
+    local = [ROOT / step["uses"] for step in steps if step["uses"].startswith(".")]
+    assert [(folder / "action.yml").is_file() for folder in local] == [True]
+    rows = set(re.findall(r"`([a-z-]+)`", "".join(re.findall(r"^\| `.*?\|", CI, flags=re.MULTILINE))))
+    assert rows == set(action["inputs"]) | set(action["outputs"])
+    (hook,) = yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text(encoding="utf-8"))
+    assert hook["id"] in CI

@@ -1,0 +1,87 @@
+"""Examples of the pages that are run whole: the first steps, and clients that ask a real server."""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+import inspect
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support import pages
+from tests.support.pages import ROOT, Block
+from tests.support.peer import xpl
+from xpl_cli.audit.rules.model import Gate
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.serving.launch import serving
+
+TUTORIAL = list(pages.blocks([ROOT / "docs" / "tutorial.md"]))
+SERVED = [block for block in pages.blocks() if block.mark == "runs with a server"]
+
+
+def _follow(folder: Path, blocks: list[Block], *, gates: set[str]) -> list[tuple[list[str], int]]:
+    """Do what blocks of the tutorial say in a folder; return the commands with their exit codes.
+
+    Args:
+        folder: an empty folder.
+        blocks: code becomes the model, a difference is applied to it, commands are run.
+        gates: audits of other gates, or of all, are left out.
+    """
+    model = folder / "policy" / "First" / "model.py"
+    done = []
+    for block in blocks:
+        if block.language == "python":
+            model.write_text(block.text)
+        elif block.language == "diff":
+            old, new = (line[1:] for line in block.text.splitlines())
+            assert model.read_text().count(old) == 1
+            model.write_text(model.read_text().replace(old, new))
+        elif block.language == "console":
+            for _, *words in pages.shell(block.text):
+                gate = words[words.index("--gate") + 1] if "--gate" in words else "all"
+                if words[0] == "new-policy" or gate in gates:
+                    run = xpl(*words, cwd=folder)
+                    assert run.returncode in {ExitCode.CLEAN, ExitCode.FINDINGS}, run.stderr
+                    done.append((words, run.returncode))
+    return done
+
+
+def test_the_first_steps_go_as_they_say(tmp_path: Path) -> None:
+    """The scaffold and the model are clean, and the mistake is caught by the rule that is named."""
+    done = _follow(tmp_path, TUTORIAL, gates={Gate.STATIC, Gate.OFFLINE})
+    assert [code for _, code in done] == [ExitCode.CLEAN, ExitCode.CLEAN, ExitCode.FINDINGS]
+    assert done[-1][0][-1] == "batch-order"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_the_model_of_the_first_steps_passes_all_gates_and_plays(tmp_path: Path) -> None:
+    """Up to the mistake, and then an evaluation, as the page ends."""
+    mistake = next(place for place, block in enumerate(TUTORIAL) if block.language == "diff")
+    done = _follow(tmp_path, [*TUTORIAL[:mistake], TUTORIAL[-1]], gates={Gate.STATIC, "all"})
+    assert [(words[0], code) for words, code in done] == [("new-policy", 0), ("audit", 0), ("audit", 0), ("eval", 0)]
+
+
+@pytest.fixture(scope="module")
+def url() -> Any:
+    """Return the address of a server that answers for two arms."""
+    with serving(ROOT / "policy" / "demo_policy", {"env_cfg_type": "arx_x5"}) as server:
+        yield server.url
+
+
+@pytest.mark.parametrize("block", SERVED, ids=str)
+def test_a_client_of_the_pages_gets_its_answer(block: Block, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code runs as it is, but for the server's address; what the page takes as given is an observation."""
+    arms = {f"{side}_arm_joint_state": [0.0] * 6 for side in ("left", "right")}
+    grippers = {f"{side}_ee_joint_state": [1.0] for side in ("left", "right")}
+    names: dict[str, Any] = {"observation": {"state": {**arms, **grippers}}}
+    monkeypatch.setattr(sys, "argv", ["client", url])
+    text = block.text.replace("ws://localhost:8000", url)
+    code = compile(text, str(block), "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+    running = eval(code, names)  # noqa: S307 - our own pages
+    if inspect.iscoroutine(running):
+        asyncio.run(running)
+    assert names.get("chunk") or "ask" in names

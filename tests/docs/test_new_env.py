@@ -1,0 +1,70 @@
+"""What docs/new-environment.md shows works as shown."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.support.peer import xpl
+from tests.support.places import ROOT
+from xpl_cli.audit.rules import registry
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.standard.validate import validate
+
+PAGE = (ROOT / "docs" / "new-environment.md").read_text(encoding="utf-8")
+
+
+def _blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, flags=re.DOTALL)
+
+
+pytestmark = pytest.mark.xdist_group("the page of new environments")  # what is made once serves all
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder in which every command of the page has run, line by line."""
+    folder = tmp_path_factory.mktemp("workspace")
+    for line in filter(None, "\n".join(_blocks("console")).splitlines()):
+        done = xpl(*shlex.split(line)[1:], cwd=folder)
+        assert done.returncode == ExitCode.CLEAN, (line, done.stdout, done.stderr)
+    return folder
+
+
+def test_every_command_of_the_page_runs(workspace: Path) -> None:
+    """From nothing to an evaluation."""
+    assert (workspace / "scene.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_simulator_of_the_page_passes_the_audit(workspace: Path) -> None:
+    """With what the page says about env.yml, and the interpreter that it declares left out."""
+    folder = workspace / "envs" / "Table"
+    (code,) = _blocks("python")
+    (folder / "episode.py").write_text(code, encoding="utf-8")
+    manifest = yaml.safe_load((folder / "env.yml").read_text(encoding="utf-8"))
+    told = re.search(r"here `(action_types: .*?)`, `(cameras: .*?)` and `(privileged: .*?)`", PAGE)
+    assert told is not None
+    for entry in told.groups():
+        manifest.update(yaml.safe_load(entry))
+    (folder / "env.yml").write_text(json.dumps(manifest), encoding="utf-8")
+    done = xpl("audit", "envs/Table", "--no-cache", "--json", cwd=workspace)
+    assert done.returncode == ExitCode.CLEAN, done.stdout
+
+
+def test_the_manifest_of_the_page_is_valid(workspace: Path) -> None:
+    """Its own Python is declared as the schema wants it."""
+    manifest = yaml.safe_load((workspace / "envs" / "Table" / "env.yml").read_text(encoding="utf-8"))
+    (example,) = _blocks("yaml")
+    assert validate(manifest | yaml.safe_load(example), "env") == []
+
+
+def test_every_rule_about_environments_is_in_the_table() -> None:
+    """By its code, and by its name where it plays."""
+    for rule in (rule for rule in registry.rules() if rule.target == "env"):
+        assert rule.code in PAGE
+        assert rule.gate == "static" or f"{rule.code} `{rule.slug}`" in PAGE

@@ -1,0 +1,243 @@
+"""What the pages show is right: commands, code, manifests, links. What they show is run where that is harmless."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import itertools
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.support import pages
+from tests.support.pages import ROOT, Block
+from tests.support.peer import xpl
+from xpl_cli.audit.formats import FORMATS
+from xpl_cli.audit.rules import registry
+from xpl_cli.audit.rules.model import Gate
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.derived import commands, compiler, rules
+from xpl_cli.standard import answers, spec
+from xpl_cli.standard.validate import validate
+
+SHELL = ("bash", "console")
+LANGUAGES = {*SHELL, "python", "yaml", "json", "diff", "dockerfile", "text"}
+"""Languages of blocks. What stands in `text` is output, and no command."""
+
+PROGRAMS = {"cd", "curl", "docker", "find", "git", "pip", "python", "sha256sum", "sort", "tr", "xargs"}
+"""Commands of others that pages show: a misspelt `xpl` is none of them."""
+
+FOREIGN = ({"on", "permissions", "jobs"}, {"repos"}, {"args"}, {"template", "answers", "generated", "seeded", "free"})
+"""Keys of YAML that is no manifest: a workflow, hooks before a commit, arguments of one, a lock file that we write."""
+
+MANIFESTS = ("policy", "deploy", "env")
+BLOCKS = list(pages.blocks())
+
+
+def _of(*languages: str) -> list[Block]:
+    return [block for block in BLOCKS if block.language in languages]
+
+
+def _commands() -> list[tuple[str, list[str]]]:
+    """Return every command of `xpl` that a page shows, without that word, and where it stands."""
+    return [
+        (str(block), words[words.index("xpl") + 1 :])
+        for block in _of(*SHELL)
+        for words in pages.shell(block.text)
+        if words[0] == "xpl" or words[:2] == ["./dev", "xpl"]
+    ]
+
+
+COMMANDS = _commands()
+
+
+def _is_harmless(words: list[str]) -> bool:
+    """Tell whether a command only tells something, and soon."""
+    reads = (["rules"], ["explain"], ["spec", "show"], ["spec", "changelog"], ["spec", "check"], ["env", "list"])
+    return "--help" in words or any(words[: len(start)] == start for start in reads)
+
+
+HARMLESS = sorted({tuple(words) for _, words in COMMANDS if _is_harmless(words)})
+
+
+# -- blocks ------------------------------------------------------------------------------------------------------------
+
+
+def test_no_block_escapes() -> None:
+    """Each says its language, and commands are in blocks of commands."""
+    assert [str(block) for block in BLOCKS if block.language not in LANGUAGES] == []
+    assert [str(block) for block in _of("text") if re.search(r"^(\$ )?(xpl|\./dev) ", block.text, re.MULTILINE)] == []
+    fences = sum(path.read_text(encoding="utf-8").count("```") for path in pages.written())
+    assert len(BLOCKS) == fences / 2
+
+
+@pytest.mark.parametrize(("where", "words"), COMMANDS, ids=lambda value: value if isinstance(value, str) else None)
+def test_a_command_is_one(where: str, words: list[str]) -> None:
+    """The command line takes it: no option is unknown, nothing is missing, values are of their kind."""
+    if "--help" in words:
+        assert pages.unknown(words) == []
+        return
+    given: dict[str, Any] = pages.parse(words).params
+    if words[0] == "audit":
+        registry.select(tuple(given["selected"]), tuple(given["ignored"]), tuple(Gate))
+        assert set(given["gate"]) <= set(Gate)
+        assert given["report_format"] in FORMATS
+
+
+def test_wrong_commands_are_noticed() -> None:
+    """What is to be caught is caught."""
+    for line in ("adit", "audit --gat static", "spec sho", "explain", "eval Foo --seed one"):
+        with pytest.raises(Exception, match=r"no command|No such option|[Mm]issing|valid integer"):
+            pages.parse(line.split())
+    assert pages.unknown(["audit", "--gat"]) == ["--gat"]
+    assert pages.unknown(["spec", "sho"]) == ["sho"]
+
+
+@pytest.mark.parametrize("words", HARMLESS, ids=" ".join)
+def test_a_harmless_command_runs(words: tuple[str, ...]) -> None:
+    """It ends well and has something to say."""
+    done = xpl(*words, cwd=ROOT)
+    assert (done.returncode, bool(done.stdout)) == (ExitCode.CLEAN, True), done.stderr
+
+
+@pytest.mark.parametrize("block", _of(*SHELL), ids=str)
+def test_a_shell_block_is_shell(block: Block) -> None:
+    """Bash reads it, and every command is ours or one that is known."""
+    found = pages.shell(block.text)
+    assert found
+    script = "\n".join(pages.entered(block.text))
+    subprocess.run(["bash", "-n"], input=script, text=True, check=True)  # noqa: S607 - where it is, PATH knows
+    helped = subprocess.run([ROOT / "dev", "help"], capture_output=True, text=True, check=True).stdout
+    for words in found:
+        if words[0] == "./dev":
+            assert words[1] in re.findall(r"^  ([a-z]+) ", helped, re.MULTILINE)
+        else:
+            assert words[0] in {"xpl", *PROGRAMS}
+
+
+@pytest.mark.parametrize("path", pages.written(), ids=lambda path: path.name)
+def test_commands_in_sentences_name_what_there_is(path: Path) -> None:
+    """`xpl spec show NAME`: the command exists, and each option that is shown; arguments may be left out."""
+    for span in pages.spans(path):
+        found = re.fullmatch(r"(?:\./dev )?xpl ([a-z].*)", span)
+        if found:
+            choices = [word.split("|") if re.fullmatch(r"[a-z|-]+", word) else [word] for word in found[1].split()]
+            for words in itertools.product(*choices):
+                assert pages.unknown(list(words)) == [], span
+
+
+@pytest.mark.parametrize("block", _of("python"), ids=str)
+def test_python_compiles_and_imports_what_there_is(block: Block) -> None:
+    """Names that are imported from our packages are there; a block that is marked so runs."""
+    tree = compile(block.text, str(block), "exec", ast.PyCF_ONLY_AST | ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "xpl":
+            module = importlib.import_module(str(node.module))
+            assert [name.name for name in node.names if not hasattr(module, name.name)] == []
+    if block.mark == "runs":
+        subprocess.run([sys.executable, "-c", block.text], cwd=ROOT, check=True)
+
+
+@pytest.mark.parametrize("block", _of("yaml"), ids=str)
+def test_yaml_is_a_part_of_a_manifest_or_known(block: Block) -> None:
+    """Every key of a manifest has a value that its schema takes, whichever manifest it is."""
+    part = yaml.load(block.text, yaml.BaseLoader)  # noqa: S506 - texts only; `on` stays a word
+    if any(set(part) <= keys for keys in FOREIGN):
+        return
+    for key, value in yaml.safe_load(block.text).items():
+        owners = [name for name in MANIFESTS if key in spec.schema(name)["properties"]]
+        assert owners, f"{key} is no key of a manifest"
+        assert [] in [validate(value, f"{name}#/properties/{key}") for name in owners]
+
+
+@pytest.mark.parametrize("block", _of("json"), ids=str)
+def test_json_is_a_document(block: Block) -> None:
+    """It parses, and one that names its schema is valid."""
+    document = json.loads(block.text)
+    if "schema" in document:
+        known = document["schema"] in answers.answers()
+        standard = document["schema"].removeprefix("xpl.").partition("/")[0]
+        assert (answers.problems(document) if known else validate(document, standard)) == []
+
+
+# -- links -------------------------------------------------------------------------------------------------------------
+
+
+def _linking() -> list[Path]:
+    rooms = ("envs/*/README.md", "policy/*/README.md", "tests/*/README.md", "conformance/vectors/README.md")
+    return [*pages.TOP, *pages.DOCS, *(path for room in rooms for path in sorted(ROOT.glob(room)))]
+
+
+@pytest.mark.parametrize("path", _linking(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(path: Path) -> None:
+    """Files and headings exist; what lies elsewhere is reached by https."""
+    for link in pages.links(path):
+        if "://" in link:
+            assert link.startswith("https://"), link
+            continue
+        name, _, anchor = link.partition("#")
+        target = (path.parent / name).resolve() if name else path
+        assert target.exists(), link
+        assert target.is_relative_to(ROOT), link
+        assert not anchor or anchor in pages.anchors(target), link
+
+
+def test_anchors_and_commands_are_read_as_readers_do(tmp_path: Path) -> None:
+    """Headings of one name are counted, those in code are none; prompts, comments and variables are left out."""
+    page = tmp_path / "page.md"
+    page.write_text("# A `b` [c](d.md)!\n\n```bash\n# no heading\n```\n\n## A\n\n## A\n\n[x](y.md#z) `[no](link)`\n")
+    assert pages.anchors(page) == {"a-b-c", "a", "a-1"}
+    assert pages.links(page) == ["d.md", "y.md#z"]
+    assert pages.shell("$ A=1 xpl a \\\n  b  # c\nout\n$ xpl 'd e' | f && g; h\n") == [
+        ["xpl", "a", "b"], ["xpl", "d e"], ["f"], ["g"], ["h"],
+    ]  # fmt: skip
+
+
+def test_pages_that_code_names_are_there() -> None:
+    """Hints and docstrings send people to pages."""
+    for path in (path for room in ("xpl", "xpl_cli", "envs", "benchmarks") for path in (ROOT / room).rglob("*.py")):
+        for name in re.findall(r"\bdocs/[\w/-]+\.md\b", path.read_text(encoding="utf-8")):
+            assert (ROOT / name).is_file(), f"{path.relative_to(ROOT)} names {name}"
+
+
+# -- pages that are written from something else ------------------------------------------------------------------------
+
+
+def test_a_page_that_follows_from_nothing_is_named(tmp_path: Path) -> None:
+    """In every folder that is generated; there is none here."""
+    assert compiler.left_over(ROOT) == []
+    for folder in (compiler.REFERENCE, rules.FOLDER):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "gone.md").touch()
+    assert compiler.left_over(tmp_path) == ["docs/reference/gone.md", "docs/rules/gone.md"]
+
+
+def test_the_page_of_commands_has_every_command_and_option() -> None:
+    """As its help prints them."""
+    page = commands.page()
+    parts = {part.partition("\n")[0]: part for part in page.split("\n## ")}
+    listed = xpl("--help", cwd=ROOT).stdout.partition("Commands:")[2].partition("\n\n")[0]
+    told = {name.split()[1] for name in parts if name.startswith("xpl ")}
+    assert told == set(re.findall(r"^  (\S+)", listed, re.MULTILINE))
+    for words in (["audit"], ["checkpoint", "fetch"]):
+        options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", xpl(*words, "--help", cwd=ROOT).stdout, re.MULTILINE)
+        assert len(options) > 5
+        assert [option for option in options if f"`{option}" not in parts[f"xpl {' '.join(words)}"]] == ["--help"]
+
+
+def test_the_pages_of_rules_have_every_rule() -> None:
+    """Once in the index with its severity in each version, and once with its documentation."""
+    written = rules.pages()
+    index = written.pop("README.md")
+    for rule in registry.rules():
+        (entry,) = (page for page in written.values() if f"\n## {rule.code} {rule.slug}\n" in page)
+        assert rule.requirement in entry
+        (row,) = re.findall(rf"^\| \[{rule.code}\].*", index, re.MULTILINE)
+        levels = [rule.severity_in(version) if rule.is_in(version) else "-" for version in spec.versions()]
+        assert [cell.strip() for cell in row.split(" | ")[1 : 1 + len(levels)]] == levels

@@ -1,0 +1,108 @@
+"""The site of docs/: it builds without a warning, needs nothing from elsewhere, and a broken one does not build."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import xpl
+from tests.support import pages
+from tests.support.pages import ROOT
+from xpl_cli.audit.rules.model import Gate
+
+SVG = "{http://www.w3.org/2000/svg}"
+PICTURE = ROOT / "docs" / "assets" / "architecture.svg"
+
+# One build for all tests of the module.
+pytestmark = pytest.mark.xdist_group("site")
+
+
+def _build(config: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    """Build a site as `./dev docs` does."""
+    options = ["--strict", "--config-file", str(config), "--site-dir", str(out)]
+    command = [sys.executable, "-m", "properdocs", "build", *options]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the built site."""
+    folder = tmp_path_factory.mktemp("site")
+    done = _build(ROOT / "mkdocs.yml", folder)
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    return folder
+
+
+def test_every_page_is_built(site: Path) -> None:
+    """A page of docs/ is a page of the site; a README is its folder's first page."""
+    for path in pages.DOCS:
+        name = path.relative_to(ROOT / "docs").with_suffix(".html")
+        built = site / (name.with_stem("index") if name.stem == "README" else name)
+        text = built.read_text(encoding="utf-8")
+        assert "<h1" in text
+        assert not re.search(r"<p>[^<]*\n(- |\d\. |\|)", text), f"{built}: a list or table without an empty line above"
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    """Scripts, styles, fonts and pictures are the site's own."""
+    loading = re.compile(
+        r'<(?:script|img|iframe|source)\b[^>]*\bsrc="([^"]*)"|<link\b(?![^>]*rel="canonical")[^>]*\bhref="([^"]*)"'
+    )
+    for page in site.rglob("*.html"):
+        found = [source or linked for source, linked in loading.findall(page.read_text(encoding="utf-8"))]
+        assert found
+        assert [name for name in found if "//" in name] == [], page
+    for sheet in site.rglob("*.css"):
+        assert not re.search(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet
+
+
+def test_a_broken_site_is_not_built(tmp_path: Path) -> None:
+    """A dead link, anchor or picture, a page that the navigation lacks, and one that it has too much: each is named."""
+    (tmp_path / "docs").mkdir()
+    broken = "# Page\n\n[link](none.md) [anchor](other.md#none) ![picture](none.png) [outside](../README.md)\n"
+    (tmp_path / "docs" / "index.md").write_text(broken)
+    for name in ("other", "forgotten"):
+        (tmp_path / "docs" / f"{name}.md").write_text("# Page\n")
+    config = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    config |= {"nav": ["index.md", "other.md", "too-much.md"], "extra_css": []}
+    (tmp_path / "mkdocs.yml").write_text(yaml.safe_dump(config))
+    done = _build(tmp_path / "mkdocs.yml", tmp_path / "site")
+    assert done.returncode != 0
+    for named in ("none.md", "#none", "none.png", "../README.md", "forgotten.md", "too-much.md"):
+        assert named in done.stderr
+
+
+def _texts(kind: str) -> list[str]:
+    """Return the texts of a class in the picture of the architecture."""
+    texts: Any = ET.parse(PICTURE).iter(f"{SVG}text")  # noqa: S314 - our own file
+    return [text.text for text in texts if text.get("class") == kind]
+
+
+def test_the_picture_names_what_there_is() -> None:
+    """Rooms, commands, classes and gates."""
+    for name in _texts("name"):
+        if name.endswith("/"):
+            assert (ROOT / name).is_dir(), name
+        elif name.startswith("xpl."):
+            assert hasattr(xpl, name.removeprefix("xpl.")), name
+        elif name.startswith("xpl "):
+            assert pages.unknown(name.split()[1:]) == [], name
+        else:
+            assert name in set(Gate)
+    assert set(Gate) <= set(_texts("name"))
+
+
+def test_the_picture_stands_alone_and_knows_both_schemes() -> None:
+    """No font, style or image from elsewhere; every colour is one of two palettes with the same names."""
+    text = PICTURE.read_text(encoding="utf-8")
+    assert "//" not in text.replace("http://www.w3.org/2000/svg", "")
+    light, dark = (set(re.findall(r"(--\w+):", palette)) for palette in re.findall(r"svg \{([^}]*)\}", text))
+    assert light == dark == set(re.findall(r"var\((--\w+)\)", text))

@@ -1,0 +1,551 @@
+"""The MuJoCo environment: schema, determinism, safety, embodiments, tasks."""
+
+import os
+import re
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from xpl import _spec as spec
+from xpl import get_embodiment
+from xpl.action import ActionError, pack
+from xpl.observation import ObservationError
+from xpl.poses import transform
+from xpl_cli.basics.content import load_module, room
+
+pytest.importorskip("mujoco")
+
+from benchmarks.environments_bench import ours
+
+FOLDER = room("envs") / "mujoco"
+FACTS = load_module(FOLDER / "manifest.py").manifest()
+TASKS = sorted(FACTS["tasks"])
+Expert = load_module(room("policy") / "scripted_expert" / "model.py").Model
+make = load_module(FOLDER / "client.py").make
+episode_module = load_module(FOLDER / "episode.py")
+
+
+def _env(**config: Any) -> Any:
+    return make({"task": "lift_cube", "embodiment": "arx_x5", "cameras": False, **config})
+
+
+def _hold(obs: dict[str, Any], action_type: str = "joint", embodiment: str = "arx_x5") -> dict[str, Any]:
+    """Return the action that commands what is observed."""
+    return {key: obs["state"][key] for key in get_embodiment(embodiment).dims(action_type)}
+
+
+def _random_action(rng: np.random.Generator) -> dict[str, Any]:
+    arm = get_embodiment("arx_x5").arms[0]
+    sides = {}
+    for prefix in ("left_", "right_"):
+        sides[f"{prefix}arm_joint_state"] = rng.uniform(arm.lower, arm.upper)
+        sides[f"{prefix}ee_joint_state"] = rng.random(1)
+    return sides
+
+
+def _solve(env: Any, seed: int, action_type: str = "joint", embodiment: str = "arx_x5") -> dict[str, Any]:
+    """Let the expert play one episode in this process."""
+    policy = Expert({"env_cfg_type": embodiment, "action_type": action_type})
+    env.reset([seed])
+    while not env.is_episode_end():
+        policy.update_obs(env.get_obs())
+        for action in policy.get_action():
+            env.take_action(action)
+    return env.results()[0]
+
+
+# -- observations ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_observation_follows_the_schema(task: str) -> None:
+    """Keys, shapes and dtypes are the standard's, and quaternions are unit."""
+    env = _env(task=task, cameras=[48, 64])
+    env.reset([5])
+    obs = env.get_obs()
+    assert obs["data_format_version"] == spec.DATA_FORMAT_VERSION
+    wording = re.sub(r"\\{\w+\\}", r"\\w+", re.escape(FACTS["tasks"][task]["instruction"]))
+    assert re.fullmatch(wording, obs["instruction"])  # what is in braces is drawn by the seed
+    assert obs["env_idx"] == 0
+    assert obs["additional_info"] == {"frequency": FACTS["control_frequency"]}
+    assert "privileged" not in obs
+    assert list(obs["vision"]) == list(spec.CAMERAS[2])
+    for camera in obs["vision"].values():
+        assert (camera["color"].shape, camera["color"].dtype) == ((48, 64, 3), np.uint8)
+        assert (camera["depth"].shape, camera["depth"].dtype) == ((48, 64), np.float32)
+        assert camera["intrinsic_matrix"].shape == (3, 3)
+        assert camera["extrinsics_matrix"].shape == (4, 4)
+        assert camera["shape"].tolist() == [48, 64, 3]
+        assert camera["color"].std() > 5
+        assert camera["depth"].min() > 0
+    state = obs["state"]
+    sizes = {"arm_joint_state": 6, "ee_joint_state": 1, "ee_pose": 7, "tcp_pose": 7, "delta_ee_pose": 7}
+    assert {key: value.shape for key, value in state.items()} == {
+        prefix + key: (size,) for prefix in spec.ARM_PREFIXES[2] for key, size in sizes.items()
+    }
+    for key, value in state.items():
+        assert value.dtype == np.float32
+        if key.endswith("pose"):
+            assert np.isclose(np.sum(value[3:] ** 2), 1.0, atol=1e-5)
+
+
+def test_the_default_resolution_is_the_manifests() -> None:
+    """Cameras are on unless switched off, at the size env.yml gives."""
+    env = make({"task": "lift_cube", "embodiment": "arx_x5"})
+    env.reset([0])
+    entry = FACTS["cameras"]["cam_head"]
+    assert env.get_obs()["vision"]["cam_head"]["color"].shape == (entry["height"], entry["width"], 3)
+    env.reset([0], {"cameras": False})
+    assert env.get_obs()["vision"] == {}
+
+
+def test_truth_is_shown_only_when_asked_for() -> None:
+    """The privileged map holds what the README lists."""
+    env = _env(task="handover_block", privileged=True)
+    env.reset([0])
+    truth = env.get_obs()["privileged"]
+    assert truth["task"] == "handover_block"
+    assert truth["left_base_pose"].shape == (7,)
+    assert truth["objects"]["block"]["pose"].shape == (7,)
+    assert truth["goals"]["pad"]["position"].shape == (3,)
+    env.reset([0], {"privileged": False})
+    assert "privileged" not in env.get_obs()
+
+
+def test_delta_pose_is_the_last_steps_motion() -> None:
+    """It is the identity after reset, and small and unit after a step."""
+    env = _env()
+    env.reset([0])
+    obs = env.get_obs()
+    assert np.allclose(obs["state"]["left_delta_ee_pose"], [0, 0, 0, 1, 0, 0, 0], atol=1e-6)
+    action = _hold(obs)
+    action["left_arm_joint_state"] = action["left_arm_joint_state"] + 0.1
+    before = obs["state"]["left_ee_pose"]
+    env.take_action(action)
+    state = env.get_obs()["state"]
+    moved = transform(before.astype(np.float64), state["left_delta_ee_pose"][:3])
+    assert np.allclose(moved, state["left_ee_pose"][:3], atol=1e-5)
+    assert np.any(np.abs(state["left_delta_ee_pose"][:3]) > 1e-3)
+
+
+# -- determinism -------------------------------------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_the_same_trajectory_and_pixels() -> None:
+    """Digest, state and images are equal bit by bit; another seed or action differs."""
+    digests, images = [], []
+    for seed, action_seed in ((7, 0), (7, 0), (8, 0), (7, 1)):
+        env = _env(cameras=[32, 32])
+        env.reset([seed])
+        rng = np.random.default_rng(action_seed)
+        for _ in range(10):
+            env.take_action(_random_action(rng))
+        digests.append(env.results()[0]["digest"])
+        images.append(env.get_obs()["vision"]["cam_head"]["color"].tobytes())
+    assert digests[0] == digests[1]
+    assert images[0] == images[1]
+    assert len(set(digests)) == 3
+
+
+_PLAY = """
+import hashlib, sys
+import numpy as np
+from xpl import get_embodiment
+from xpl_cli.basics.content import load_module, room
+env = load_module(room("envs") / "mujoco" / "client.py").make(
+    {"task": "handover_block", "embodiment": "piper", "action_type": "ee", "setting": "randomized", "cameras": [48, 64]}
+)
+env.reset([11])
+rng = np.random.default_rng(0)
+hold = {key: env.get_obs()["state"][key] for key in get_embodiment("piper").dims("ee")}
+for _ in range(15):
+    env.take_action({key: value + rng.normal(0, 0.01, value.shape) for key, value in hold.items()})
+seen = hashlib.sha256()
+for view in env.get_obs()["vision"].values():
+    seen.update(view["color"].tobytes() + view["depth"].tobytes())
+print(env.results()[0]["digest"], seen.hexdigest())
+"""
+
+
+def test_two_processes_give_the_same_trajectory_and_pixels() -> None:
+    """Digest, colour and depth of a randomized episode in pose control, whatever seeds Python's hashes."""
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", _PLAY],
+            cwd=FOLDER.parent.parent,
+            env={**os.environ, "PYTHONHASHSEED": hash_seed},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for hash_seed in ("1", "2")
+    ]
+    assert re.fullmatch(r"[0-9a-f]{64} [0-9a-f]{64}\n", told[0])
+    assert told[0] == told[1]
+
+
+def test_an_episode_does_not_depend_on_the_one_before() -> None:
+    """A used environment, reset, equals a fresh one; resetting twice changes nothing."""
+    env = _env()
+    env.reset([3])
+    for _ in range(5):
+        env.take_action(_random_action(np.random.default_rng(0)))
+    env.reset([4])
+    env.reset([4])
+    fresh = _env()
+    fresh.reset([4])
+    assert env.results() == fresh.results()
+
+
+def test_seeds_count_on_when_none_are_given() -> None:
+    """The first reset uses the configured seed, later ones those that follow."""
+    env = _env(num_envs=2, seed=10)
+    env.reset()
+    assert [result["seed"] for result in env.results()] == [10, 11]
+    env.reset()
+    assert [result["seed"] for result in env.results()] == [12, 13]
+
+
+def test_rendering_does_not_disturb_the_physics() -> None:
+    """With and without cameras the states are the same."""
+    digests = []
+    for cameras in (False, [16, 16]):
+        env = _env(cameras=cameras)
+        env.reset([2])
+        for _ in range(5):
+            env.take_action(_hold(env.get_obs()))
+        digests.append(env.results()[0]["digest"])
+    assert digests[0] == digests[1]
+
+
+# -- control and safety ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("embodiment", FACTS["embodiments"])
+@pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
+def test_commanding_the_current_pose_stays(embodiment: str, action_type: str) -> None:
+    """The observed joints, or the observed flange pose, sent back as action move nothing and correct nothing."""
+    env = _env(embodiment=embodiment, action_type=action_type)
+    env.reset([0])
+    start = env.get_obs()
+    for _ in range(25):
+        report = env.take_action(_hold(env.get_obs(), action_type, embodiment))
+        assert report["corrections"] == {}
+    end = env.get_obs()
+    for prefix in get_embodiment(embodiment).prefixes:
+        key = f"{prefix}ee_pose"
+        assert np.abs(end["state"][key] - start["state"][key]).max() < 1e-3
+    assert env.results()[0]["score"] == 0.0
+
+
+def test_gripper_closes_at_zero_and_opens_at_one() -> None:
+    """The observed opening follows the command; fingertips meet when closed and are a stroke apart when open."""
+    env = _env()
+    env.reset([0])
+    physics = env.episodes[0].physics
+    for command in (0.0, 1.0, 0.5):
+        for _ in range(15):
+            env.take_action({**_hold(env.get_obs()), "left_ee_joint_state": [command]})
+        assert np.isclose(env.get_obs()["state"]["left_ee_joint_state"][0], command, atol=0.02)
+        left, right = (physics.body_pose(f"left_finger_{side}")[:3] for side in ("left", "right"))
+        thickness = 2 * physics.model.geom_size[physics.model.body("left_finger_left").geomadr[0]][1]
+        gap = np.sqrt(np.sum((left - right) ** 2)) - thickness
+        assert np.isclose(gap, command * get_embodiment("arx_x5").arms[0].stroke, atol=2e-3)
+
+
+def test_clamps_are_counted_and_reported() -> None:
+    """A jump past the limits is cut to limit and speed, with both amounts; results count them."""
+    env = _env()
+    env.reset([0])
+    before = env.get_obs()
+    arm = get_embodiment("arx_x5").arms[0]
+    action = _hold(before)
+    action["left_arm_joint_state"] = arm.upper + 0.5
+    action["right_ee_joint_state"] = [1.25]
+    report = env.take_action(action)
+    assert report["corrections"]["left_"]["joint_limit"] == pytest.approx(0.5, abs=1e-5)
+    assert report["corrections"]["left_"]["joint_speed"] > 1.0
+    assert report["corrections"]["right_"]["gripper_range"] == pytest.approx(0.25)
+    moved = env.get_obs()["state"]["left_arm_joint_state"] - before["state"]["left_arm_joint_state"]
+    assert np.all(np.abs(moved) <= arm.velocity / FACTS["control_frequency"] + 1e-3)
+    assert env.results()[0]["corrections"] == {"joint_limit": 1, "joint_speed": 1, "gripper_range": 1}
+
+
+def test_an_unreachable_pose_is_reported() -> None:
+    """The flange goes as near as it can, and the step says how far off it stays."""
+    env = _env(action_type="ee")
+    env.reset([0])
+    action = _hold(env.get_obs(), "ee")
+    action["right_ee_pose"] = action["right_ee_pose"] + np.array([0, 1.5, 0, 0, 0, 0, 0])
+    report = env.take_action(action)
+    assert report["corrections"]["right_"]["unreachable"] > 0.3
+    assert report["corrections"]["right_"]["rotation_error"] >= 0.0
+    assert "left_" not in report["corrections"]
+    assert env.results()[0]["corrections"]["unreachable"] == 1
+
+
+def test_a_quaternion_is_normalised_or_refused() -> None:
+    """A length away from one is reported and repaired; no length at all is an error and moves nothing."""
+    env = _env(action_type="ee")
+    env.reset([0])
+    action = _hold(env.get_obs(), "ee")
+    long = {**action, "left_ee_pose": action["left_ee_pose"] * np.array([1, 1, 1, 2, 2, 2, 2])}
+    assert env.take_action(long)["corrections"]["left_"] == {"quaternion_norm": pytest.approx(1.0)}
+    digest = env.results()[0]["digest"]
+    with pytest.raises(ActionError, match="right_ee_pose must hold a unit quaternion"):
+        env.take_action({**action, "right_ee_pose": np.zeros(7)})
+    assert env.results()[0]["digest"] == digest
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_non_finite_action_ends_the_episode_before_the_physics(bad: Any) -> None:
+    """State stays finite and unchanged; the report and the result say why."""
+    env = _env()
+    env.reset([0])
+    obs = env.get_obs()
+    action = _hold(obs)
+    action["left_arm_joint_state"] = np.array([0, 0, bad, 0, 0, 0])
+    assert env.take_action(action)["end_reason"] == "non_finite_action"
+    assert env.is_episode_end()
+    result = env.results()[0]
+    assert (result["end_reason"], result["success"], result["steps"]) == ("non_finite_action", False, 0)
+    assert np.array_equal(env.get_obs()["state"]["left_arm_joint_state"], obs["state"]["left_arm_joint_state"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"left_arm_joint_state": np.zeros(7)}, r"shape \(6,\)"),
+        ({"left_ee_pose": np.zeros(7)}, "left_ee_pose"),
+        ({"left_arm_joint_state": None}, "6 numbers|shape"),
+    ],
+)
+def test_a_malformed_action_is_an_error(change: dict[str, Any], message: str) -> None:
+    """Wrong dimensions and mixed control are refused, and nothing moves."""
+    env = _env()
+    env.reset([0])
+    with pytest.raises(ActionError, match=message):
+        env.take_action({**_hold(env.get_obs()), **change})
+    assert env.results()[0]["steps"] == 0
+
+
+# -- several environments ----------------------------------------------------------------------------------------------
+
+
+def test_the_running_list_shrinks() -> None:
+    """Environments end one by one; the others go on, and answers come in the order asked for."""
+    env = _env(num_envs=3, max_steps=4)
+    env.reset([0, 1, 2])
+    assert env.get_running_env_idx_list() == [0, 1, 2]
+    observations = env.get_obs_batch()
+    assert [obs["env_idx"] for obs in observations] == [0, 1, 2]
+    broken = {**_hold(observations[1]), "left_ee_joint_state": [np.nan]}
+    env.take_action_batch([_hold(observations[0]), broken, _hold(observations[2])], [0, 1, 2])
+    assert env.get_running_env_idx_list() == [0, 2]
+    assert [obs["env_idx"] for obs in env.get_obs_batch([2, 0])] == [2, 0]
+    while not env.is_episode_end():
+        running = env.get_running_env_idx_list()
+        env.take_action_batch([_hold(obs) for obs in env.get_obs_batch(running)], running)
+    results = env.results()
+    assert [result["end_reason"] for result in results] == ["max_steps", "non_finite_action", "max_steps"]
+    assert [result["steps"] for result in results] == [4, 0, 4]
+    late = env.take_action_batch([_hold(observations[0])], [0])[0]
+    assert (late["step"], late["end_reason"]) == (4, "max_steps")
+
+
+def test_batch_equals_single() -> None:
+    """An environment does the same alone and among others."""
+    batch, single = _env(num_envs=2), _env()
+    batch.reset([5, 6])
+    single.reset([6])
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        actions = [_random_action(rng), _random_action(rng)]
+        batch.take_action_batch(actions, [0, 1])
+        single.take_action(actions[1])
+    assert batch.results()[1]["digest"] == single.results()[0]["digest"]
+
+
+def test_last_frame_returns_the_observation_again() -> None:
+    """Nothing is rendered a second time."""
+    env = _env()
+    env.reset([0])
+    first = env.get_obs_batch()
+    assert env.get_obs_batch(last_frame=True)[0] is first[0]
+    env.take_action(_hold(first[0]))
+    assert env.get_obs_batch()[0] is not first[0]
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"task": "lift_cub"}, "did you mean 'lift_cube'"),
+        ({"embodiment": "franka"}, "unknown embodiment 'franka'"),
+        ({"action_type": "velocity"}, "action_type"),
+        ({"num_envs": 0}, "num_envs"),
+        ({"renderer": "eg"}, "did you mean 'egl'"),
+        ({"cameras": [224]}, "cameras"),
+        ({"camera": True}, "did you mean 'cameras'"),
+    ],
+)
+def test_a_wrong_configuration_is_refused(config: Any, message: str) -> None:
+    """One sentence says what is offered."""
+    with pytest.raises(ValueError, match=message):
+        _env(**config)
+
+
+# -- tasks -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
+def test_the_expert_solves_each_task(task: str, action_type: str) -> None:
+    """Through the standard's interface, in both action types, with nothing clamped; the result tells the stages."""
+    env = _env(task=task, action_type=action_type, privileged=True)
+    for seed in (0, 1, 2):
+        result = _solve(env, seed, action_type)
+        assert result["success"], result
+        assert result["score"] == 1.0
+        assert all(result["stages"].values())
+        assert result["corrections"] == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("embodiment", FACTS["embodiments"])
+@pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
+def test_the_expert_solves_a_hundred_seeds(task: str, embodiment: str, action_type: str) -> None:
+    """Every embodiment, task and action type that is offered."""
+    env = _env(task=task, embodiment=embodiment, action_type=action_type, privileged=True)
+    failed = [seed for seed in range(100) if not _solve(env, seed, action_type, embodiment)["success"]]
+    assert failed == []
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_doing_nothing_or_anything_solves_nothing(task: str) -> None:
+    """Holding the pose and random joints fail every seed; holding earns no score at all."""
+    for seed in range(3):
+        env = _env(task=task)
+        env.reset([seed])
+        action = _hold(env.get_obs())
+        while not env.is_episode_end():
+            env.take_action(action)
+        assert env.results()[0]["score"] == 0.0
+        rng = np.random.default_rng(seed)
+        env.reset([seed])
+        while not env.is_episode_end():
+            env.take_action(_random_action(rng))
+        assert not env.results()[0]["success"]
+
+
+def test_success_must_hold() -> None:
+    """The goal is met for ten steps before the episode counts as solved."""
+    env = _env(privileged=True)
+    policy = Expert({"env_cfg_type": "arx_x5", "action_type": "joint"})
+    env.reset([0])
+    lifted_at = None
+    while not env.is_episode_end():
+        policy.update_obs(env.get_obs())
+        report = env.take_action(policy.get_action()[0])
+        if lifted_at is None and env.results()[0]["stages"]["lifted"]:
+            lifted_at = report["step"]
+    assert report["step"] - lifted_at >= FACTS["success"]["hold_steps"] - 1
+
+
+def test_the_expert_says_what_it_lacks() -> None:
+    """Without privileged observations there is one clear error."""
+    env = _env()
+    env.reset([0])
+    policy = Expert({"env_cfg_type": "arx_x5"})
+    policy.update_obs(env.get_obs())
+    with pytest.raises(ObservationError, match="privileged"):
+        policy.get_action()
+
+
+@pytest.mark.parametrize("embodiment", [name for name in FACTS["embodiments"] if len(get_embodiment(name).arms) == 1])
+@pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
+def test_one_arm_works_too(embodiment: str, action_type: str) -> None:
+    """A single arm has unprefixed keys, its own camera set, and lifts the cube; so does one of seven joints."""
+    env = _env(embodiment=embodiment, action_type=action_type, cameras=[32, 32], privileged=True)
+    env.reset([0])
+    obs = env.get_obs()
+    assert list(obs["vision"]) == list(spec.CAMERAS[1])
+    assert set(get_embodiment(embodiment).dims(action_type)) <= set(obs["state"])
+    env.reset([0], {"cameras": False})
+    assert _solve(env, 0, action_type, embodiment)["success"]
+
+
+def test_a_single_arm_is_the_arm_of_the_pair() -> None:
+    """Its entry in the spec says what differs, and nothing else does."""
+    one, two = get_embodiment("piper_single"), get_embodiment("piper")
+    assert (one.data["arm"], one.data["end_effector"]) == (two.data["arm"], two.data["end_effector"])
+    assert (one.prefixes, two.prefixes) == (spec.ARM_PREFIXES[1], spec.ARM_PREFIXES[2])
+    assert one.dims("joint").keys() == {spec.State.ARM_JOINT_STATE, spec.State.EE_JOINT_STATE}
+
+
+@pytest.mark.parametrize("embodiment", FACTS["embodiments"])
+def test_the_gripper_opens_to_the_stroke(embodiment: str) -> None:
+    """Schema 1 is the embodiment's stroke between the fingers, 0 is none; in between it is proportional."""
+    robot = get_embodiment(embodiment)
+    env = _env(embodiment=embodiment)
+    env.reset([0])
+    action = _hold(env.get_obs(), embodiment=embodiment)
+    physics = env.episodes[0].physics
+    prefix = robot.prefixes[0]
+    for opening in (1.0, 0.5, 0.0):
+        action[f"{prefix}ee_joint_state"] = np.array([opening], dtype=np.float32)
+        for _ in range(25):
+            env.take_action(action)
+        travel = [physics.data.joint(f"{prefix}finger_{side}").qpos[0] for side in ("left", "right")]
+        assert sum(travel) == pytest.approx(opening * robot.arms[0].stroke, abs=2e-3)
+        assert env.get_obs()["state"][f"{prefix}ee_joint_state"][0] == pytest.approx(opening, abs=0.03)
+
+
+@pytest.mark.parametrize("embodiment", FACTS["embodiments"])
+def test_torques_are_bounded(embodiment: str) -> None:
+    """No joint ever exerts more than its effort in the spec, however wild the commands."""
+    robot = get_embodiment(embodiment)
+    env = _env(embodiment=embodiment)
+    env.reset([0])
+    action, rng = _hold(env.get_obs(), embodiment=embodiment), np.random.default_rng(0)
+    physics, arm = env.episodes[0].physics, robot.arms[0]
+    bounds = {f"{p}{j['name']}": j["effort"] for p in robot.prefixes for j in robot.data["arm"]["joints"]}
+    for _ in range(20):
+        for prefix in robot.prefixes:
+            action[f"{prefix}arm_joint_state"] = rng.uniform(arm.lower, arm.upper)
+        env.take_action(action)
+        for name, bound in bounds.items():
+            assert abs(physics.data.actuator(name).force[0]) <= bound + 1e-9
+
+
+def test_every_stage_has_a_weight_and_they_add_up() -> None:
+    """The manifest's weights of each task sum to one."""
+    for facts in FACTS["tasks"].values():
+        assert sum(facts["stages"].values()) == pytest.approx(1.0)
+
+
+def test_an_episode_is_what_mj_step_alone_makes_of_it_and_mostly_physics() -> None:
+    """Played again by `mj_step` with the same controls, the expert's episode ends in the same state, bit by bit.
+
+    That takes at least 0.8 of the environment's time; this bound is loose, because machines are shared.
+    """
+    times = ours.physics("drawer_place", "joint")  # raises where the states differ
+    assert times["raw_ms"] / times["act_ms"] > 0.7
+
+
+def test_pack_order_matches_control_order() -> None:
+    """Commands reach the arm they name: moving the left joints leaves the right arm where it is."""
+    env = _env()
+    env.reset([0])
+    obs = env.get_obs()
+    action = _hold(obs)
+    action["left_arm_joint_state"] = action["left_arm_joint_state"] + np.array([0.1, 0, 0, 0, 0, 0], dtype=np.float32)
+    for _ in range(10):
+        env.take_action(action)
+    now = env.get_obs()
+    assert np.allclose(now["state"]["left_arm_joint_state"], action["left_arm_joint_state"], atol=5e-3)
+    before, after = (pack(seen["state"], get_embodiment("arx_x5"), "joint") for seen in (obs, now))
+    assert np.abs(after[7:] - before[7:]).max() < 1e-4

@@ -1,0 +1,220 @@
+"""`xpl compare`: two runs on the episodes that both played."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.peer import xpl
+from tests.support.places import ROOT
+from tests.support.runs import Faults, synthetic
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.statistics import comparison, intervals, verdicts
+from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
+from xpl_cli.evaluation.statistics.intervals import Pairs
+from xpl_cli.standard.validate import validate
+
+Line = dict[str, Any]
+ONE: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"]}
+
+
+def rewritten(folder: Path, change: Callable[[Line], Line] = lambda line: line, **plan: Any) -> Path:
+    """Change the episodes of a record, and its plan, which gets the name that goes with it."""
+    file = folder / records.FILE
+    first, machine, *rest = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
+    lines = [records.named({**first, **plan}), machine, *map(change, rest)]
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    return folder
+
+
+def compared(first: Path, second: Path) -> dict[str, Any]:
+    """Return the comparison of two recorded runs, which keeps to its schema and can be shown."""
+    found = compare(records.read(first), records.read(second))
+    assert [str(problem) for problem in validate(found, "comparison")] == []
+    assert verdicts.text(found)
+    return found
+
+
+def notes(found: dict[str, Any]) -> str:
+    """Return all that a comparison says besides the verdict."""
+    return "\n".join(found["notes"])
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> tuple[Path, Path]:
+    """A run of Foo, and one of Bar, which is better."""
+    foo = synthetic(tmp_path / "foo", episodes=50, rate=0.4, policy="Foo")
+    return foo, synthetic(tmp_path / "bar", episodes=50, rate=0.75, policy="Bar")
+
+
+def test_the_better_policy_is_named_with_its_margin(runs: tuple[Path, Path]) -> None:
+    """On pairs with equal seeds, by the exact test; for each task the p-values are corrected."""
+    found = compared(*runs)
+    rows, overall = found["cells"], found["overall"]
+    assert found["verdict"].startswith("Bar is better than Foo: ")
+    assert overall["pairs"] == sum(row["pairs"] for row in rows) == 200
+    table = Pairs(*(overall[name] for name in Pairs._fields))
+    assert overall["p_value"] == intervals.mcnemar(table) < 0.001
+    assert overall["difference"] == pytest.approx(overall["second_rate"] - overall["first_rate"])
+    assert overall["interval"][0] > 0.1
+    assert overall["score_interval"][0] > 0
+    assert [row["adjusted_p_value"] for row in rows] == intervals.holm([row["p_value"] for row in rows])
+    assert "Corrected for looking at 4 tasks and settings (Holm), a difference is shown in" in notes(found)
+
+
+def test_the_order_of_two_runs_turns_the_signs_only(runs: tuple[Path, Path]) -> None:
+    """And names the same winner, by the same margin."""
+    one, other = compared(*runs), compared(*reversed(runs))
+    assert one["overall"]["difference"] == pytest.approx(-other["overall"]["difference"])
+    assert one["overall"]["p_value"] == other["overall"]["p_value"]
+    assert one["overall"]["interval"] == pytest.approx([-end for end in reversed(other["overall"]["interval"])])
+    assert one["verdict"] == other["verdict"]
+
+
+def test_no_difference_shown_is_not_called_equality(tmp_path: Path) -> None:
+    """The verdict names what would fit the data as well."""
+    foo = synthetic(tmp_path / "foo", **ONE, episodes=20, rate=0.5, policy="Foo")
+    bar = synthetic(tmp_path / "bar", **ONE, episodes=20, rate=0.55, policy="Bar")
+    found = compared(foo, bar)
+    low, high = found["overall"]["interval"]
+    assert low < 0 < high
+    assert found["verdict"].startswith("Neither is shown to be better: Foo has")
+    assert (
+        f"Anything from {round(low * 100):+d} to {round(high * 100):+d} points for Bar fits these data."
+        in found["verdict"]
+    )
+
+
+def test_too_few_unlike_pairs_can_show_nothing(tmp_path: Path) -> None:
+    """Three pairs in favour of one side prove no more than three heads in a row."""
+    foo = synthetic(tmp_path / "foo", **ONE, rate=1.0, policy="Foo", faults=Faults(policy=0))
+    bar = rewritten(
+        synthetic(tmp_path / "bar", **ONE, rate=1.0, policy="Bar", faults=Faults(policy=0)),
+        lambda line: {**line, "success": False, "failure": "task"} if line["index"] < 3 else line,
+    )
+    found = compared(foo, bar)
+    assert found["overall"]["only_first"] == 3
+    assert (
+        "Only 3 of 20 pairs ended differently. Had all of them favoured one side, it would still be p = 0.250"
+        in notes(found)
+    )
+
+
+def test_a_run_played_again_is_recognised(tmp_path: Path) -> None:
+    """It is no evidence about anything but repeatability."""
+    first = synthetic(tmp_path / "first")
+    again = tmp_path / "again"
+    shutil.copytree(first, again)
+    found = compared(first, again)
+    assert found["verdict"].startswith(f"{first} and {again} succeeded in the same episodes: ")
+    assert found["same_trajectories"] == found["overall"]["pairs"]
+    assert "Both runs have the same plan" in notes(found)
+    assert "In all pairs the two moved exactly alike" in notes(found)
+    moved = compared(first, rewritten(again, lambda line: {**line, "digest": "0" * 64} if line["index"] == 3 else line))
+    assert "In 79 of 80 pairs the two moved exactly alike" in notes(moved)
+
+
+def test_only_episodes_that_count_in_both_are_compared(tmp_path: Path) -> None:
+    """Those that the infrastructure spoilt, and seeds that one run lacks, are left out, and this is said."""
+    foo = synthetic(tmp_path / "foo", **ONE, episodes=40, policy="Foo", faults=Faults(infrastructure=0.2))
+    bar = synthetic(tmp_path / "bar", **ONE, episodes=30, policy="Bar", first_seed=5)
+    found = compared(foo, bar)
+    spoilt = [line["seed"] for line in records.read(foo).finals.values() if line["failure"] == "infrastructure"]
+    pairs = 30 - sum(5 <= seed < 35 for seed in spoilt)
+    assert found["overall"]["pairs"] == pairs
+    assert found["left_out"] == {"first": 40 - pairs, "second": 30 - pairs}
+    assert f"{40 - pairs} episodes of Foo were left out" in notes(found)
+    assert "seeds of lift_cube (clean), too: 40 from 0 to 39 against 30 from 5 to 34" in notes(found)
+
+
+def test_what_differs_besides_the_policy_is_told(runs: tuple[Path, Path]) -> None:
+    """Files of the environment, control, and when tasks ended."""
+    control = {"horizon": None, "attempts": 3}
+    found = compared(runs[0], rewritten(runs[1], action_type="ee", control=control, until_width=0.5))
+    assert {entry["what"] for entry in found["differences"]} == {
+        "control", "executed actions of a chunk", "width at which a task ends",
+    }  # fmt: skip
+    assert "executed actions of a chunk, too: 8 against the adapter's own loop" in notes(found)
+    assert "Tasks ended as soon as" in notes(found)
+
+
+def test_tasks_that_one_run_lacks_are_told(tmp_path: Path) -> None:
+    """What both have is compared all the same."""
+    foo = synthetic(tmp_path / "foo", policy="Foo")
+    found = compared(foo, synthetic(tmp_path / "bar", ["lift_cube"], ["clean", "other"], policy="Bar"))
+    assert [(row["task"], row["setting"]) for row in found["cells"]] == [("lift_cube", "clean")]
+    (entry,) = found["differences"]
+    assert entry["second"] == "lift_cube (other)"
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (
+            {"environment": {"name": "other", "spec": "v1", "digest": "0" * 64}},
+            "different environments: mujoco and other",
+        ),
+        ({}, "no episode was played in both runs"),
+    ],
+)
+def test_runs_that_have_nothing_in_common_are_refused(tmp_path: Path, change: dict[str, Any], complaint: str) -> None:
+    """Neither an environment nor an episode."""
+    foo = synthetic(tmp_path / "foo", policy="Foo")
+    bar = rewritten(synthetic(tmp_path / "bar", policy="Bar", first_seed=0 if change else 100), **change)
+    with pytest.raises(IncomparableError, match=complaint) as caught:
+        compared(foo, bar)
+    assert caught.value.code is ExitCode.NOT_RUN
+
+
+def test_equal_seeds_that_drew_other_scenes_are_refused(runs: tuple[Path, Path]) -> None:
+    """They are no pairs, whatever their number; without layouts in the records, this is taken on trust."""
+    moved = rewritten(runs[1], lambda line: {**line, "layout": {"cube": [9, 9]}} if line.get("seed") == 7 else line)
+    with pytest.raises(IncomparableError, match=r"in 4 common episodes .* first in lift_cube \(clean\), seed 7"):
+        compared(runs[0], moved)
+    found = compared(runs[0], rewritten(runs[1], lambda line: {**line, "layout": None}))
+    assert found["known_layouts"] == 0
+    assert "taken on trust" in notes(found)
+
+
+def test_the_command_prints_text_or_json(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    """Data on stdout, nothing else, and the exit codes of the tool."""
+    done = xpl("compare", "foo", "bar", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (ExitCode.CLEAN, "")
+    assert done.stdout.startswith("Bar is better than Foo: ")
+    done = xpl("compare", "foo", "bar/records.jsonl", "--json", cwd=tmp_path)
+    assert json.loads(done.stdout)["schema"] == comparison.SCHEMA
+
+
+def test_exit_codes(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    """No run is 3, the same run twice a mistake, and what cannot be compared was not done."""
+    synthetic(tmp_path / "elsewhere", ["other_task"])
+    for second, code in (("nothing", ExitCode.NOT_FOUND), ("foo", ExitCode.USAGE), ("elsewhere", ExitCode.NOT_RUN)):
+        done = xpl("compare", "foo", second, cwd=tmp_path)
+        assert (done.returncode, done.stdout) == (code, "")
+        assert done.stderr.startswith("error: ")
+
+
+def test_the_documentation_shows_what_the_command_prints(tmp_path: Path) -> None:
+    """docs/statistics.md: the pairs of its example, in words and in its table."""
+    pairs = {"lift_cube": Pairs(27, 4, 14, 5), "stack_blocks_two": Pairs(9, 6, 15, 20)}
+    folders = []
+    for side, name in enumerate(("Foo", "Bar")):
+        folder = synthetic(tmp_path / name, list(pairs), ["clean"], 50, policy=name)
+
+        def outcome(line: Line, side: int = side) -> Line:
+            both, only_first, only_second, _ = pairs[line["task"]]
+            ends = ((0, both + only_first), (both + only_first, both + only_first + only_second))
+            won = line["seed"] < both or ends[side][0] <= line["seed"] < ends[side][1]
+            return {**line, "success": won, "failure": None if won else "task", "digest": None}
+
+        folders.append(rewritten(folder, outcome))
+    shown = verdicts.text(compared(folders[0], folders[1])).splitlines()
+    page = (ROOT / "docs" / "statistics.md").read_text(encoding="utf-8")
+    assert "\n".join(shown[:6]) in page, "\n".join(shown)
+    assert shown[-2].removeprefix("- ") in page.replace("\n  ", " ")

@@ -1,0 +1,495 @@
+"""`xpl eval`: real servers and environments, thin scripts, the line that launchers wait for."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.peer import xpl
+from tests.support.places import ROOT
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation import play
+from xpl_cli.evaluation.retries import Schedule
+from xpl_cli.packages import environments
+from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
+@pytest.mark.parametrize("control", ["joint", "ee"])
+def test_the_expert_solves_a_few_seeds_through_the_server(tmp_path: Path, task: str, control: str) -> None:
+    """The privileged expert, served like any other adapter, succeeds."""
+    options = ["--env", "mujoco", "--task", task, "--episodes", "2", "--set", f"action_type={control}", "--json"]
+    done = xpl("eval", "scripted_expert", *options, cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    assert json.loads(done.stdout)["successes"] == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
+def test_expert_20_of_20_and_demo_policy_0_of_20(tmp_path: Path, task: str) -> None:
+    """The tasks are solvable, and not by standing still."""
+    for policy, won in (("scripted_expert", 20), ("demo_policy", 0)):
+        options = ["--env", "mujoco", "--task", task, "--episodes", "20", "--json"]
+        done = xpl("eval", policy, *options, cwd=tmp_path)
+        assert done.returncode == ExitCode.CLEAN, done.stderr
+        assert json.loads(done.stdout)["successes"] == won
+
+
+def test_holding_the_pose_does_not_lift_a_cube(tmp_path: Path) -> None:
+    """demo_policy fails the task and the report says so."""
+    options = ["--env", "mujoco", "--task", "lift_cube", "--episodes", "1", "--json"]
+    report = json.loads(xpl("eval", "demo_policy", *options, cwd=tmp_path).stdout)
+    assert report["successes"] == 0
+    assert report["episodes"][0]["end_reason"] == "max_steps"
+
+
+def test_a_batch_of_environments_runs_as_many_episodes_as_asked_for(tmp_path: Path) -> None:
+    """Three episodes, two at a time, each with its own seed."""
+    options = ["--env", "mujoco", "--task", "lift_cube", "--episodes", "3", "--num-envs", "2", "--seed", "5", "--json"]
+    report = json.loads(xpl("eval", "scripted_expert", *options, cwd=tmp_path).stdout)
+    assert [episode["seed"] for episode in report["episodes"]] == [5, 6, 7]
+    assert report["successes"] == 3
+
+
+def test_the_scripts_of_a_scaffold_run_a_debug_evaluation(tmp_path: Path) -> None:
+    """eval.sh with the ten positional arguments of the ecosystem ends with the line that launchers look for."""
+    assert xpl("new-policy", "Foo", cwd=tmp_path).returncode == ExitCode.CLEAN
+    tool = tmp_path / "xpl"
+    tool.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m xpl_cli "$@"\n')
+    tool.chmod(0o755)
+    arguments = ["my bench", "echo", "ckpt", "arx_x5", "joint", "0", "0", "0", "none", "none"]
+    environment = {**os.environ, "EVAL_ENV_TYPE": "debug", "XPL": str(tool)}
+    done = subprocess.run(
+        ["/bin/bash", str(tmp_path / "policy/Foo/eval.sh"), *arguments],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "[MAIN] eval finished"
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "said"),
+    [
+        (["--env", "mujoco", "--task", "fold_shirt"], ExitCode.NOT_FOUND, "lift_cube"),
+        (["--env", "isaac"], ExitCode.NOT_FOUND, "mujoco, offline"),
+        (["--env", "mujoco", "--set", "env_cfg_type=franka"], ExitCode.USAGE, "has no franka"),
+        (["--set", "seed"], ExitCode.USAGE, "KEY=VALUE"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_refused_in_one_sentence(
+    tmp_path: Path, options: list[str], code: ExitCode, said: str
+) -> None:
+    """The message lists what there is; no traceback."""
+    done = xpl("eval", "demo_policy", *options, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+BREAKS_ONCE = """
+    import os, signal
+    from pathlib import Path
+    import numpy as np
+
+    class Model:
+        def __init__(self, config):
+            self.config = config
+            self.calls = 0
+
+        def reset(self): pass
+        def update_obs(self, obs): self.state = obs["state"]
+        def update_obs_batch(self, obs_list): self.update_obs(obs_list[-1])
+
+        def get_action(self):
+            self.calls += 1
+            left = int(Path(self.config["marks"]).read_text())
+            if self.calls == 3 and left:
+                Path(self.config["marks"]).write_text(str(left - 1))
+                os.kill(os.getpid(), signal.SIGKILL)
+            keys = ("arm_joint_state", "ee_joint_state")
+            return [{key: np.asarray(self.state[key], np.float32) for key in keys}]
+"""
+
+
+@pytest.mark.parametrize(("deaths", "code", "failed"), [(1, ExitCode.CLEAN, 0), (9, ExitCode.NOT_RUN, 2)])
+def test_a_trial_that_the_infrastructure_spoils_counts_neither_way(
+    write_adapter: Callable[..., Path], tmp_path: Path, deaths: int, code: ExitCode, failed: int
+) -> None:
+    """It is played again with a new server; what fails for good is reported apart, and never as a failed task."""
+    adapter = write_adapter(BREAKS_ONCE)
+    deploy = {"env_cfg_type": "franka_single", "marks": str(tmp_path / "marks")}
+    (adapter / "deploy.yml").write_text(json.dumps(deploy), encoding="utf-8")
+    shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
+    (tmp_path / "marks").write_text(str(deaths), encoding="utf-8")
+    done = xpl("eval", str(adapter), "--env", "offline", "--episodes", "2", "--json", cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    report = json.loads(done.stdout)
+    assert len(report["episodes"]) == 2
+    assert report["infrastructure_failures"] == failed
+    assert [episode["end_reason"] for episode in report["episodes"]].count("infrastructure") == failed
+    assert "SIGKILL" in done.stderr
+
+
+def test_a_policy_that_does_not_fit_is_refused_before_the_first_step(
+    write_adapter: Callable[..., Path], tmp_path: Path
+) -> None:
+    """The manifest asks for another rate than the environment has."""
+    adapter = write_adapter(BREAKS_ONCE, control_frequency=50, inputs={"required": ["state.mobile"]})
+    shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
+    done = xpl("eval", str(adapter), "--env", "offline", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
+    assert "50 Hz" in done.stderr
+    assert "state.mobile" in done.stderr
+
+
+# -- environments in processes -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_the_record_of_an_episode_does_not_depend_on_who_plays_it(tmp_path: Path, workers: str) -> None:
+    """Seed, layout, wording, steps and digest are equal here and in other processes; the report is as specified."""
+    options = [
+        "--env",
+        "mujoco",
+        "--task",
+        "lift_cube",
+        "--setting",
+        "randomized",
+        "--episodes",
+        "2",
+        "--num-envs",
+        "2",
+    ]
+    done = xpl("eval", "scripted_expert", *options, "--workers", workers, "--horizon", "5", "--json", cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    report = json.loads(done.stdout)
+    assert validate(report, "evaluation") == []
+    assert (report["setting"], report["horizon"], report["workers"]) == ("randomized", 5, int(workers))
+    played = environments.make(
+        "mujoco",
+        {"task": "lift_cube", "embodiment": "arx_x5", "num_envs": 2, "cameras": False, "setting": "randomized"},
+    )
+    played.reset([0, 1])
+    for record, fresh in zip(report["episodes"], played.results(), strict=True):
+        told = {key: record[key] for key in ("seed", "setting", "instruction", "layout")}
+        assert told == {key: fresh[key] for key in told}
+        assert (record["end_reason"], record["attempts"], record["corrections"]) == ("success", 1, {})
+    pair = [[record[key] for key in ("steps", "digest")] for record in report["episodes"]]
+    assert _same_for_all.setdefault("pair", pair) == pair
+
+
+_same_for_all: dict[str, object] = {}
+
+FRAIL = """
+    import os, signal
+    from pathlib import Path
+    import numpy as np
+
+    class Env:
+        def __init__(self, config):
+            self.count = config["num_envs"]
+
+        def reset(self, seed=None, options=None):
+            self.seeds, self.steps = list(seed), [0] * self.count
+
+        def get_obs(self):
+            return self.get_obs_batch([0])[0]
+
+        def get_obs_batch(self, env_idx_list=None):
+            joints = np.array([0, 0, 0, -1, 0, 1, 0], np.float32)
+            state = {"arm_joint_state": joints, "ee_joint_state": np.ones(1, np.float32)}
+            return [{"env_idx": env, "instruction": "hold on", "state": dict(state)} for env in env_idx_list]
+
+        def take_action(self, action):
+            self.take_action_batch([action], [0])
+
+        def take_action_batch(self, actions, env_idx_list):
+            for env in env_idx_list:
+                self.steps[env] += 1
+                deaths = Path(__file__).with_name(f"deaths-{self.seeds[env]}")
+                if self.steps[env] == 3 and deaths.exists() and int(deaths.read_text()):
+                    deaths.write_text(str(int(deaths.read_text()) - 1))
+                    os.kill(os.getpid(), signal.SIGKILL)
+
+        def is_episode_end(self):
+            return not self.get_running_env_idx_list()
+
+        def get_running_env_idx_list(self):
+            return [env for env, steps in enumerate(self.steps) if steps < 4]
+
+        def results(self):
+            return [
+                {"env_idx": env, "seed": seed, "success": True, "score": 1.0, "steps": steps, "end_reason": "success"}
+                for env, (seed, steps) in enumerate(zip(self.seeds, self.steps, strict=True))
+            ]
+
+        def close(self):
+            pass
+
+    def make(config):
+        return Env(config)
+"""
+
+
+@pytest.fixture
+def frail(tmp_path: Path) -> Path:
+    """Return an environment that does not keep its robot's limits, and dies as often as a file tells."""
+    folder = tmp_path / "envs" / "frail"
+    folder.mkdir(parents=True)
+    task = {"instruction": "hold on", "max_steps": 4}
+    facts = {
+        "spec": "v1", "name": "frail", "title": "Frail", "embodiments": ["franka_single"], "action_types": ["joint"],
+        "cameras": {}, "control_frequency": 25, "tasks": {"hold": task}, "client": "client.py",
+    }  # fmt: skip
+    (folder / "env.yml").write_text(json.dumps(facts), encoding="utf-8")
+    (folder / "client.py").write_text(textwrap.dedent(FRAIL), encoding="utf-8")
+    return folder
+
+
+HOLD = ["--env", "frail", "--set", "env_cfg_type=franka_single", "--json"]
+
+
+@pytest.mark.parametrize(
+    ("loop", "deaths", "attempts"), [([], 1, 2), (["--horizon", "1"], 9, 3)], ids=["deploy.py", "ours"]
+)
+def test_a_crash_of_one_environment_is_played_again_and_spoils_no_other(
+    frail: Path, tmp_path: Path, loop: list[str], deaths: int, attempts: int
+) -> None:
+    """The simulator of seed 1 dies; what fails for good is reported apart."""
+    (frail / "deaths-1").write_text(str(deaths))
+    options = [*HOLD, *loop, "--workers", "2", "--episodes", "3"]
+    done = xpl("eval", "demo_policy", *options, cwd=tmp_path)
+    assert done.returncode == (ExitCode.NOT_RUN if deaths > attempts else ExitCode.CLEAN), done.stderr
+    report = json.loads(done.stdout)
+    assert validate(report, "evaluation") == []
+    assert [episode["seed"] for episode in report["episodes"]] == [0, 1, 2]
+    assert [episode["attempts"] for episode in report["episodes"]] == [1, attempts, 1]
+    spoilt = [episode.get("error") for episode in report["episodes"]]
+    assert [error is not None for error in spoilt] == [False, deaths > attempts, False]
+    assert report["successes"] == (2 if deaths > attempts else 3)
+    assert report["num_envs"] == 2
+    assert "Traceback" not in done.stderr
+
+
+WILD = """
+    import numpy as np
+
+    class Model:
+        def __init__(self, config):
+            self.config = config
+
+        def reset(self): pass
+        def update_obs(self, obs): self.state = obs["state"]
+        def update_obs_batch(self, obs_list): self.update_obs(obs_list[-1])
+        def get_action_batch(self, env_idx_list=None): return [self.get_action() for _ in env_idx_list]
+
+        def get_action(self):
+            far = self.state["arm_joint_state"] + np.float32(self.config["far"])
+            return [{"arm_joint_state": far, "ee_joint_state": self.state["ee_joint_state"]}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("loop", "far", "reason", "kind"),
+    [
+        ([], "1.0", "far_first_action", "far_first_action"),
+        (["--horizon", "1"], ".nan", "non_finite_action", "non_finite_action"),
+        (["--horizon", "1"], "0.1", "success", "joint_speed"),
+    ],
+    ids=["far", "nan", "fast"],
+)
+def test_what_does_not_keep_its_limits_is_guarded(  # noqa: PLR0917 - fixtures and parameters
+    frail: Path, write_adapter: Callable[..., Path], tmp_path: Path, loop: list[str], far: str, reason: str, kind: str
+) -> None:
+    """In either loop; the record tells what was corrected, where and how far."""
+    adapter = write_adapter(WILD)
+    shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
+    done = xpl("eval", str(adapter), *HOLD, *loop, "--set", f"far={far}", cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    report = json.loads(done.stdout)
+    assert validate(report, "evaluation") == []
+    (record,) = report["episodes"]
+    assert record["end_reason"] == reason
+    assert record["safety"][kind]["where"] in ("arm_joint_state", "joint1", "joint4")
+    assert report["corrections"][kind] == record["safety"][kind]["count"]
+
+
+SLOW = WILD.replace("def get_action(self):", "def get_action(self):\n            import time; time.sleep(0.5)")
+
+
+@pytest.mark.parametrize(("real_time", "held"), [(True, 4), (False, None)])
+def test_actions_age_unless_the_environment_waits(
+    frail: Path, write_adapter: Callable[..., Path], tmp_path: Path, *, real_time: bool, held: int | None
+) -> None:
+    """A model that thinks for twelve control steps is too slow for a robot, and not for a simulation."""
+    facts = json.loads((frail / "env.yml").read_text())
+    (frail / "env.yml").write_text(json.dumps({**facts, "real_time": real_time}), encoding="utf-8")
+    done = xpl("eval", str(write_adapter(SLOW)), *HOLD, "--horizon", "1", "--set", "far=0.0", cwd=tmp_path)
+    assert json.loads(done.stdout)["corrections"].get("action_age") == held
+
+
+def test_an_adapter_without_a_loop_is_driven_with_a_horizon(
+    frail: Path, write_adapter: Callable[..., Path], tmp_path: Path
+) -> None:
+    """deploy.py is needed only where it is what runs."""
+    adapter = write_adapter(WILD)
+    assert xpl("eval", str(adapter), *HOLD, "--set", "far=0.0", cwd=tmp_path).returncode == ExitCode.NOT_FOUND
+    done = xpl("eval", str(adapter), *HOLD, "--set", "far=0.0", "--horizon", "3", cwd=tmp_path)
+    assert json.loads(done.stdout)["successes"] == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "said"),
+    [
+        (["--setting", "dusty"], ExitCode.NOT_FOUND, "clean"),
+        (["--eval-env", "venv:nowhere"], ExitCode.NOT_RUN, "nowhere/bin/python"),
+    ],
+)
+def test_where_an_environment_cannot_be_played_one_sentence_says_so(
+    frail: Path, tmp_path: Path, options: list[str], code: ExitCode, said: str
+) -> None:
+    """Before a server is started."""
+    done = xpl("eval", "demo_policy", *HOLD, *options, cwd=tmp_path)
+    assert done.returncode == code
+    answer = json.loads(done.stdout)
+    assert (answer["schema"], answer["exit_code"]) == ("xpl.error/1", code)
+    assert said in answer["message"]
+    assert answer["message"] in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_environment_runs_in_the_python_it_is_given(frail: Path, tmp_path: Path) -> None:
+    """`--eval-env` names an environment as `--policy-env` does; another one than ours needs a process."""
+    python = tmp_path / "place" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\necho used >> "{tmp_path}/used"\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    options = [*HOLD, "--eval-env", f"venv:{tmp_path}/place"]
+    refused = xpl("eval", "demo_policy", *options, "--workers", "0", cwd=tmp_path)
+    assert refused.returncode == ExitCode.USAGE
+    assert "at least one worker" in refused.stderr
+    done = xpl("eval", "demo_policy", *options, cwd=tmp_path)
+    assert json.loads(done.stdout)["successes"] == 1, done.stderr
+    assert (tmp_path / "used").read_text() == "used\n"
+
+
+# -- the schedule ------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.integers(0, 50), min_size=1, max_size=12, unique=True),
+    st.integers(1, 5),
+    st.dictionaries(st.integers(0, 60), st.integers(0, 4)),
+)
+def test_every_seed_gets_its_result_and_no_more_attempts_than_it_needs(
+    seeds: list[int], places: int, failures: dict[int, int]
+) -> None:
+    """Whatever is spoilt how often; a trial always has as many seeds as there are places, each once."""
+    schedule = Schedule(seeds, places, attempts=3)
+    left, trials = dict(failures), 0
+    while not schedule.is_done:
+        asked = schedule.next()
+        assert len(asked) == len(set(asked)) == places
+        assert set(asked) & set(seeds)
+        trials += 1
+        results = []
+        for seed in asked:
+            fails = left.get(seed, 0) > 0
+            left[seed] = left.get(seed, 0) - 1
+            results.append({"seed": seed, "end_reason": "infrastructure" if fails else "success"})
+        schedule.add(results)
+    needed = [min(3, failures.get(seed, 0) + 1) for seed in seeds]
+    assert [result["seed"] for result in schedule.results] == seeds
+    assert [result["attempts"] for result in schedule.results] == needed
+    assert [result["end_reason"] for result in schedule.results] == [
+        "infrastructure" if failures.get(seed, 0) >= 3 else "success" for seed in seeds
+    ]
+    assert trials <= sum(needed)
+
+
+@pytest.mark.parametrize(
+    ("num_envs", "workers", "wanted"),
+    [
+        (None, "1", (1, 1)),
+        (None, "0", (1, 0)),
+        (None, "3", (3, 3)),
+        (8, "2", (8, 2)),
+        (8, "0", (8, 0)),
+        (1, "auto", (1, 1)),
+    ],
+)
+def test_environments_and_workers(num_envs: int | None, workers: str, wanted: tuple[int, int]) -> None:
+    """One environment for each worker unless told otherwise."""
+    assert play.places(num_envs, workers) == wanted
+
+
+def test_automatic_workers_are_as_many_as_cores() -> None:
+    """And no more than there are environments."""
+    cores = len(os.sched_getaffinity(0))
+    assert play.places(None, "auto") == (cores, cores)
+    assert play.places(cores + 5, "auto") == (cores + 5, cores)
+
+
+@pytest.mark.parametrize(
+    ("num_envs", "workers", "said"), [(2, "3", "3 workers for 2 environments"), (None, "many", "a number or auto")]
+)
+def test_workers_that_cannot_be_are_refused(num_envs: int | None, workers: str, said: str) -> None:
+    """One sentence."""
+    with pytest.raises(UserError, match=said):
+        play.places(num_envs, workers)
+
+
+SEES = """
+    import numpy as np
+
+    class Model:
+        def __init__(self, config): pass
+        def reset(self): pass
+        def update_obs_batch(self, obs_list): self.update_obs(obs_list[-1])
+
+        def update_obs(self, obs):
+            self.state = obs["state"]
+            sizes = {camera["color"].shape for camera in obs["vision"].values()}
+            assert sizes == {(96, 128, 3)}, sizes
+
+        def get_action(self):
+            keys = ("arm_joint_state", "ee_joint_state")
+            return [{key: np.asarray(self.state[key], np.float32) for key in keys}]
+"""
+
+
+@pytest.mark.parametrize("environment", ["offline", "mujoco"])
+def test_an_environment_renders_what_the_policy_declares(
+    write_adapter: Callable[..., Path], tmp_path: Path, environment: str
+) -> None:
+    """Images of the declared size; where one environment cannot show all, the handshake names the one that is wrong."""
+    adapter = write_adapter(SEES)
+    manifest = {
+        "spec": "v1.1",
+        "inputs": {"required": ["vision.cam_head", "state.arm_joint_state"], "optional": [], "unused": []},
+        "cameras": {"cam_head": {"width": 128, "height": 96, "exact": True}},
+    }
+    (adapter / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
+    options = ["--env", environment, "--horizon", "1", "--set", "env_cfg_type=franka_single", "--json"]
+    short = ["--task", "echo"] if environment == "offline" else ["--task", "lift_cube"]
+    done = xpl("eval", str(adapter), *options, *short, cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+
+    manifest["cameras"]["cam_wrist"] = {"width": 256, "height": 96, "exact": True}
+    (adapter / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
+    done = xpl("eval", str(adapter), *options, *short, cwd=tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert "the policy needs cam_head 128 x 96, the environment shows 256 x 96" in done.stderr

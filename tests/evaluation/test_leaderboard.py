@@ -1,0 +1,212 @@
+"""`xpl leaderboard`: the order, what it admits not to know, whom it refuses, and the result files of others."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.peer import xpl
+from tests.support.runs import Faults, synthetic
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.leaderboard import board, export, field, ranking
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.cells import cells
+from xpl_cli.evaluation.statistics.summary import summarise
+from xpl_cli.standard.validate import validate
+
+
+def _run(folder: Path, policy: str, **wishes: Any) -> records.Run:
+    return records.read(synthetic(folder / policy, policy=policy, **wishes))
+
+
+def _rank(*runs: records.Run, **wishes: bool) -> dict[str, Any]:
+    return ranking.rank(field.gather(runs, **wishes))
+
+
+# --- Order ------------------------------------------------------------------------------------------------------------
+
+
+def test_runs_are_ranked_by_success_and_compared_with_the_first(tmp_path: Path) -> None:
+    """The row of a run says what its own summary says, and by how much it is behind on equal seeds."""
+    runs = [_run(tmp_path, name, episodes=40, rate=rate) for name, rate in (("Low", 0.3), ("High", 0.9), ("Mid", 0.6))]
+    found = _rank(*runs)
+    assert validate(found, "leaderboard") == []
+    assert [(row["rank"], row["policy"]) for row in found["rows"]] == [(1, "High"), (2, "Mid"), (3, "Low")]
+    overall = summarise(runs[1])["overall"]
+    assert all(found["rows"][0][name] == overall[name] for name in ("success_rate", "success_interval", "mean_score"))
+    assert found["rows"][0]["to_first"] is None
+    assert all(row["to_first"]["difference"] < 0 for row in found["rows"][1:])
+    assert not any("Not told apart" in note for note in found["notes"])
+
+
+def test_what_the_episodes_do_not_tell_apart_is_said(tmp_path: Path) -> None:
+    """Two policies that are equally good have an order, and a sentence that it may be luck."""
+    found = _rank(*(_run(tmp_path, name, rate=0.6) for name in ("One", "Other")))
+    first, second = (row["policy"] for row in found["rows"])
+    assert any(note.startswith(f"Not told apart from {first} by these episodes: {second}.") for note in found["notes"])
+    assert board.standing(found["rows"][1]) == "not told apart from the first"
+
+
+def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> None:
+    """The same policy twice is told by the folders; the next rank is left out."""
+    same = [records.read(synthetic(tmp_path / name, rate=0.9)) for name in ("a", "b")]
+    found = _rank(*same, _run(tmp_path, "Worse", rate=0.1))
+    assert [row["rank"] for row in found["rows"]] == [1, 1, 3]
+    assert ranking.labels(found["rows"])[:2] == [f"Foo ({tmp_path / name})" for name in ("a", "b")]
+
+
+def test_a_run_without_a_success_to_speak_of_comes_last(tmp_path: Path) -> None:
+    """Nothing but spoilt episodes is no rate of 0."""
+    spoilt = _run(tmp_path, "Spoilt", faults=Faults(infrastructure=1.0))
+    found = _rank(spoilt, _run(tmp_path, "Bad", rate=0.0))
+    assert [row["policy"] for row in found["rows"]] == ["Bad", "Spoilt"]
+    assert found["rows"][1]["success_rate"] is found["rows"][1]["to_first"] is None
+    assert "is not compared with the first: no episode was played in both runs" in board.text(found)
+
+
+def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> None:
+    """Text, Markdown and CSV have a line for each run."""
+    found = _rank(*(_run(tmp_path, name) for name in ("One", "Other_|_two")))
+    assert len([line for line in board.text(found).splitlines() if "/80" in line or "/79" in line]) <= 2
+    assert "| Other\\_\\|\\_two |" in board.as_markdown(found)
+    rows = list(csv.DictReader(io.StringIO(board.as_csv(found))))
+    assert [float(row["success_rate"]) for row in rows] == [row["success_rate"] for row in found["rows"]]
+    assert rows[0]["p_value"] == ""
+
+
+# --- Refusals ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wishes", "said"),
+    [
+        ({"first_seed": 100}, "Seeds of lift_cube (clean) and 3 more: 20 from 0 to 19 in "),
+        ({"episodes": 10}, "Seeds of lift_cube (clean) and 3 more"),
+        ({"tasks": ["lift_cube"]}, "Tasks that the other lacks: stack_cubes (clean), stack_cubes (randomized) in "),
+        ({"settings": ["clean"]}, "Tasks that the other lacks: lift_cube (randomized), "),
+        ({"spec": "v1"}, "Standard that the environment declares: v1.1 in "),
+        ({"played": 50}, "Episodes still to come: none in "),
+    ],
+)
+def test_runs_that_are_not_alike_are_ranked_only_by_those_who_want_it(
+    tmp_path: Path, wishes: dict[str, Any], said: str
+) -> None:
+    """The refusal says what differs; in spite of it, the ranking says so, too."""
+    runs = _run(tmp_path, "One"), _run(tmp_path, "Other", **wishes)
+    with pytest.raises(field.UnlikeError) as refused:
+        _rank(*runs)
+    assert said in str(refused.value)
+    assert refused.value.code == ExitCode.NOT_RUN
+    found = _rank(*runs, anyway=True)
+    assert any(note.startswith(said) for note in found["notes"])
+    assert "in spite of differences" in board.title(found)
+    assert validate(found, "leaderboard") == []
+
+
+def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> None:
+    """Results of two machines are ranked; the reader is told."""
+    runs = _run(tmp_path, "One"), _run(tmp_path, "Other")
+    facts = next(iter(runs[1].machines.values()))
+    facts["system"] = "another system"
+    found = _rank(*runs)
+    assert any(note.startswith("Machine: system: ") and "another system" in note for note in found["notes"])
+    assert "in spite of differences" not in board.title(found)
+
+
+def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
+    """Only what counts in all of them is ranked: tasks, seeds, and not what was spoilt in any."""
+    runs = [
+        _run(tmp_path, "One", tasks=["a", "b", "c"], episodes=30, faults=Faults(infrastructure=0.1)),
+        _run(tmp_path, "Other", tasks=["b", "a"], episodes=30, first_seed=10, played=100),
+    ]
+    found = _rank(*runs, common=True)
+    assert found["tasks"] == ["a", "b"]
+    judged = {row["judged"] for row in found["rows"]}
+    assert len(judged) == 1
+    counted = [{(cell.task, cell.setting, seed) for cell in cells(run) for seed in cell.by_seed} for run in runs]
+    assert judged == {len(counted[0] & counted[1])}
+    assert found["rows"][1]["to_first"]["pairs"] == judged.pop()
+    assert any(note.startswith("Only episodes count that were played in every run") for note in found["notes"])
+
+
+def test_a_difference_that_common_episodes_do_not_mend_is_refused_still(tmp_path: Path) -> None:
+    """Another standard is another standard, whatever was played."""
+    runs = _run(tmp_path, "One"), _run(tmp_path, "Other", spec="v1")
+    with pytest.raises(field.UnlikeError, match="Standard that the environment declares"):
+        _rank(*runs, common=True)
+
+
+def test_a_field_without_a_common_episode_or_with_a_run_twice_is_none(tmp_path: Path) -> None:
+    """Both are mistakes, and said to be."""
+    run = _run(tmp_path, "One")
+    with pytest.raises(UserError, match="no episode in common"):
+        _rank(run, _run(tmp_path, "Other", first_seed=500), common=True)
+    with pytest.raises(UserError, match="named twice"):
+        _rank(run, run)
+
+
+# --- Result files of others -------------------------------------------------------------------------------------------
+
+
+def test_the_command_ranks_and_writes_what_others_read(tmp_path: Path) -> None:
+    """One call gives the table, the page, and the files of both benchmarks."""
+    for name in ("One", "Other"):
+        _run(tmp_path, name, episodes=3)
+    done = xpl("leaderboard", "One", "Other", "--out", "b", "--robodojo", "d", "--robotwin", "t", cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    assert done.stdout.startswith("2 runs in mujoco: 2 tasks in 2 settings\n")
+    assert {path.name for path in (tmp_path / "b").iterdir()} == {
+        f"leaderboard{ending}" for ending in (".html", ".md", ".csv", ".json")
+    }
+    assert validate(json.loads((tmp_path / "b/leaderboard.json").read_text()), "leaderboard") == []
+    assert len(list((tmp_path / "d").rglob("_result.json"))) == len(list((tmp_path / "t").rglob("_result.txt"))) == 8
+
+
+def test_robodojo_reads_rates_scores_and_details_by_index(tmp_path: Path) -> None:
+    """Numbers of its own kind: a rate from 0 to 1, a score from 0 to 100, details from 0 on without spoilt episodes."""
+    run = _run(tmp_path, "One", faults=Faults(policy=0.1, infrastructure=0.2))
+    found = {path.parts: json.loads(text) for path, text in export.robodojo(run)}
+    assert {parts[0] for parts in found} == {"lift_cube", "lift_cube_random", "stack_cubes", "stack_cubes_random"}
+    assert {parts[1:3] + parts[4:] for parts in found} == {("One", "arx_x5", "2026-11-21_09-00-00", "_result.json")}
+    assert all(parts[3].startswith("0_ckpt_name=") and parts[3].endswith(",action_type=joint") for parts in found)
+    cell = cells(run)[0]
+    result = next(result for parts, result in found.items() if parts[0] == "lift_cube")
+    assert set(result) == {"success_rate", "eval_time", "score", "details"}
+    assert result["eval_time"] == len(cell.outcomes) < 20
+    assert result["success_rate"] == sum(cell.outcomes) / len(cell.outcomes)
+    assert result["score"] == pytest.approx(100 * sum(cell.scores) / len(cell.scores))
+    assert list(result["details"]) == [str(number) for number in range(result["eval_time"])]
+    seeds = [entry["layout_id"] for entry in result["details"].values()]
+    assert seeds == list(cell.by_seed)
+    assert [entry["success"] for entry in result["details"].values()] == cell.outcomes
+
+
+def test_robotwin_reads_a_plain_number(tmp_path: Path) -> None:
+    """The whole file is the rate."""
+    run = _run(tmp_path, "One")
+    found = {path.parts[:3]: text for path, text in export.robotwin(run)}
+    for cell in cells(run):
+        rate = sum(cell.outcomes) / len(cell.outcomes)
+        assert float(found[cell.task, "One", cell.setting]) == rate
+
+
+def test_names_make_no_way_out_of_the_folder(tmp_path: Path) -> None:
+    """What a task or a policy is called never becomes part of a path as it is."""
+    run = _run(tmp_path, "Foo", tasks=["../../up", "/etc"], episodes=2)
+    for paths in (export.robodojo(run), export.robotwin(run)):
+        for path, _ in paths:
+            assert not path.is_absolute()
+            assert ".." not in path.parts
+
+
+def test_two_runs_never_write_the_same_file(tmp_path: Path) -> None:
+    """Nothing is written where one result would hide another."""
+    runs = [records.read(synthetic(tmp_path / name, episodes=2)) for name in ("a", "b")]
+    with pytest.raises(UserError, match="would both write"):
+        export.write("robotwin", runs, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,100 @@
+"""What a Ray cluster runs for a suite, in this process: it plays, and refuses what is not of the run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import xpl_cli
+from tests.support import drill
+from tests.support.peer import xpl
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.evaluation.lanes.backend import Job, Outcome
+from xpl_cli.evaluation.lanes.ray_actors import Player, Post, Refusal
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.runs import evaluate, plan
+from xpl_cli.packages import package
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from xpl_cli.evaluation.lanes.lane import Orders
+    from xpl_cli.evaluation.lanes.servers import ServerOrders
+
+JOB = Job(0, 1, "hold", "clean", 0)
+
+
+@pytest.fixture
+def orders(tmp_path: Path) -> tuple[Orders, ServerOrders]:
+    """Return what lanes and servers of a run are told."""
+    environment, adapter = drill.environment(tmp_path), package.load(drill.adapter(tmp_path))
+    request = evaluate.Request(adapter, str(environment), tmp_path / "run", None)
+    line = plan.make(adapter, environment, adapter.config({}), plan.Wishes()).line
+    return evaluate.orders(request, environment, line)
+
+
+@pytest.fixture
+def player(orders: tuple[Orders, ServerOrders]) -> Iterator[Player]:
+    """Return a lane with a server of its own; both are ended, which Ray would do by ending its process."""
+    player = Player(xpl_cli.__version__, *orders, number=3, token=None)
+    yield player
+    if player._lane is not None:
+        player._lane.close()
+    if player._server is not None:
+        player._server.suspect()
+
+
+def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: Player, tmp_path: Path) -> None:
+    """An attempt that its server's end spoilt is an outcome; the next one is played with a new server."""
+    post = player.ready()
+    assert isinstance(post, Post)
+    assert post.worker.endswith("/3")
+    assert player.ready() == post
+    drill.mark(tmp_path, "policy-dies-0", 0)
+    outcome = _played(player)
+    assert outcome.line["success"]
+    assert outcome.facts == post.facts
+    assert outcome.trace is not None
+    drill.mark(tmp_path, "policy-dies-0", 1)
+    assert _played(player).line["failure"] == "infrastructure"
+    again = _played(player)
+    assert again.line["digest"] == outcome.line["digest"]
+    assert again.line["server"] != outcome.line["server"]
+
+
+def _played(player: Player) -> Outcome:
+    outcome = player.play(JOB, None)
+    assert isinstance(outcome, Outcome)
+    return outcome
+
+
+@pytest.mark.parametrize("what", ["version", "adapter", "environment", "checkpoint"])
+def test_a_machine_with_something_else_is_refused(orders: tuple[Orders, ServerOrders], what: str) -> None:
+    """Whatever an episode's outcome follows from must be what the run was planned with."""
+    lane, server = orders
+    version = xpl_cli.__version__
+    if what == "version":
+        version = "0.0.0"
+    elif what == "adapter":
+        (Path(lane.policy) / "model.py").write_text("Model = None", encoding="utf-8")
+    elif what == "environment":
+        lane = replace(lane, environment=str(Path(lane.environment).parent / "nowhere"))
+    else:
+        server = replace(server, checkpoint_digest="0" * 64)
+    refusal = Player(version, lane, server, 0, None).ready()
+    assert isinstance(refusal, Refusal)
+    assert refusal.error().code == ExitCode.NOT_RUN
+    assert what in refusal.message or what == "version"
+
+
+@pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
+def test_without_ray_the_backend_says_how_to_get_it(orders: tuple[Orders, ServerOrders], tmp_path: Path) -> None:
+    """Nothing is recorded but the plan, with which the run can be resumed."""
+    done = xpl("eval", "Drilled", "--env", "drill", "--out", "run", "--backend", "ray", cwd=tmp_path)
+    assert done.returncode == ExitCode.NOT_RUN
+    assert "xpl-cli[ray]" in done.stderr
+    assert not records.read(tmp_path / "run").attempts

@@ -1,0 +1,189 @@
+"""A run's record: what is written stays, what is torn counts for nothing, what is damaged is refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.places import ROOT
+from tests.support.runs import synthetic
+from xpl_cli.basics.errors import NotFoundError
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.records import RecordError, Writer
+from xpl_cli.standard.validate import validate
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a run of 8 episodes, of which 5 were played."""
+    return synthetic(tmp_path / "run", episodes=2, played=5)
+
+
+def _lines(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / records.FILE).read_text(encoding="utf-8").splitlines()]
+
+
+def _write(folder: Path, lines: list[Any]) -> None:
+    (folder / records.FILE).write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
+
+
+def _next(folder: Path, index: int = 5) -> dict[str, Any]:
+    """Return a final line of an episode that was not played."""
+    run = records.read(folder)
+    slot = records.slots(run.plan)[index]
+    return {**run.finals[0], "index": index, "task": slot.task, "setting": slot.setting, "seed": slot.seed}
+
+
+def test_a_record_is_what_its_lines_say(folder: Path) -> None:
+    """Plan, machines, attempts in their order, and the final line of every episode that has one."""
+    run = records.read(folder)
+    lines = _lines(folder)
+    assert run.plan == lines[0]
+    assert run.machines == {lines[1]["machine"]: lines[1]["facts"]}
+    assert run.attempts == lines[2:]
+    assert list(run.finals) == [0, 1, 2, 3, 4]
+    assert not run.torn
+    assert records.read(folder / records.FILE) == run
+
+
+def test_a_line_that_was_cut_short_anywhere_counts_for_nothing_and_is_written_anew(folder: Path) -> None:
+    """Whatever part of the last line is there, the others are as before, and the next writer goes on from them."""
+    file = folder / records.FILE
+    content = file.read_bytes()
+    start = content[:-1].rindex(b"\n") + 1
+    whole = records.read(folder)
+    for end in [start, start + 1, *range(start + 2, len(content), 97), len(content) - 1]:
+        file.write_bytes(content[:end])
+        run = records.read(folder)
+        assert list(run.finals) == [0, 1, 2, 3]
+        assert run.torn == (end > start)
+        with Writer(folder, whole.plan) as writer:
+            writer.add(whole.finals[4])
+        assert json.loads(file.read_bytes().splitlines()[-1]) == whole.finals[4]
+        assert records.read(folder).finals == whole.finals
+
+
+def test_a_last_line_of_zeros_counts_for_nothing(folder: Path) -> None:
+    """What a file system may leave of a line when the power fails."""
+    with (folder / records.FILE).open("ab") as stream:
+        stream.write(b"\0" * 100 + b"\n")
+    assert records.read(folder).torn
+    with Writer(folder, records.read(folder).plan) as writer:
+        writer.add(_next(folder))
+    assert len(records.read(folder).finals) == 6
+
+
+def _damaged(lines: list[Any]) -> list[Any]:
+    return [*lines[:3], lines[3]["index"], *lines[4:]]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda lines: [*lines, lines[-1]], "has a final line already"),
+        (lambda lines: [*lines, {**lines[-1], "index": 99}], "no episode 99"),
+        (lambda lines: [*lines, {**lines[-1], "index": 5}], "episode 5 of the plan is"),
+        (lambda lines: [{**lines[0], "embodiment": "piper"}, *lines[1:]], "it was changed"),
+        (lambda lines: lines[1:], "must be the plan"),
+        (lambda lines: [*lines[:3], [1], *lines[3:]], "no line of"),
+        (lambda lines: [*lines[:3], {"kind": "note"}, *lines[3:]], "neither a machine nor an episode"),
+    ],
+    ids=["twice", "beyond", "other seed", "other plan", "no plan", "list", "other kind"],
+)
+def test_a_record_that_contradicts_itself_is_refused(folder: Path, spoil: Any, said: str) -> None:
+    """With the line's number and one sentence."""
+    _write(folder, spoil(_lines(folder)))
+    with pytest.raises(RecordError, match=said):
+        records.read(folder)
+
+
+def test_damage_before_the_last_line_is_refused(folder: Path) -> None:
+    """It is not what a crash leaves."""
+    content = (folder / records.FILE).read_bytes().splitlines(keepends=True)
+    content[3] = content[3][:50] + b"\n"
+    (folder / records.FILE).write_bytes(b"".join(content))
+    with pytest.raises(RecordError, match="line 4 is damaged"):
+        records.read(folder)
+
+
+def test_a_new_record_begins_with_its_plan(folder: Path, tmp_path: Path) -> None:
+    """Also where an earlier attempt to write the plan was cut short."""
+    plan = records.read(folder).plan
+    with pytest.raises(NotFoundError, match="no recorded run"):
+        records.read(tmp_path / "new")
+    for left in (b"", b'{"kind": "ru'):
+        (tmp_path / "new").mkdir(exist_ok=True)
+        (tmp_path / "new" / records.FILE).write_bytes(left)
+        with pytest.raises(RecordError, match="no first line"):
+            records.read(tmp_path / "new")
+        Writer(tmp_path / "new", plan).close()
+        assert records.read(tmp_path / "new").plan == plan
+
+
+def test_a_record_has_one_writer_and_one_plan(folder: Path) -> None:
+    """Another writer is refused while the first lives, another plan always, and by name of what differs."""
+    plan = records.read(folder).plan
+    with Writer(folder, plan), pytest.raises(RecordError, match="being written by another process"):
+        Writer(folder, plan)
+    other = records.named({**plan, "policy": {**plan["policy"], "digest": "0" * 64}, "until_width": 0.1})
+    with pytest.raises(RecordError, match=r"policy\.digest, until_width differ"):
+        Writer(folder, other)
+
+
+def test_an_episode_becomes_final_once(folder: Path) -> None:
+    """Whoever adds it again is refused, and nothing is written."""
+    before = (folder / records.FILE).read_bytes()
+    with Writer(folder, records.read(folder).plan) as writer, pytest.raises(RecordError, match="final line already"):
+        writer.add(writer.run.finals[0])
+    assert (folder / records.FILE).read_bytes() == before
+
+
+def test_a_machine_is_written_once(folder: Path) -> None:
+    """Before the first line that names it."""
+    with Writer(folder, records.read(folder).plan) as writer:
+        names = {writer.machine({"processor": "a"}) for _ in range(3)}
+    assert [line["machine"] for line in _lines(folder) if line["kind"] == "machine"][1:] == [*names]
+    assert validate(_lines(folder)[-1], "record") == []
+
+
+def test_half_a_line_is_taken_back_where_the_disk_is_full(folder: Path) -> None:
+    """The next line stands on its own, and the error says what is wrong."""
+    script = """
+        import resource, sys
+        from pathlib import Path
+        from xpl_cli.suite import records
+        folder = Path(sys.argv[1])
+        run = records.read(folder)
+        line = {**run.finals[0], "index": 5, **{"task": "stack_cubes", "setting": "clean", "seed": 1}}
+        with records.Writer(folder, run.plan) as writer:
+            size = (folder / records.FILE).stat().st_size
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, resource.RLIM_INFINITY))
+            try:
+                writer.add(line)
+            except records.RecordError as error:
+                print(error)
+            assert (folder / records.FILE).stat().st_size == size
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            writer.add(line)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script), str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "cannot be written: File too large" in done.stdout
+    assert list(records.read(folder).finals) == [0, 1, 2, 3, 4, 5]
+
+
+def test_ten_thousand_episodes_are_read_in_no_time(tmp_path: Path) -> None:
+    """Processor time, so that a busy machine does not matter."""
+    folder = synthetic(tmp_path / "run", tasks=[f"task_{number}" for number in range(10)], episodes=500)
+    began = time.process_time()
+    run = records.read(folder)
+    assert time.process_time() - began < 1.0
+    assert len(run.finals) == 10_000

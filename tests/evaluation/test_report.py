@@ -1,0 +1,341 @@
+"""`xpl report`: the files, what they hold, what they refuse; test_pages.py looks at the page itself."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import csv
+import hashlib
+import http.client
+import io
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from tests.support.peer import wait_until, xpl
+from tests.support.runs import Faults, synthetic
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.report import curves, episodes, live, media, phrases, written
+from xpl_cli.evaluation.statistics.summary import summarise
+from xpl_cli.standard.validate import validate
+
+MUCH = 1 << 30
+FILES = {written.PAGE, written.MARKDOWN, written.DOCUMENT, written.TABLE, written.EPISODES}
+
+
+def _write(folder: Path, out: Path | None = None, budget: int = MUCH) -> Path:
+    out = out or folder / written.FOLDER
+    written.write(records.read(folder), out, budget)
+    return out
+
+
+def _data(page: str) -> Any:
+    """Return the data that a page holds."""
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    return json.loads(found[1])
+
+
+# --- Files ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: Path) -> None:
+    """The command writes five files beside the record and prints where the page is."""
+    run = synthetic(tmp_path / "foo", episodes=6)
+    done = xpl("report", str(run), cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    assert done.stdout.strip() == str(run / "report" / "index.html")
+    assert {path.name for path in (run / "report").iterdir()} == FILES
+    document = json.loads((run / "report/report.json").read_text())
+    assert validate(document, "report") == []
+    assert document["summary"] == summarise(records.read(run))
+    rows = list(csv.DictReader(io.StringIO((run / "report/episodes.csv").read_text())))
+    assert [int(row["index"]) for row in rows] == list(range(24))
+    assert sum(row["success"] == "1" for row in rows) == document["summary"]["overall"]["successes"]
+    said = (run / "report/report.md").read_text()
+    assert "| lift\\_cube | clean |" in said
+    assert document["summary"]["notes"][-1].split(":")[0] in said
+
+
+def test_what_cannot_be_reported_is_said_in_a_sentence(tmp_path: Path) -> None:
+    """A folder without a run, and a target for several, end the command before anything is written."""
+    nothing = xpl("report", ".", cwd=tmp_path)
+    assert nothing.returncode == ExitCode.NOT_FOUND
+    assert "no recorded run" in nothing.stderr
+    several = xpl("report", "a", "b", "--out", "c", cwd=tmp_path)
+    assert several.returncode == ExitCode.USAGE
+    assert "takes one run, got 2" in several.stderr
+
+
+def test_a_report_is_replaced_and_nothing_else_is(tmp_path: Path) -> None:
+    """A second report takes the place of the first; a folder with somebody's work stays as it is."""
+    run = synthetic(tmp_path / "foo", episodes=2)
+    first = (_write(run) / written.PAGE).read_bytes()
+    assert (_write(run) / written.PAGE).read_bytes() == first
+    (run / written.FOLDER / "mine.txt").write_text("work")
+    with pytest.raises(UserError, match=r"holds more than a report \(mine\.txt\)"):
+        _write(run)
+    assert (run / written.FOLDER / "mine.txt").read_text() == "work"
+
+
+def test_a_run_that_goes_on_is_reported_as_what_it_is(tmp_path: Path) -> None:
+    """Page and Markdown say how much is still to come; cells without an episode have no rate."""
+    out = _write(synthetic(tmp_path / "foo", episodes=10, played=13))
+    assert "13 of 40 episodes" in (out / written.PAGE).read_text()
+    assert "This run is not complete: 13 of 40 episodes." in (out / written.MARKDOWN).read_text()
+
+
+def test_a_run_of_which_nothing_was_played_has_a_report(tmp_path: Path) -> None:
+    """The page of a run that just began is there."""
+    out = _write(synthetic(tmp_path / "foo", episodes=2, played=0))
+    assert "No episode has a success to speak of yet." in (out / written.PAGE).read_text()
+
+
+def test_ten_thousand_episodes_take_less_than_five_seconds(tmp_path: Path) -> None:
+    """Reading, statistics, page, tables."""
+    run = synthetic(tmp_path / "foo", [f"task_{number}" for number in range(10)], episodes=500)
+    began = time.process_time()
+    out = _write(run)
+    assert time.process_time() - began < 5
+    assert len(_data((out / written.PAGE).read_text())["episodes"]["columns"]["index"]) == 10_000
+
+
+def test_spreadsheets_find_no_formula(tmp_path: Path) -> None:
+    """A text that begins like a formula is made a text; numbers below zero stay numbers."""
+    table = episodes.as_csv(("a", "b"), [("=1+1", -2.5), ("plain", "@sum")])
+    assert list(csv.reader(io.StringIO(table)))[1:] == [["'=1+1", "-2.5"], ["plain", "'@sum"]]
+
+
+# --- The page as a file -----------------------------------------------------------------------------------------------
+
+
+def test_the_page_holds_all_that_it_needs(tmp_path: Path) -> None:
+    """Nothing in it leads elsewhere, and its own policy lets nothing but its own style and script run."""
+    page = (_write(synthetic(tmp_path / "foo", episodes=4, traces=2, films=2)) / written.PAGE).read_text()
+    assert not re.search(r"""(?:src|href|url)\s*[=(]\s*["']?(?:https?:)?//""", page)
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page)
+    assert policy is not None
+    allowed = policy[1].replace("&#39;", "'")
+    assert "default-src 'none'" in allowed
+    assert "connect-src 'none'" in allowed
+    for element in ("style", "script"):
+        inside = re.findall(rf"<{element}>(.*?)</{element}>", page, re.DOTALL)
+        assert len(inside) == 1
+        digest = base64.b64encode(hashlib.sha256(inside[0].encode()).digest()).decode()
+        assert f"{element}-src 'sha256-{digest}'" in allowed
+
+
+def test_the_list_holds_every_episode(tmp_path: Path) -> None:
+    """Columns and shared values give back what the record says."""
+    run = synthetic(tmp_path / "foo", episodes=10, faults=Faults(0.2, 0.2, 0.3))
+    data = _data((_write(run) / written.PAGE).read_text())["episodes"]
+    finals = list(records.read(run).finals.values())
+    columns, values = data["columns"], data["values"]
+    assert [values[place] for place in columns["task"]] == [one["task"] for one in finals]
+    assert [values[place] for place in columns["error"]] == [one.get("error") for one in finals]
+    assert [values[place] for place in columns["outcome"]] == [episodes.verdict(one) for one in finals]
+    assert {"success", "task", "policy", "infrastructure"} == {values[place] for place in columns["outcome"]}
+    assert sum(map(len, data["earlier"].values())) == sum(one["attempt"] - 1 for one in finals) > 0
+
+
+# --- Films and curves -------------------------------------------------------------------------------------------------
+
+
+def test_what_exceeds_the_budget_is_linked(tmp_path: Path) -> None:
+    """Without a budget films are reached beside the page, wherever that is, and curves are named."""
+    run = synthetic(tmp_path / "a run", episodes=2, traces=3, films=2)
+    shown = _data((_write(run, tmp_path / "elsewhere", budget=0) / written.PAGE).read_text())["media"]
+    assert shown["0"]["film"] == {"source": "../a%20run/films/0.webp", "video": False}
+    assert shown["2"] == {"trace": "../a%20run/traces/2.npz"}
+    embedded = _data((_write(run) / written.PAGE).read_text())["media"]
+    assert embedded["0"]["film"]["source"].startswith("data:image/webp;base64,")
+    assert len(embedded["2"]["curves"]["panels"]) == 14
+
+
+def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path) -> None:
+    """Of each cell in turn, a failure and a success in turn, are embedded."""
+    run = records.read(synthetic(tmp_path / "foo", episodes=8, traces=32, rate=0.5))
+    size = max(len(json.dumps(curves.read(path))) for path in run.folder.glob("traces/*"))
+    shown = media.shown(run, 9 * size, "")
+    assert sum("trace" in entry for entry in shown.values()) > 10
+    chosen = [run.finals[int(index)] for index, entry in shown.items() if "curves" in entry]
+    cells = {(one["task"], one["setting"]) for one in chosen}
+    assert len(cells) == 4
+    assert all(
+        {one["success"] for one in chosen if (one["task"], one["setting"]) == cell} == {True, False} for cell in cells
+    )
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda run: (run / "films/0.webp").write_bytes(b"other"), "is not what was recorded: its digest differs"),
+        (lambda run: (run / "films/0.webp").unlink(), "cannot be read: No such file"),
+    ],
+)
+def test_a_film_that_was_changed_or_is_gone_is_not_shown(tmp_path: Path, spoil: Any, said: str) -> None:
+    """The page says so instead."""
+    run = synthetic(tmp_path / "foo", episodes=2, films=1)
+    spoil(run)
+    shown = media.shown(records.read(run), MUCH, "")
+    assert list(shown["0"]) == ["problem"]
+    assert said in shown["0"]["problem"]
+
+
+def test_a_record_leads_to_no_file_outside_its_run(tmp_path: Path) -> None:
+    """A path that leaves the folder is never read."""
+    run = synthetic(tmp_path / "foo", episodes=2, films=1)
+    shutil.copy(run / "films/0.webp", tmp_path / "secret.webp")
+    text = (run / records.FILE).read_text()
+    (run / records.FILE).write_text(text.replace("films/0.webp", "../secret.webp"))
+    assert "outside the run" in media.shown(records.read(run), MUCH, "")["0"]["problem"]
+
+
+def _trace(path: Path, **arrays: Any) -> Path:
+    np.savez(path, frequency=25.0, chunk_starts=np.array([0, 16]), state_steps=np.arange(40), **arrays)
+    return path
+
+
+def _values(panel: dict[str, Any], source: str) -> np.ndarray:
+    levels = np.frombuffer(base64.b64decode(panel[source]), "<u2")
+    values: np.ndarray = panel["low"] + levels / 65535 * (panel["high"] - panel["low"])
+    return values
+
+
+def test_curves_come_back_as_they_were(tmp_path: Path) -> None:
+    """Each column has a panel with a title of its own; values are exact to one part in 65,535 of their range."""
+    joints, poses = np.random.default_rng(0).normal(size=(2, 40, 7)).astype(np.float32)
+    names = {
+        "state.left_arm_joint_state": joints,
+        "action.left_arm_joint_state": joints + 1,
+        "state.left_ee_pose": poses,
+    }
+    found = curves.read(_trace(tmp_path / "a.npz", **names))
+    assert found["chunks"] == [0, 16]
+    titles = [panel["title"] for panel in found["panels"]]
+    assert titles == [f"left arm joint {number}" for number in range(1, 8)] + [
+        f"left flange {axis}" for axis in ("x", "y", "z", "qw", "qx", "qy", "qz")
+    ]
+    panel = found["panels"][2]
+    tolerance = (panel["high"] - panel["low"]) / 65535
+    np.testing.assert_allclose(_values(panel, "state"), joints[:, 2], atol=tolerance)
+    np.testing.assert_allclose(_values(panel, "action"), joints[:, 2] + 1, atol=tolerance)
+
+
+def test_long_curves_are_thinned_and_constant_ones_drawn(tmp_path: Path) -> None:
+    """A curve has few enough points to draw; what never moves, or is no number, does no harm."""
+    still, bad = np.ones((5000, 1), np.float32), np.full((5000, 1), np.nan, np.float32)
+    path = _trace(tmp_path / "a.npz", **{"action.ee_joint_state": still, "action.arm_joint_state": bad})
+    found = curves.read(path)
+    assert len(found["at"]["action"]) <= curves.MOST_POINTS
+    assert found["at"]["action"][1] == 9
+    assert [(panel["title"], panel["low"], panel["high"]) for panel in found["panels"]] == [
+        ("arm joint", 0.0, 0.0),
+        ("gripper", 1.0, 1.0),
+    ]
+
+
+def test_what_is_no_trace_is_refused(tmp_path: Path) -> None:
+    """Pickled objects are never loaded."""
+    np.savez(tmp_path / "pickled.npz", frequency=np.array({"a": 1}, dtype=object))
+    (tmp_path / "text.npz").write_text("no archive")
+    for name in ("pickled.npz", "text.npz", "missing.npz"):
+        with pytest.raises(UserError, match="holds no curves"):
+            curves.read(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"), [(0.4, "0 s"), (59, "59 s"), (125, "2 min 5 s"), (7500, "2 h 5 min"), (90_000, "1 d 1 h")]
+)
+def test_times_are_for_people(seconds: float, said: str) -> None:
+    """Two units at most."""
+    assert phrases.duration(seconds) == said
+
+
+def test_differences_have_a_sign_and_no_negative_zero() -> None:
+    """Points are whole; a little less than nothing is nothing."""
+    assert [phrases.points(value) for value in (0.123, -0.051, -0.001)] == ["+12", "\N{MINUS SIGN}5", "+0"]
+
+
+# --- The page of a run that grows -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def growing(tmp_path: Path) -> Iterator[tuple[Path, http.client.HTTPConnection]]:
+    """Yield a run that is being played, and a connection to the server of its page."""
+    run = synthetic(tmp_path / "foo", episodes=5, played=7, traces=1, films=1)
+    with live.serving(run) as url:
+        connection = http.client.HTTPConnection(url.removeprefix("http://").rstrip("/"), timeout=30)
+        yield run, connection
+        connection.close()
+
+
+def _get(connection: http.client.HTTPConnection, path: str, **headers: str) -> tuple[int, bytes, str | None]:
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    return answer.status, answer.read(), answer.getheader("ETag")
+
+
+def test_a_growing_run_is_shown_again_only_when_it_has_grown(
+    growing: tuple[Path, http.client.HTTPConnection], tmp_path: Path
+) -> None:
+    """The same page is not sent twice; a new one follows the record."""
+    run, connection = growing
+    status, page, tag = _get(connection, "/")
+    assert status == 200
+    assert b"7 of 20 episodes" in page
+    assert tag is not None
+    assert _get(connection, "/", **{"If-None-Match": tag})[:2] == (304, b"")
+    more = synthetic(tmp_path / "more", episodes=5, played=9, traces=1, films=1)
+    shutil.copy(more / records.FILE, run / records.FILE)
+    wait_until(lambda: b"9 of 20 episodes" in _get(connection, "/")[1], "the page has grown")
+
+
+def test_the_server_gives_away_what_the_record_names_and_nothing_else(
+    growing: tuple[Path, http.client.HTTPConnection],
+) -> None:
+    """Films and curves of episodes; no other file, wherever it lies, and no other site may ask."""
+    run, connection = growing
+    assert _get(connection, "/films/0.webp")[1] == (run / "films/0.webp").read_bytes()
+    assert json.loads(_get(connection, "/curves/0.json")[1])["chunks"][0] == 0
+    for path in (
+        "/records.jsonl",
+        "/films/1.webp",
+        "/../foo/records.jsonl",
+        "/%2e%2e/foo/records.jsonl",
+        "/curves/1.json",
+    ):
+        assert _get(connection, path)[0] == 404
+    assert _get(connection, "/", Host="evil.example")[0] == 421
+
+
+def test_the_command_serves_until_it_is_told_to_end(tmp_path: Path) -> None:
+    """The address is printed once the page is there; an interrupt is the usual end."""
+    run = synthetic(tmp_path / "foo", episodes=2)
+    command = [sys.executable, "-m", "xpl_cli", "report", str(run), "--serve"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = urlsplit(process.stdout.readline().strip()).netloc
+        with contextlib.closing(http.client.HTTPConnection(address, timeout=30)) as connection:
+            assert b"complete" in _get(connection, "/")[1]
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == ExitCode.CLEAN
+
+
+def test_a_port_that_is_taken_is_named(growing: tuple[Path, http.client.HTTPConnection]) -> None:
+    """The command says which."""
+    run, connection = growing
+    with pytest.raises(UserError, match=f"127.0.0.1:{connection.port} cannot be listened on"):
+        live.server(run, connection.port)

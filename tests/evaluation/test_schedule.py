@@ -1,0 +1,238 @@
+"""What is played next, what is played again, when it is enough: exactly one final line for each episode."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.support.runs import synthetic
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.records import Writer
+from xpl_cli.evaluation.runs import runner
+from xpl_cli.evaluation.runs.schedule import Schedule
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+GOOD = {"success": True, "score": 1.0, "end_reason": "success", "failure": None}
+WHEN = {"started": "2026-11-21T12:00:00Z", "wall_seconds": 1.0}
+
+
+class Killed(Exception):  # noqa: N818 - no error, but what a test does
+    """The run ends here."""
+
+
+class Script:
+    """A backend in memory: a function tells what becomes of each job, and in which order they end."""
+
+    def __init__(self, lanes: int, answer: Callable[[Job], list[Outcome]], turn: Callable[[int], int]) -> None:
+        self.lanes = lanes
+        self.answer = answer
+        self.turn = turn
+        self.playing: list[Job] = []
+        self.played: list[Job] = []
+
+    def free(self) -> int:
+        """Return how many more jobs it takes."""
+        return self.lanes - len(self.playing)
+
+    def submit(self, job: Job) -> None:
+        """Take a job."""
+        assert self.free() > 0
+        self.playing.append(job)
+
+    def wait(self) -> list[Outcome]:
+        """Let the job whose turn it is end."""
+        job = self.playing.pop(self.turn(len(self.playing)))
+        self.played.append(job)
+        return self.answer(job)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class Silent:
+    """A view that shows nothing."""
+
+    def add(self, line: dict[str, Any], left: int) -> None:
+        """Show nothing."""
+        assert left >= 0
+
+
+def _never(_outcomes: Sequence[bool | None]) -> bool:
+    return False
+
+
+def _good(job: Job) -> list[Outcome]:
+    return [Outcome(job, {**GOOD, **WHEN}, {"processor": "x"})]
+
+
+def _first(_count: int) -> int:
+    return 0
+
+
+def _play(folder: Path, plan: dict[str, Any], backend: Script, enough: Any = _never) -> records.Run:
+    with Writer(folder, plan) as writer:
+        runner.play(writer, backend, Schedule(writer.run, 0, enough), Silent())
+    return records.read(folder)
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return a plan of two cells with three episodes each, and three attempts."""
+    folder = synthetic(tmp_path_factory.mktemp("plan"), tasks=["a"], episodes=3, played=0)
+    return records.read(folder).plan
+
+
+def test_episodes_are_played_in_the_order_of_the_plan(plan: dict[str, Any], tmp_path: Path) -> None:
+    """Each once."""
+    backend = Script(2, _good, _first)
+    run = _play(tmp_path, plan, backend)
+    assert [job.index for job in backend.played] == [0, 1, 2, 3, 4, 5] == list(run.finals)
+    assert {job.attempt for job in backend.played} == {1}
+
+
+def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: dict[str, Any], tmp_path: Path) -> None:
+    """What fails for good is final as a failure of the infrastructure; attempts are counted from 1."""
+
+    def answer(job: Job) -> list[Outcome]:
+        return [lost(job, "gone")] if job.index == 1 else _good(job)
+
+    backend = Script(1, answer, _first)
+    run = _play(tmp_path, plan, backend)
+    assert [job.index for job in backend.played] == [0, 1, 2, 1, 3, 1, 4, 5]
+    assert [(line["attempt"], line["final"]) for line in run.attempts if line["index"] == 1] == [
+        (1, False), (2, False), (3, True),
+    ]  # fmt: skip
+    assert (run.finals[1]["failure"], run.finals[1]["success"]) == ("infrastructure", None)
+
+
+def test_attempts_before_an_interruption_count(plan: dict[str, Any], tmp_path: Path) -> None:
+    """A run that is resumed does not begin to count anew."""
+    spoilt = 0
+
+    def answer(job: Job) -> list[Outcome]:
+        nonlocal spoilt
+        spoilt += 1
+        if spoilt == 3:
+            raise Killed
+        return [lost(job, "gone")]
+
+    with pytest.raises(Killed):
+        _play(tmp_path, plan, Script(1, answer, _first))
+    backend = Script(1, _good, _first)
+    _play(tmp_path, plan, backend)
+    assert [(job.index, job.attempt) for job in backend.played][:3] == [(0, 2), (1, 2), (2, 1)]
+
+
+def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: dict[str, Any], tmp_path: Path) -> None:
+    """Nothing can be played: the run stops, nearly all stays open, and resuming plays it."""
+    cells = [{**cell, "seeds": list(range(20))} for cell in plan["cells"]]
+    long = records.named({**plan, "cells": cells})
+    with pytest.raises(UserError, match="12 attempts in a row") as caught:
+        _play(tmp_path, long, Script(3, lambda job: [lost(job, "gone")], _first))
+    assert caught.value.code == ExitCode.NOT_RUN
+    assert not records.read(tmp_path).finals
+    assert len(_play(tmp_path, long, Script(3, _good, _first)).finals) == 40
+
+
+def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: dict[str, Any], tmp_path: Path) -> None:
+    """Only attempts that began after the last one that went well tell of one."""
+    cells = [{**cell, "seeds": list(range(40))} for cell in plan["cells"]]
+    lost_once = Counter[int]()
+
+    def answer(job: Job) -> list[Outcome]:
+        if job.index in range(1, 17) and not lost_once[job.index]:
+            lost_once[job.index] += 1
+            return [lost(job, "node died")]
+        return _good(job)
+
+    run = _play(tmp_path, records.named({**plan, "cells": cells}), Script(17, answer, _first))
+    assert len(run.finals) == 80
+    assert not any(line["failure"] for line in run.finals.values())
+
+
+def test_an_outcome_that_comes_again_or_too_late_is_dropped(plan: dict[str, Any], tmp_path: Path) -> None:
+    """Of each attempt the first counts, and a lost one that comes back counts no more."""
+    late: list[Outcome] = []
+
+    def answer(job: Job) -> list[Outcome]:
+        if job.index == 0 and job.attempt == 1:
+            late.extend(_good(job))
+            return [lost(job, "gone")]
+        return [*late, *_good(job), *_good(job)]
+
+    run = _play(tmp_path, plan, Script(2, answer, _first))
+    assert [line["index"] for line in run.attempts].count(0) == 2
+    assert (run.finals[0]["attempt"], len(run.finals), len(run.attempts)) == (2, 6, 7)
+
+
+def test_a_backend_may_have_nothing_to_tell(plan: dict[str, Any], tmp_path: Path) -> None:
+    """As a cluster does whose lanes have just changed."""
+    pauses = iter([True, False] * 12)
+    backend = Script(2, _good, _first)
+    wait = backend.wait
+    backend.wait = lambda: [] if next(pauses) else wait()  # type: ignore[method-assign]
+    assert len(_play(tmp_path, plan, backend).finals) == 6
+
+
+def test_a_cell_ends_when_it_is_enough(plan: dict[str, Any], tmp_path: Path) -> None:
+    """By its episodes in the order of the plan, whatever the order in which they end; the other cell goes on."""
+    cells = [{**cell, "seeds": list(range(20))} for cell in plan["cells"]]
+    long = records.named({**plan, "cells": cells})
+
+    def enough(outcomes: Sequence[bool | None]) -> bool:
+        return len(outcomes) >= 5
+
+    turns = itertools.cycle([2, 0, 1])
+    for lanes, turn in ((1, _first), (4, lambda count: next(turns) % count)):
+        folder = tmp_path / str(lanes)
+        run = _play(folder, long, Script(lanes, _good, turn), enough)
+        for start in (0, 20):
+            assert {start + number for number in range(5)} <= set(run.finals)
+            assert len([index for index in run.finals if start <= index < start + 20]) < 5 + 2 * lanes
+        assert _play(folder, long, Script(1, _good, _first), enough).attempts == run.attempts
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), lanes=st.integers(1, 4))
+def test_whatever_happens_each_episode_is_final_once(
+    plan: dict[str, Any], tmp_path: Path, data: st.DataObject, lanes: int
+) -> None:
+    """Lanes die, outcomes come twice or late, the run is killed and resumed: nothing is counted twice or missing."""
+    folder = tmp_path / "run"
+    shutil.rmtree(folder, ignore_errors=True)
+    old: list[Outcome] = []
+
+    def answer(job: Job) -> list[Outcome]:
+        what = data.draw(st.sampled_from(["good", "good", "lost", "twice", "late", "killed"]))
+        if what == "killed":
+            raise Killed
+        if what == "lost":
+            old.extend(_good(job))
+            return [lost(job, "gone")]
+        return [*(old if what == "late" else ()), *_good(job), *(_good(job) if what == "twice" else ())]
+
+    for _ in range(200):
+        try:
+            backend = Script(lanes, answer, lambda count: data.draw(st.integers(0, count - 1)))
+            run = _play(folder, plan, backend)
+            break
+        except (Killed, UserError):
+            continue
+    assert list(run.finals) == [0, 1, 2, 3, 4, 5]
+    finals = [line for line in run.attempts if line["final"]]
+    assert len(finals) == 6
+    for index in run.finals:
+        numbers = [line["attempt"] for line in run.attempts if line["index"] == index]
+        assert numbers == list(range(1, len(numbers) + 1))
+        assert len(numbers) <= plan["control"]["attempts"]

@@ -1,0 +1,329 @@
+"""`xpl eval --out`: suites that are played, recorded, broken off and resumed, by real processes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import uuid
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support import drill
+from tests.support.peer import MARK, processes, wait_until, xpl
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.lanes.backends import Room
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.runs import evaluate, plan
+from xpl_cli.evaluation.statistics import summary
+from xpl_cli.packages import package
+from xpl_cli.standard.validate import validate
+
+UNSTEADY = ("started", "wall_seconds", "inference", "server", "worker", "machine", "trace", "film")
+"""What a line says of the time and place of an episode."""
+
+
+OPTIONS = ("--task", "all", "--episodes", "4", "--horizon", "2", "--json")
+
+
+pytestmark = pytest.mark.xdist_group("suite")  # what is made once serves all
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """Return a folder with a run of two tasks in it, played by two lanes, and what the command told."""
+    folder = tmp_path_factory.mktemp("room")
+    drill.environment(folder)
+    drill.adapter(folder)
+    return folder, _eval(folder, *OPTIONS, "--workers", "2", "--film", "1")
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    """Return a folder with the drill's environment and adapter in it."""
+    drill.environment(tmp_path)
+    drill.adapter(tmp_path)
+    return tmp_path
+
+
+def _eval(room: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    return xpl("eval", "Drilled", "--env", "drill", "--out", "run", *options, cwd=room)
+
+
+def _outcomes(run: records.Run) -> list[dict[str, Any]]:
+    """Return what has to be equal for equal plans."""
+    return [{key: value for key, value in line.items() if key not in UNSTEADY} for line in run.finals.values()]
+
+
+def _table(run: records.Run) -> str:
+    """Return the final table, as bytes would show it."""
+    found = summary.summarise(run)
+    return json.dumps({key: value for key, value in found.items() if key != "course"})
+
+
+def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
+    played: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    """Every line is as specified, files have their digests, and two lanes find what one finds, traces too."""
+    room, done = played
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    told = json.loads(done.stdout)
+    assert told["overall"]["successes"] == 6
+    assert "8 of 8 episodes" in done.stderr
+    lines = [json.loads(line) for line in (room / "run" / records.FILE).read_text().splitlines()]
+    assert [problem for line in lines for problem in validate(line, "record")] == []
+    run = records.read(room / "run")
+    assert [(line["task"], line["seed"]) for line in run.finals.values()] == [
+        (task, seed) for task in ("hold", "wait") for seed in range(4)
+    ]
+    assert [line["success"] for line in run.finals.values()] == [seed in drill.WINS for seed in range(4)] * 2
+    assert [line["failure"] for line in run.finals.values()] == [None, None, "task", None] * 2
+    assert len({line["worker"] for line in run.finals.values()}) == 2
+    assert [index for index, line in run.finals.items() if "film" in line] == [0, 4]
+    for line in run.finals.values():
+        for kind in ("trace", "film"):
+            if kind in line:
+                content = (room / "run" / line[kind]["path"]).read_bytes()
+                assert hashlib.sha256(content).hexdigest() == line[kind]["digest"]
+        assert line["inference"]["count"] == sum(line["inference"]["histogram"]) == 3
+    alone = xpl("eval", "Drilled", "--env", "drill", "--out", "alone", *OPTIONS, cwd=room)
+    assert alone.returncode == ExitCode.CLEAN, alone.stderr
+    other = records.read(room / "alone")
+    assert _outcomes(other) == _outcomes(run)
+    assert _table(other) == _table(run)
+    assert [line["trace"]["digest"] for line in other.finals.values()] == [
+        line["trace"]["digest"] for line in run.finals.values()
+    ]
+
+
+def test_a_trace_holds_what_was_seen_and_commanded(room: Path) -> None:
+    """Curves under the names of the standard, without pickles; chunks begin where the policy was asked."""
+    done = _eval(room, "--episodes", "1", "--film", "0")  # the adapter's own loop
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    with np.load(room / "run" / "traces" / "0.npz", allow_pickle=False) as trace:
+        curves = dict(trace)
+    assert curves["frequency"] == 25
+    assert curves["chunk_starts"].tolist() == [0, 2, 4]
+    assert curves["action.arm_joint_state"].shape == (drill.STEPS, 7)
+    assert curves["action.ee_joint_state"].shape == (drill.STEPS, 1)
+    seen = curves["state.arm_joint_state"]
+    assert seen.shape == (len(curves["state_steps"]), 7)
+    assert {value.dtype for name, value in curves.items() if "." in name} == {np.dtype(np.float32)}
+    executed = curves["action.arm_joint_state"][curves["state_steps"][1:] - 1]
+    np.testing.assert_array_equal(seen[1:], executed)  # this environment goes where it is told
+
+
+def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_again(tmp_path: Path) -> None:
+    """A policy that raises fails its episode; who dies is replaced; what fails for good counts neither way."""
+    place = drill.environment(tmp_path, tasks=("hold",))
+    drill.adapter(tmp_path, raises=[1])
+    drill.mark(place, "env-dies-3", 1)
+    drill.mark(place, "env-dies-4", 9)
+    drill.mark(tmp_path, "policy-dies-0", 1)
+    drill.mark(place, "blind", 99)  # no film, and no harm
+    done = _eval(tmp_path, "--episodes", "6", "--horizon", "2", "--film", "6", "--json")
+    assert done.returncode == ExitCode.NOT_RUN, done.stderr
+    assert "1 of 6 episodes were spoilt" in done.stderr
+    run = records.read(tmp_path / "run")
+    assert [problem for line in run.attempts for problem in validate(line, "record")] == []
+    finals = run.finals
+    assert [finals[index]["failure"] for index in range(6)] == [None, "policy", "task", None, "infrastructure", "task"]
+    assert [finals[index]["attempt"] for index in range(6)] == [2, 1, 1, 2, 3, 1]
+    assert (finals[1]["success"], finals[1]["end_reason"]) == (False, "policy_error")
+    assert "no idea what to do about 1" in finals[1]["error"]
+    assert (finals[4]["success"], finals[4]["score"]) == (None, None)
+    assert "SIGKILL" in finals[4]["error"]
+    spoilt = [line for line in run.attempts if line["failure"] == "infrastructure"]
+    assert [line["index"] for line in spoilt].count(0) == 1
+    assert not any("film" in line for line in run.attempts)
+    overall = summary.summarise(run)["overall"]
+    assert (overall["successes"], overall["judged"]) == (2, 5)
+
+
+def test_a_run_that_is_there_is_only_continued_if_asked_and_by_the_same_plan(
+    played: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    """What is recorded is not overwritten; other episodes are another run; an adapter that changed is another one."""
+    room, _ = played
+    before = (room / "run" / records.FILE).read_bytes()
+    again = _eval(room, "--episodes", "1")
+    assert (again.returncode, "--resume" in again.stderr) == (ExitCode.USAGE, True)
+    silent = _eval(room, "--resume", "--json")
+    assert (silent.returncode, json.loads(silent.stdout)["overall"]["played"]) == (ExitCode.CLEAN, 8)
+    other = _request(room, plan.Wishes(episodes=2))
+    with pytest.raises(UserError, match=r"cells, control\.horizon differ"):
+        evaluate.evaluate(other)
+    with (room / "policy" / "Drilled" / "model.py").open("a") as stream:
+        stream.write("# changed\n")
+    with pytest.raises(UserError, match=r"policy\.digest differ"):
+        evaluate.evaluate(_request(room, None))
+    assert (room / "run" / records.FILE).read_bytes() == before
+
+
+def _request(place: Path, wishes: plan.Wishes | None, **more: Any) -> evaluate.Request:
+    adapter = package.load(place / "policy" / "Drilled")
+    return evaluate.Request(adapter, str(place / "envs" / "drill"), place / "run", wishes, resume=True, **more)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"wishes": plan.Wishes(tasks="hold,fold")}, "no task 'fold'"),
+        ({"wishes": plan.Wishes(tasks="hold,hold")}, "twice"),
+        ({"wishes": plan.Wishes(), "room": Room("cloud")}, "local, ray"),
+        ({"wishes": plan.Wishes(), "overrides": {"env_cfg_type": "piper_single"}}, "has no piper_single"),
+    ],
+)
+def test_what_cannot_be_played_is_refused_in_one_sentence(room: Path, given: dict[str, Any], said: str) -> None:
+    """Before anything is recorded."""
+    with pytest.raises(UserError, match=said):
+        evaluate.evaluate(_request(room, **given))
+    assert not (room / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "options", [["--out", "run", "--connect", "ws://localhost:1"], ["--out", "run", "--workers", "0"], ["--resume"]]
+)
+def test_options_that_do_not_go_together_are_refused(room: Path, options: list[str]) -> None:
+    """As wrong usage, with the option's name."""
+    done = xpl("eval", "Drilled", "--env", "drill", *options, cwd=room)
+    assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
+    assert options[-2 if len(options) > 1 else 0] in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_policy_that_does_not_fit_ends_the_run(room: Path) -> None:
+    """With the reason, and without an episode."""
+    (room / "policy" / "Drilled" / "policy.yml").write_text(json.dumps({"control_frequency": 50}))
+    done = _eval(room)
+    assert (done.returncode, "50 Hz" in done.stderr) == (ExitCode.USAGE, True)
+    assert not records.read(room / "run").attempts
+
+
+def test_evaluation_seeds_are_those_of_the_environment_where_it_has_some(room: Path) -> None:
+    """From the place that --seed names; there are no more than there are."""
+    seeds = room / "envs" / "drill" / "seeds"
+    seeds.mkdir()
+    (seeds / "hold.json").write_text(json.dumps({"clean": [70, 71, 72, 73]}))
+    adapter = package.load(room / "policy" / "Drilled")
+
+    def cell(**wishes: Any) -> dict[str, Any]:
+        made = plan.make(adapter, seeds.parent, adapter.config(), plan.Wishes(**wishes))
+        found: dict[str, Any] = made.line["cells"][0]
+        return found
+
+    assert (cell(first=2, episodes=2)["seeds"], cell(first=2, episodes=2)["frozen"]) == ([72, 73], True)
+    assert cell(until_width=0.2)["seeds"] == [70, 71, 72, 73]
+    with pytest.raises(UserError, match="has 4 evaluation seeds"):
+        cell(first=3, episodes=2)
+
+
+# -- kills -------------------------------------------------------------------------------------------------------------
+
+
+def _killed_again_and_again(room: Path, command: list[str], kills: int, seed: int, longest_s: float) -> None:
+    """Kill a run at random moments, resume it each time, and let it end.
+
+    A moment is a random time after a random number of episodes that the run has told of, so that busy machines get as
+    far as quick ones; the first moments are before the first episode.
+    """
+    draw = random.Random(seed)  # noqa: S311 - moments, not secrets
+    mark = uuid.uuid4().hex
+    for _ in range(kills):
+        with subprocess.Popen(
+            command, cwd=room, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, env={**os.environ, MARK: mark}
+        ) as process:
+            assert process.stderr is not None
+            for _ in range(draw.randrange(4)):
+                process.stderr.readline()
+            try:
+                process.wait(draw.uniform(0.0, longest_s))
+            except subprocess.TimeoutExpired:
+                process.send_signal(signal.SIGKILL)
+        wait_until(lambda: not processes(mark), "nothing is left of the run")
+    done = subprocess.run(command, cwd=room, capture_output=True, text=True, check=False)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+
+
+def _agree(killed: Path, whole: Path) -> None:
+    """Two runs of one plan have the same episodes once each, the same table to the byte, and the same traces."""
+    one, other = records.read(killed), records.read(whole)
+    assert one.plan["run"] == other.plan["run"]
+    assert sorted(line["index"] for line in one.attempts if line["final"]) == list(other.finals)
+    assert _outcomes(one) == _outcomes(other)
+    assert _table(one).encode() == _table(other).encode()
+    for index in one.finals:
+        assert (killed / f"traces/{index}.npz").read_bytes() == (whole / f"traces/{index}.npz").read_bytes()
+
+
+def test_a_run_that_is_killed_three_times_ends_with_the_same_table(room: Path) -> None:
+    """And no process survives it."""
+    command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
+    command += ["--episodes", "6", "--resume", "--out"]
+    _killed_again_and_again(room, [*command, "killed"], 3, 20261121, 0.2)
+    whole = subprocess.run([*command, "whole"], cwd=room, capture_output=True, text=True, check=False)
+    assert whole.returncode == ExitCode.CLEAN, whole.stderr
+    _agree(room / "killed", room / "whole")
+
+
+def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
+    """Two lanes share a server: one of the lanes is killed, then the server; their attempts are played again."""
+    drill.environment(tmp_path)
+    drill.adapter(tmp_path, close_timeout_s=1)
+    mark = uuid.uuid4().hex
+    command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--out", "run", "--film", "0"]
+    command += ["--episodes", "60", "--workers", "2", "--servers", "1"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, MARK: mark}
+    ) as process:
+        assert process.stderr is not None
+        for name in ("lane_process", "xpl_cli serve"):
+            while b" episodes, " not in process.stderr.readline():
+                assert process.poll() is None
+            victims = [pid for pid, line in processes(mark).items() if name in line]
+            os.kill(victims[0], signal.SIGKILL)
+        _, told = process.communicate()
+    assert process.returncode == ExitCode.CLEAN, told.decode()
+    run = records.read(tmp_path / "run")
+    assert [line["success"] for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
+    spoilt = [line["error"] for line in run.attempts if line["failure"] == "infrastructure"]
+    assert any("was ended by signal SIGKILL" in error for error in spoilt)
+    assert 2 <= len(spoilt) <= 4
+    assert not processes(mark)
+
+
+@pytest.mark.slow
+def test_a_lane_whose_server_does_not_start_any_more_leaves_its_episodes_to_others(tmp_path: Path) -> None:
+    """It costs the attempt in which the server was lost, and no other; without any lane the run ends, to be resumed."""
+    drill.environment(tmp_path)
+    drill.adapter(tmp_path)
+    drill.mark(tmp_path, "policy-dies-for-good", 1)
+    done = _eval(tmp_path, "--episodes", "60", "--workers", "2")
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    run = records.read(tmp_path / "run")
+    assert sum(line["failure"] == "infrastructure" for line in run.attempts) == 1
+    assert [line["success"] for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
+    drill.mark(tmp_path, "policy-dies-for-good", 1)
+    alone = xpl("eval", "Drilled", "--env", "drill", "--out", "alone", "--episodes", "2", cwd=tmp_path)
+    assert (alone.returncode, "the weights are gone" in alone.stderr) == (ExitCode.NOT_RUN, True)
+    assert not records.read(tmp_path / "alone").finals
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_run_in_physics_that_is_killed_twenty_times_ends_with_the_same_table(tmp_path: Path) -> None:
+    """At random moments, with two lanes, four cells and 60 episodes."""
+    command = [sys.executable, "-m", "xpl_cli", "eval", "scripted_expert", "--env", "mujoco", "--horizon", "1"]
+    command += ["--task", "lift_cube,push_block", "--setting", "clean,randomized", "--episodes", "15", "--film", "0"]
+    command += ["--workers", "2", "--resume", "--out"]
+    _killed_again_and_again(tmp_path, [*command, "killed"], 20, 8, 1.5)
+    whole = subprocess.run([*command, "whole"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert whole.returncode == ExitCode.CLEAN, whole.stderr
+    _agree(tmp_path / "killed", tmp_path / "whole")

@@ -1,0 +1,235 @@
+"""What a run's record adds up to."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.runs import Faults, synthetic
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.runs.stopping import stopping_point
+from xpl_cli.evaluation.statistics import intervals, wording
+from xpl_cli.evaluation.statistics.summary import summarise
+from xpl_cli.standard.validate import validate
+
+Line = dict[str, Any]
+
+
+def rewritten(folder: Path, change: Callable[[list[Line]], list[Line]], **plan: Any) -> Path:
+    """Change the lines of a record after its first, which gets new values and the name that goes with them."""
+    file = folder / records.FILE
+    first, *rest = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
+    lines = [records.named({**first, **plan}), *change(rest)]
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    return folder
+
+
+def summary_of(folder: Path, method: str = "wilson") -> dict[str, Any]:
+    """Return the summary of a recorded run, which keeps to its schema and can be shown."""
+    found = summarise(records.read(folder), method)
+    assert [str(problem) for problem in validate(found, "summary")] == []
+    assert wording.text(found)
+    return found
+
+
+def results(summary: dict[str, Any]) -> dict[str, Any]:
+    """Return what follows from results alone."""
+    return {key: value for key, value in summary.items() if key != "course"}
+
+
+def test_rows_count_what_was_played(tmp_path: Path) -> None:
+    """Cells in the order of the plan, and sums over them."""
+    found = summary_of(synthetic(tmp_path / "run", episodes=25, faults=Faults(policy=0.1)))
+    assert [(row["task"], row["setting"]) for row in found["cells"]] == [
+        ("lift_cube", "clean"), ("lift_cube", "randomized"), ("stack_cubes", "clean"), ("stack_cubes", "randomized"),
+    ]  # fmt: skip
+    overall = found["overall"]
+    assert (overall["planned"], overall["played"], overall["judged"], overall["unplayed"]) == (100, 100, 100, 0)
+    assert overall["successes"] == sum(row["successes"] for row in found["cells"])
+    assert overall["successes"] + sum(overall["failures"].values()) == 100
+    assert overall["failures"]["policy"] > 0
+    assert [row["task"] for row in found["tasks"]] == ["lift_cube", "stack_cubes"]
+    assert [row["setting"] for row in found["settings"]] == ["clean", "randomized"]
+    assert [row["dimension"] for row in found["dimensions"]] == ["precision", "long-horizon"]
+    assert {row["setting"] for row in found["tasks"]} == {None}
+
+
+def test_with_equal_counts_the_mean_of_cells_is_the_share_of_all(tmp_path: Path) -> None:
+    """Over one cell, a row is that cell's; over several, the interval is narrower than any of theirs."""
+    found = summary_of(synthetic(tmp_path / "run", episodes=30))
+    overall = found["overall"]
+    assert overall["success_rate"] == pytest.approx(overall["successes"] / 120)
+    for row in found["cells"]:
+        assert row["success_interval"] == pytest.approx(list(intervals.wilson(row["success_rate"], 30)))
+    low, high = overall["success_interval"]
+    assert high - low < min(row["success_interval"][1] - row["success_interval"][0] for row in found["cells"])
+    assert found["dimensions"][0]["success_interval"] == found["tasks"][0]["success_interval"]
+
+
+def test_the_exact_interval_is_at_hand(tmp_path: Path) -> None:
+    """It is the wider one."""
+    folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
+    usual, exact = summary_of(folder), summary_of(folder, "exact")
+    row = exact["overall"]
+    assert row["success_interval"] == pytest.approx(list(intervals.exact(row["successes"], row["judged"])))
+    assert exact["methods"]["success"] == "exact"
+    assert row["success_interval"][0] < usual["overall"]["success_interval"][0]
+
+
+def test_results_do_not_depend_on_the_order_in_which_episodes_ended(tmp_path: Path) -> None:
+    """Nor on what was tried before: several workers and a resumed run give the same table, byte for byte."""
+    folder = synthetic(tmp_path / "run", faults=Faults(retried=0.2))
+    before = summary_of(folder)
+
+    def shuffled(lines: list[Line]) -> list[Line]:
+        machine, *episodes = lines
+        firsts = [line for line in episodes if not line["final"]]
+        finals = [line for line in episodes if line["final"]]
+        random.Random(1).shuffle(finals)  # noqa: S311 - an order, not a secret
+        return [machine, *firsts[::2], *finals]
+
+    after = summary_of(rewritten(folder, shuffled))
+    assert json.dumps(results(after)) == json.dumps(results(before))
+    assert after["course"]["retried"] < before["course"]["retried"]
+
+
+def test_what_the_infrastructure_spoilt_counts_neither_way_and_is_told(tmp_path: Path) -> None:
+    """The rate is of the other episodes; what it might have been stands beside it."""
+    found = summary_of(synthetic(tmp_path / "run", faults=Faults(infrastructure=0.1)))
+    row = found["overall"]
+    spoilt = row["failures"]["infrastructure"]
+    assert spoilt > 0
+    assert row["judged"] + spoilt == row["played"] == 80
+    worst, best = row["if_spoilt"]
+    assert worst < row["success_rate"] < best
+    assert worst == pytest.approx(row["successes"] / 80)
+    assert any(note.startswith(f"{spoilt} episodes were spoilt by the infrastructure") for note in found["notes"])
+    assert summary_of(synthetic(tmp_path / "other"))["overall"]["if_spoilt"] is None
+    nothing = summary_of(synthetic(tmp_path / "nothing", faults=Faults(infrastructure=1.0)))
+    assert (nothing["overall"]["success_rate"], nothing["overall"]["if_spoilt"]) == (None, None)
+    assert nothing["notes"][0] == "80 episodes were spoilt by the infrastructure, and counted neither way."
+
+
+def test_a_policy_that_fails_has_not_succeeded_and_has_no_score(tmp_path: Path) -> None:
+    """Whatever an environment made of the episode: leaving it out would reward errors."""
+    folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"], episodes=20, rate=1.0)
+
+    def failing(lines: list[Line]) -> list[Line]:
+        for line in lines[1:6]:
+            line.update(success=None, score=None, failure="policy", error="no action", end_reason="policy_error")
+        return lines
+
+    row = summary_of(rewritten(folder, failing))["overall"]
+    assert (row["judged"], row["success_rate"]) == (20, 0.75)
+    assert row["mean_score"] == pytest.approx(0.75)
+
+
+def test_an_environment_without_success_has_no_rate(tmp_path: Path) -> None:
+    """It is not 0."""
+    folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
+
+    def driving(lines: list[Line]) -> list[Line]:
+        return [
+            line if line["kind"] == "machine" else {**line, "success": None, "score": None, "failure": None}
+            for line in lines
+            if line["kind"] == "machine" or line["final"]
+        ]
+
+    found = summary_of(rewritten(folder, driving))
+    row = found["overall"]
+    assert (row["success_rate"], row["success_interval"], row["mean_score"], row["judged"]) == (None, None, None, 0)
+    assert row["played"] == 20
+    assert any(note.startswith("No episode with a success to speak of: lift_cube (clean)") for note in found["notes"])
+
+
+def test_a_run_that_is_not_finished_says_so(tmp_path: Path) -> None:
+    """A cell without any episode takes no part in the means."""
+    found = summary_of(synthetic(tmp_path / "run", episodes=10, played=12))
+    assert [row["played"] for row in found["cells"]] == [10, 2, 0, 0]
+    assert found["overall"]["unplayed"] == 28
+    assert found["cells"][2]["success_rate"] is None
+    mean = (found["cells"][0]["success_rate"] + found["cells"][1]["success_rate"]) / 2
+    assert found["overall"]["success_rate"] == pytest.approx(mean)
+    assert found["notes"][0].startswith("28 episodes of 40 still to be played")
+    assert any("means of the rates" in note for note in found["notes"])
+
+
+def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -> None:
+    """A run that plays until intervals are narrow enough has one result, however many episodes were on their way."""
+    cell: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"], "episodes": 60, "rate": 0.95}
+    whole = summary_of(rewritten(synthetic(tmp_path / "whole", **cell), lambda lines: lines, until_width=0.3))
+    row = whole["overall"]
+    outcomes = [line["success"] for line in records.read(tmp_path / "whole").finals.values()]
+    assert row["judged"] == stopping_point(outcomes, 0.3)
+    assert (row["unplayed"], whole["course"]["beyond"]) == (0, 60 - row["judged"])
+    assert "not counted" in whole["course"]["notes"][0]
+    assert any("Tasks ended as soon as" in note for note in whole["notes"])
+
+    def cut(lines: list[Line]) -> list[Line]:
+        return [line for line in lines if line["kind"] == "machine" or line["index"] < row["played"]]
+
+    short = summary_of(rewritten(synthetic(tmp_path / "short", **cell), cut, until_width=0.3))
+    assert json.dumps(results(short)) == json.dumps(results(whole))
+
+
+def test_seeds_may_run_out_before_the_interval_is_narrow(tmp_path: Path) -> None:
+    """The run is over, and says that it has not reached what was asked for."""
+    folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 30, rate=0.5)
+    found = summary_of(rewritten(folder, lambda lines: lines, until_width=0.2))
+    assert found["overall"]["unplayed"] == 0
+    assert any("still wider than asked for: lift_cube (clean)" in note for note in found["notes"])
+
+
+def test_a_gap_keeps_a_cell_from_ending(tmp_path: Path) -> None:
+    """What follows an episode that is still to be played does not yet tell whether the cell has ended."""
+    folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 60, rate=0.95)
+
+    def gap(lines: list[Line]) -> list[Line]:
+        return [line for line in lines if line["kind"] == "machine" or line["index"] != 3]
+
+    found = summary_of(rewritten(folder, gap, until_width=0.3))
+    assert (found["overall"]["played"], found["overall"]["unplayed"], found["course"]["beyond"]) == (59, 1, 0)
+
+
+def test_settings_are_held_against_the_first(tmp_path: Path) -> None:
+    """By seed, since equal seeds have equal layouts; over all tasks, the mean."""
+    rates = {(task, setting): 0.9 if setting == "clean" else 0.3
+             for task in ("lift_cube", "stack_cubes") for setting in ("clean", "randomized")}  # fmt: skip
+    found = summary_of(synthetic(tmp_path / "run", episodes=40, rate=rates))
+    each, overall = found["contrasts"][:2], found["contrasts"][2]
+    assert [row["task"] for row in found["contrasts"]] == ["lift_cube", "stack_cubes", None]
+    assert all(row["settings"] == ["clean", "randomized"] and row["pairs"] == 40 for row in each)
+    assert overall["difference"] == pytest.approx(sum(row["difference"] for row in each) / 2)
+    assert overall["interval"][1] < -0.3
+    by_setting = [row["success_rate"] for row in found["settings"]]
+    assert overall["difference"] == pytest.approx(by_setting[1] - by_setting[0])
+
+
+def test_the_course_of_a_run_is_told_apart(tmp_path: Path) -> None:
+    """Retries, errors, and latency as exactly as a histogram can tell it."""
+    folder = synthetic(tmp_path / "run", faults=Faults(retried=0.3))
+    course = summary_of(folder)["course"]
+    assert course["attempts"] == 80 + course["retried"]
+    assert course["errors"][0]["count"] >= course["retried"] > 0
+
+    def timed(lines: list[Line]) -> list[Line]:
+        for line in lines[1:]:
+            line["inference"] = {"count": 10, "seconds": 0.1, "histogram": [0, 0, 9, 0, 0, 0, 0, 0, 1, 0]}
+        return lines
+
+    told = summary_of(rewritten(folder, timed))["course"]["inference"]
+    assert 0.002 < told["p50"] < 0.003
+    assert 0.016 < told["p95"] < told["p99"] < 0.023
+
+
+def test_numbers_agree_with_their_nouns() -> None:
+    """One episode was, two were."""
+    assert wording.were(1, "episode") == "1 episode was"
+    assert wording.were(2, "episode", "of Foo") == "2 episodes of Foo were"
+    assert wording.interval(0.9, 0.95) == "90.0 to 95.0 %"
+    assert wording.points(-0.034, 0.12) == "-3 to +12"

@@ -1,0 +1,80 @@
+"""How far a run has come: lines where nobody watches, a table that changes on a terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import pty
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.runs import Faults, synthetic
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.runs.view import Tally, view
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> records.Run:
+    """Return a run of 2 cells with 4 episodes each, of which 3 were played, all with success."""
+    faults = Faults(policy=0.0, retried=0.0)
+    return records.read(synthetic(tmp_path, ["lift"], episodes=4, rate=1.0, played=3, faults=faults))
+
+
+def _next(run: records.Run, index: int, **more: Any) -> dict[str, Any]:
+    """Return a line that is recorded now."""
+    slot = records.slots(run.plan)[index]
+    place = {"index": index, "task": slot.task, "setting": slot.setting, "seed": slot.seed}
+    return {**run.finals[0], "error": None, **place, **more}
+
+
+SPOILT = {"success": None, "failure": "infrastructure", "end_reason": "infrastructure", "error": "the server ended"}
+
+
+def test_a_line_tells_what_happened_and_how_far_the_run_is(
+    run: records.Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Episodes of an earlier process count, except for the pace."""
+    with view(run, 5) as shown:
+        shown.add(_next(run, 3, final=False, **SPOILT), 5)
+        shown.add(_next(run, 3, wall_seconds=36.0), 4)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("lift, clean, seed 3: infrastructure (the server ended), is played again; 3 of 8 episodes")
+    assert second.startswith("lift, clean, seed 3: success; 4 of 8 episodes, 4 of 4 succeeded (51 to 100 %), ")
+    assert "episodes/h" in second
+    assert second.endswith(" left")
+
+
+def test_the_pace_is_that_of_the_episodes_since_the_first_began(run: records.Run) -> None:
+    """One that took 36 s makes 100 an hour, and four more take 2 min 24 s."""
+    tally = Tally(run, 5)
+    assert "episodes/h" not in tally.text()
+    tally.add(_next(run, 3, wall_seconds=36.0), 4)
+    assert "100 episodes/h, 2:24 left" in tally.text()
+
+
+def _all_of(terminal: io.FileIO) -> str:
+    """Return what was written to a terminal that was closed since; it arrives in pieces, and ends in an error."""
+    pieces = []
+    with contextlib.suppress(OSError):
+        while piece := terminal.read(1 << 16):
+            pieces.append(piece)
+    return b"".join(pieces).decode()
+
+
+def test_a_terminal_shows_cells_and_the_last_failure(run: records.Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All in one table, which is drawn anew."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    ours, theirs = pty.openpty()
+    with os.fdopen(ours, "rb", buffering=0) as told:
+        with os.fdopen(theirs, "w") as terminal:
+            monkeypatch.setattr(sys, "stderr", terminal)
+            with view(run, 5) as shown:
+                shown.add(_next(run, 3, **SPOILT), 4)
+        text = _all_of(told)
+    for part in ("clean", "4/4", "randomized", "0/4", "3 of 3 succeeded", "last failure: lift, clean, seed 3"):
+        assert part in text

@@ -1,0 +1,320 @@
+"""What an adapter is kept from: memory, network, writing, and leaving processes behind."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.support.peer import wait_until
+from xpl import Client
+from xpl.client import PolicyServerError
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.isolation import family, sandbox
+from xpl_cli.isolation.sandbox import MemoryLimit
+from xpl_cli.main import app
+from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
+
+Write = Callable[..., Path]
+Serve = Callable[..., RunningServer]
+
+# Tries on request what an adapter should not do, and answers with what came of it.
+SUBJECT = """
+    import os, socket, subprocess, sys, tempfile, time
+
+
+    class Model:
+        def __init__(self, config):
+            if config.get("hang"):
+                time.sleep(600)
+            if config.get("hog"):
+                self.hog = b"x" * config["hog"]
+
+        def update_obs(self, obs):
+            self.obs = obs
+
+        def update_obs_batch(self, obs_list):
+            self.obs = obs_list[0]
+
+        def get_action(self):
+            return getattr(self, self.obs["do"])(self.obs.get("with"))
+
+        def get_action_batch(self, envs=None):
+            return [self.get_action()]
+
+        def reset(self):
+            pass
+
+        def connect(self, port):
+            with socket.socket() as client:
+                return client.connect_ex(("127.0.0.1", port))
+
+        def write(self, path):
+            try:
+                with open(path, "w") as stream:
+                    stream.write("written")
+            except OSError as error:
+                return error.strerror
+
+        def write_home(self, _):
+            self.write(os.path.expanduser("~/state"))
+            self.write(tempfile.gettempdir() + "/state")
+            return [os.path.expanduser("~"), tempfile.gettempdir(), open(os.path.expanduser("~/state")).read()]
+
+        def undo(self, path):
+            return subprocess.run(["mount", "-o", "remount,bind,rw", path], capture_output=True).returncode
+
+        def picture(self, picture):
+            return int(picture.sum())
+
+        def eat(self, size):
+            self.hog = bytearray(os.urandom(1 << 20)) * (size >> 20)
+            time.sleep(600)
+
+        def fork(self, arguments):
+            child = subprocess.Popen([sys.executable, "-c", arguments[0]], start_new_session=arguments[1])
+            return child.pid
+"""
+
+
+def _ask(server: RunningServer, do: str, argument: object = None) -> object:
+    with Client(server.url) as client:
+        client.reset()
+        return client.infer({"do": do, "with": argument})
+
+
+@pytest.fixture
+def isolation(tmp_path: Path) -> None:
+    """Skip a test where the system does not isolate."""
+    try:
+        sandbox.check([tmp_path], memory_limit="none", isolate=True)
+    except UserError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize(
+    ("text", "size"), [("8GB", 8 * 10**9), ("512MiB", 512 * 2**20), ("1.5 k", 1500), ("100", 100), ("2g", 2 * 10**9)]
+)
+def test_a_size_is_read(text: str, size: int) -> None:
+    """In the units of ten and of two."""
+    limit = MemoryLimit.parse(text)
+    assert limit is not None
+    assert limit.size == size
+
+
+def test_a_share_is_of_what_the_machine_has() -> None:
+    """And `none` is no limit."""
+    limit = MemoryLimit.parse("50%")
+    assert limit is not None
+    assert limit.size == sandbox.machine_memory() // 2
+    assert MemoryLimit.parse("none") is None
+
+
+@pytest.mark.parametrize("text", ["", "much", "-1GB", "0", "8XB", "GB"])
+def test_what_is_no_size_is_refused(text: str) -> None:
+    """With the forms that there are."""
+    with pytest.raises(UserError, match=r"8GB.*80%.*none"):
+        MemoryLimit.parse(text)
+
+
+def test_an_adapter_that_eats_memory_is_ended_with_the_reason(write_adapter: Write, serve: Serve) -> None:
+    """Whoever waits for its answer is told, and so is the log."""
+    server = serve(write_adapter(SUBJECT), options=("--memory-limit", "300MB"))
+    with pytest.raises(PolicyServerError, match=r"the adapter used \d+ MB, more than the limit of 300 MB"):
+        _ask(server, "eat", 600 << 20)
+    wait_until(lambda: server.ended is not None, "the server has ended")
+    assert server.ended == ExitCode.NOT_RUN
+    wait_until(lambda: server.last_error is not None, "the log is complete")
+    assert "--memory-limit 300MB" in str(server.last_error)
+
+
+def test_memory_is_limited_while_the_model_loads(write_adapter: Write) -> None:
+    """It is the first thing that needs much of it."""
+    with (
+        pytest.raises(
+            ServerStartError, match=r"could not be loaded: the adapter used .* more than the limit of 300 MB"
+        ),
+        serving(write_adapter(SUBJECT), {"hog": 10**9}, options=("--memory-limit", "300MB")),
+    ):
+        pass
+
+
+def test_memory_of_children_counts(write_adapter: Write, serve: Serve) -> None:
+    """Also of those that left the process group: what counts is that the adapter started them."""
+    server = serve(write_adapter(SUBJECT), options=("--memory-limit", "300MB"))
+    _ask(server, "fork", ["import os, time; hog = os.urandom(600 << 20); time.sleep(600)", True])
+    wait_until(lambda: server.ended is not None, "the server has ended")
+    assert server.ended == ExitCode.NOT_RUN
+
+
+def test_shared_pages_count_once() -> None:
+    """Workers that were forked share most of their memory."""
+    script = (
+        "import os, signal\nhog = os.urandom(200 << 20)\n"
+        "for _ in range(3):\n    if not os.fork():\n        signal.pause()\nprint(flush=True)\nsignal.pause()"
+    )
+    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, start_new_session=True)
+    assert process.stdout is not None
+    try:
+        process.stdout.readline()
+        assert sum(map(family.resident, family.with_descendants(process.pid))) > 800 * 10**6
+        assert family.shared_out_memory(process.pid) < 300 * 10**6
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+
+
+def test_a_process_that_left_the_group_ends_with_the_server(write_adapter: Write) -> None:
+    """The server adopts what loses its parent."""
+    with serving(write_adapter(SUBJECT)) as server:
+        pid = _ask(server, "fork", ["import time; time.sleep(600)", True])
+        (stray,) = [member for member in family.descendants(server.pid) if member.pid == pid]
+        assert stray.lives
+    assert not stray.lives
+    assert any(f"ended process {pid}" in line for line in server.log)
+
+
+def test_a_load_that_hangs_has_a_deadline(write_adapter: Write) -> None:
+    """And the log shows where it hangs."""
+    overrides = {"hang": True, "max_connect_seconds": 1}
+    with pytest.raises(ServerStartError, match="within 1 s") as raised, serving(write_adapter(SUBJECT), overrides):
+        pass
+    assert any("__init__" in line for line in raised.value.log)
+
+
+@pytest.mark.usefixtures("isolation")
+def test_an_isolated_adapter_has_no_network_and_writes_nothing(write_adapter: Write, serve: Serve) -> None:
+    """It has a home and temporary files of its own, and the memory that it shares with its client."""
+    import numpy as np
+
+    folder = write_adapter(SUBJECT)
+    server = serve(folder, options=("--isolate",))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        assert _ask(server, "connect", listener.getsockname()[1]) != 0
+    assert "Read-only" in str(_ask(server, "write", str(folder / "left.txt")))
+    assert "Read-only" in str(_ask(server, "write", str(folder.parent / "left.txt")))
+    assert not list(folder.parent.rglob("left.txt"))
+    assert _ask(server, "picture", np.ones((480, 640, 3), np.uint8)) == 480 * 640 * 3
+    home, temporary, text = _ask(server, "write_home")  # type: ignore[misc]
+    assert text == "written"
+    assert Path(home).parent == Path(temporary).parent
+    assert Path(home).parent.is_dir()
+
+
+@pytest.mark.usefixtures("isolation")
+def test_what_an_isolated_adapter_wrote_goes_with_it(write_adapter: Write) -> None:
+    """Its temporary folder lasts as long as its server."""
+    with serving(write_adapter(SUBJECT), options=("--isolate",)) as server:
+        home, *_ = _ask(server, "write_home")  # type: ignore[misc]
+        assert Path(home).is_dir()
+    assert not Path(home).parent.exists()
+
+
+@pytest.mark.usefixtures("isolation")
+def test_isolation_cannot_be_undone_from_within(write_adapter: Write, serve: Serve) -> None:
+    """Not even where the adapter runs as root."""
+    folder = write_adapter(SUBJECT)
+    server = serve(folder, options=("--isolate",))
+    assert _ask(server, "undo", str(folder)) != 0
+    assert "Read-only" in str(_ask(server, "write", str(folder / "left.txt")))
+
+
+@pytest.mark.usefixtures("isolation")
+def test_an_isolated_adapter_that_hangs_shows_where(write_adapter: Write) -> None:
+    """The signal for that reaches it, and its end is the end of all."""
+    overrides = {"hang": True, "max_connect_seconds": 1}
+    with (
+        pytest.raises(ServerStartError, match="within 1 s") as raised,
+        serving(write_adapter(SUBJECT), overrides, options=("--isolate",)),
+    ):
+        pass
+    assert any("__init__" in line for line in raised.value.log)
+
+
+def test_isolation_that_cannot_be_had_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what was tried, and why it did not work."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setitem(sandbox._WAYS, "namespaces", (False, lambda *_: [sys.executable, "-c", "raise OSError('no')"]))
+    with pytest.raises(
+        UserError, match=r"cannot be had here.*namespaces: OSError: no; bubblewrap: it is not"
+    ) as raised:
+        sandbox.check([tmp_path], memory_limit="none", isolate=True)
+    assert raised.value.code == ExitCode.NOT_RUN
+
+
+def test_a_way_that_does_not_isolate_is_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Isolation is proven by trying, not by asking."""
+    nothing = {"nothing": (False, lambda *_: ["/usr/bin/env"])}
+    monkeypatch.setattr(sandbox, "_WAYS", nothing)
+    with pytest.raises(UserError, match="stays"):
+        sandbox.check([tmp_path], memory_limit="none", isolate=True)
+
+
+@pytest.mark.skipif(shutil.which("bwrap") is None, reason="no bubblewrap here")
+def test_bubblewrap_isolates_too(write_adapter: Write, serve: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process that runs the adapter is then below the one that was started."""
+    folder = write_adapter(SUBJECT)
+    monkeypatch.setattr(sandbox, "_WAYS", {"bubblewrap": sandbox._WAYS["bubblewrap"]})
+    with sandbox.isolated(folder) as way:
+        assert way.wraps
+        script = f"open({str(folder / 'left.txt')!r}, 'w')"
+        done = subprocess.run([*way.prefix, sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "Read-only" in done.stderr
+
+
+def test_an_audit_asks_for_isolation_before_it_begins(write_adapter: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exit code 4 and the reason; nothing was served."""
+    monkeypatch.setattr(sandbox, "_WAYS", {"namespaces": (False, lambda *_: ["/usr/bin/env"])})
+    asked = ["audit", str(write_adapter(SUBJECT)), "--isolate", "--gate", "static"]
+    result = CliRunner().invoke(app, asked)
+    assert isinstance(result.exception, UserError)
+    assert result.exception.code == ExitCode.NOT_RUN
+    assert "cannot be had here" in str(result.exception)
+    assert not result.stdout
+
+
+@pytest.mark.usefixtures("isolation")
+def test_an_isolated_audit_finds_what_writes_into_its_checkout(write_adapter: Write) -> None:
+    """What works by chance on the author's machine fails there."""
+    folder = write_adapter(
+        SUBJECT.replace("self.obs = obs\n", "self.obs = obs\n            open('left.txt', 'w').close()\n")
+    )
+    options = Options(gates=(Gate.OFFLINE,), names=("serves", "ask-twice"), isolate=True)
+    report = engine.audit(folder, "policy", options)
+    reasons = [str(result.reason) for result in report.results]
+    assert any("Read-only" in reason for reason in reasons), reasons
+    assert not (folder / "left.txt").exists()
+
+
+def test_a_key_can_be_left_out_and_the_folder_changed(write_adapter: Write, serve: Serve, tmp_path: Path) -> None:
+    """`--unset` and `--chdir` change what the adapter meets, and nothing else."""
+    model = """
+        import os
+
+
+        class Model:
+            def __init__(self, config):
+                self.config = config
+
+            def infer(self, obs):
+                return ["extra" in self.config, os.getcwd()]
+    """
+    folder = write_adapter(model)
+    deploy = folder / "deploy.yml"
+    deploy.write_text(deploy.read_text(encoding="utf-8").replace("{", '{"extra": 1, ', 1), encoding="utf-8")
+    with Client(serve(folder).url) as client:
+        assert client.infer({}) == [True, str(folder)]
+    with Client(serve(folder, options=("--unset", "extra", "--chdir", str(tmp_path))).url) as client:
+        assert client.infer({}) == [False, str(tmp_path)]

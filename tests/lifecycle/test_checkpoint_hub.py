@@ -1,0 +1,136 @@
+"""Checkpoints of the Hugging Face hub, through its own client, from a hub of these tests on loopback."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+from tests.support.places import ROOT
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.lifecycle.checkpoints.specification import File, digest_of
+
+pytestmark = pytest.mark.skipif(find_spec("huggingface_hub") is None, reason="the extra `hub` is not installed")
+
+COMMIT = "1234567890abcdef1234567890abcdef12345678"
+FILES = {
+    ".gitattributes": b"*.bin filter=lfs",
+    "README.md": b"# Model",
+    "weights/model.bin": bytes(range(256)) * 64,
+}
+
+
+@pytest.fixture
+def hub() -> Iterator[str]:
+    """A hub with one repository at one commit."""
+
+    class Hub(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_HEAD(self) -> None:
+            self._answer(with_body=False)
+
+        def do_GET(self) -> None:
+            self._answer(with_body=True)
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - the base class names it so
+            """Say nothing."""
+
+        def _answer(self, *, with_body: bool) -> None:
+            path = unquote(urlsplit(self.path).path)
+            resolved = f"/owner/model/resolve/{COMMIT}/"
+            headers, content = {"X-Repo-Commit": COMMIT}, b'{"error": "nothing here"}'
+            status = 200
+            if path == f"/api/models/owner/model/revision/{COMMIT}":
+                content = json.dumps(_told()).encode()
+                headers["Content-Type"] = "application/json"
+            elif path.startswith(resolved) and path.removeprefix(resolved) in FILES:
+                content = FILES[path.removeprefix(resolved)]
+                headers["ETag"] = f'"{hashlib.sha256(content).hexdigest()}"'
+            else:
+                status = 404
+                headers["X-Error-Code"] = "RevisionNotFound"
+            self.send_response(status)
+            for key, value in {**headers, "Content-Length": str(len(content))}.items():
+                self.send_header(key, value)
+            self.end_headers()
+            if with_body:
+                self.wfile.write(content)
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Hub) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def _told() -> dict[str, object]:
+    large = {name for name in FILES if name.endswith(".bin")}
+    siblings = [
+        {
+            "rfilename": name,
+            "size": len(content),
+            "blobId": "0" * 40,
+            **({"lfs": {"sha256": _sha(content), "size": len(content), "pointerSize": 130}} if name in large else {}),
+        }
+        for name, content in FILES.items()
+    ]
+    return {"id": "owner/model", "modelId": "owner/model", "sha": COMMIT, "siblings": siblings, "tags": []}
+
+
+def _sha(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def fetch(folder: Path, hub: str, *options: str, **entry: object) -> subprocess.CompletedProcess[str]:
+    """Fetch a checkpoint of the hub."""
+    place = folder / "Subject"
+    place.mkdir(exist_ok=True)
+    specified = {"name": "demo", "source": "hf://owner/model", "revision": COMMIT, "license": "MIT", **entry}
+    (place / "policy.yml").write_text(json.dumps({"spec": "v1.1", "checkpoints": [specified]}))
+    command = [sys.executable, "-m", "xpl_cli", "checkpoint", "fetch", "Subject", "--cache", "store", *options]
+    environment = {**os.environ, "HF_ENDPOINT": hub, "HF_HOME": str(folder / "home"), "HF_HUB_DISABLE_XET": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_a_repository_is_brought_at_its_commit(hub: str, tmp_path: Path) -> None:
+    """All of its files but the hidden ones; the digest is that of any other folder."""
+    wanted = {name: content for name, content in FILES.items() if not name.startswith(".")}
+    digest = digest_of(File(name, _sha(content)) for name, content in wanted.items())
+    done = fetch(tmp_path, hub, sha256=digest)
+    assert done.returncode == 0, done.stderr
+    folder = Path(done.stdout.strip())
+    found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert (folder.name, found) == (digest, wanted)
+
+
+def test_a_folder_of_a_repository(hub: str, tmp_path: Path) -> None:
+    """And only what `files` names in it."""
+    content = FILES["weights/model.bin"]
+    files = [{"path": "model.bin", "sha256": _sha(content), "size": len(content)}]
+    done = fetch(tmp_path, hub, source="hf://owner/model/weights", files=files)
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in Path(done.stdout.strip()).iterdir()] == ["model.bin"]
+
+
+def test_what_the_hub_does_not_have_is_one_sentence(hub: str, tmp_path: Path) -> None:
+    """A commit that is not there, a file that is not there; without a traceback."""
+    done = fetch(tmp_path, hub, revision="f" * 40, sha256="0" * 64)
+    assert (done.returncode, "cannot be had from the hub" in done.stderr) == (ExitCode.NOT_RUN, True)
+    assert "Traceback" not in done.stderr
+    done = fetch(tmp_path, hub, files=[{"path": "missing.bin", "sha256": "0" * 64}])
+    assert (done.returncode, "has no missing.bin" in done.stderr) == (ExitCode.NOT_FOUND, True)

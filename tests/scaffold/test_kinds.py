@@ -1,0 +1,387 @@
+"""Kinds of adapters: each is valid and passes the gates that it can run; options that do not fit are refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.peer import xpl
+from tests.support.places import ROOT
+from xpl import Client, get_embodiment
+from xpl import _spec as sdk
+from xpl.client import PolicyServerError
+from xpl.decoding import decode_rows, ensemble, within_limits
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.basics.errors import UserError
+from xpl_cli.scaffold import adapter as scaffold
+from xpl_cli.scaffold import kinds, lock, update
+from xpl_cli.serving.launch import serving
+from xpl_cli.standard import spec
+from xpl_cli.standard.validate import validate_yaml_file
+
+PLACES = ("--workers", "4")
+"""An audit starts the adapter more than once, and each time it is another client."""
+ARM_JOINTS = sdk.State.ARM_JOINT_STATE
+VARIANTS: dict[str, dict[str, Any]] = {
+    "minimal, ensembling": {"ensembling": 0.01},
+    "torch": {"kind": "torch"},
+    "torch, everything": {
+        "kind": "torch",
+        "history": 2,
+        "ensembling": 0.0,
+        "cameras": ("cam_head:640x480", "cam_left_wrist"),
+        "python": "3.11",
+    },
+    "torch, one arm": {
+        "kind": "torch",
+        "history": 3,
+        "cameras": ("cam_wrist",),
+        "embodiment": "franka_single",
+        "action_type": "ee",
+    },
+    "lerobot": {"kind": "lerobot"},
+    "lerobot, everything": {"kind": "lerobot", "history": 2, "cameras": ("cam_head:64x48", "cam_third_view")},
+    "remote": {"kind": "remote"},
+    "remote, everything": {
+        "kind": "remote",
+        "history": 2,
+        "ensembling": 0.1,
+        "cameras": ("cam_head",),
+        "python": "3.11",
+    },
+}
+
+
+def _answers(**chosen: Any) -> scaffold.Answers:
+    answers = scaffold.answers_of(**{"name": "Foo", **scaffold.defaults(), **chosen})
+    scaffold.check(answers)
+    return answers
+
+
+def _written(folder: Path, **chosen: Any) -> Path:
+    scaffold.write(scaffold.render(_answers(name=folder.name, **chosen)), folder)
+    return folder
+
+
+def _bad(folder: Path, *gates: Gate, **options: Any) -> list[str]:
+    """Audit an adapter; return what failed or crashed, and what warned besides the open places."""
+    report = engine.audit(folder, "policy", Options(gates=gates, **options))
+    assert [gate.name for gate in report.gates] == list(gates)
+    return [
+        f"{result.slug}: {result.findings or result.reason}"
+        for gate in report.gates
+        for result in gate.results
+        if result.outcome in (Outcome.FAIL, Outcome.WARN, Outcome.ERROR, Outcome.NOT_RUN)
+        and result.slug != "placeholders"
+    ]
+
+
+def _xpl(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return xpl("new-policy", *arguments, cwd=cwd)
+
+
+# -- what is rendered --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_kind_is_a_valid_adapter_without_a_finding(variant: str, tmp_path: Path) -> None:
+    """Manifests hold to their schemas, and no rule of the static gate has anything to say but the open places."""
+    folder = _written(tmp_path / "Foo", **VARIANTS[variant])
+    assert validate_yaml_file(folder / "policy.yml", "policy") == []
+    assert validate_yaml_file(folder / "deploy.yml", "deploy") == []
+    assert _bad(folder, Gate.STATIC) == []
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_manifest_says_what_was_chosen(variant: str, tmp_path: Path) -> None:
+    """History, ensembling, cameras with their sizes, and whether there is something to train."""
+    folder, chosen = _written(tmp_path / "Foo", **VARIANTS[variant]), VARIANTS[variant]
+    manifest = yaml.safe_load((folder / "policy.yml").read_text())
+    cameras = [kinds.camera(text) for text in chosen.get("cameras", ())]
+    assert manifest["temporal"].get("history", 1) == chosen.get("history", 1)
+    assert manifest["temporal"].get("ensembling") == chosen.get("ensembling")
+    assert manifest["cameras"] == {camera.name: {"width": camera.width, "height": camera.height} for camera in cameras}
+    assert {f"vision.{camera.name}" for camera in cameras} <= set(manifest["inputs"]["required"])
+    kind = kinds.kinds(scaffold.POLICY_TEMPLATE)[chosen.get("kind", kinds.DEFAULT)]
+    assert manifest["evaluation_only"] is kind.evaluation_only is not (folder / "train.sh").exists()
+
+
+def test_no_kind_given_is_the_adapter_it_always_was(tmp_path: Path) -> None:
+    """Who scaffolds as before gets the same files, and no new question."""
+    assert _answers().kind == kinds.DEFAULT
+    done = _xpl("Foo", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "holds the current pose" in (tmp_path / "policy" / "Foo" / "model.py").read_text()
+
+
+def test_every_kind_has_its_line_in_the_documentation() -> None:
+    """And the help of the command names it."""
+    page, command = (ROOT / "docs" / "new-policy.md").read_text(), ROOT / "xpl_cli" / "commands" / "new_policy.py"
+    for name in kinds.kinds(scaffold.POLICY_TEMPLATE):
+        assert f"| `{name}` |" in page
+        assert name in command.read_text()
+
+
+@pytest.mark.parametrize(
+    ("kind", "python", "environment"),
+    [
+        ("torch", "", {"manager": "uv"}),
+        ("torch", "3.11", {"manager": "uv", "python": "3.11"}),
+        ("torch", "/opt/python", {"manager": "path", "python": "/opt/python"}),
+        ("lerobot", "", {"manager": "uv", "python": ">=3.12"}),
+        ("remote", "", {"manager": "none"}),
+        ("remote", "3.11", {"manager": "uv", "python": "3.11"}),
+    ],
+)
+def test_a_kind_brings_its_environment(kind: str, python: str, environment: dict[str, str]) -> None:
+    """What it needs is listed where `xpl install` makes the environment."""
+    told = yaml.safe_load(scaffold.render(_answers(kind=kind, python=python))["policy.yml"])["environment"]
+    requirements = told.pop("requirements", None)
+    assert told == environment
+    assert bool(requirements) is (told["manager"] == "uv")
+
+
+def test_the_next_command_installs_where_there_is_something_to_install(tmp_path: Path) -> None:
+    """A torch policy has an environment of its own; one that forwards runs in the tool's."""
+    following = {}
+    for kind in ("torch", "remote"):
+        done = _xpl(kind.title(), "--kind", kind, "--json", cwd=tmp_path)
+        following[kind] = [command.split()[1] for command in json.loads(done.stdout)["next"]]
+    assert following == {"torch": ["install", "audit"], "remote": ["audit"]}
+
+
+# -- the lock ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_lock_renders_it_again(variant: str, tmp_path: Path) -> None:
+    """Every answer is kept, so that an update starts from the same files."""
+    folder = _written(tmp_path / "Foo", **VARIANTS[variant])
+    kept = lock.read(folder)
+    assert kept is not None
+    assert scaffold.recorded(kept) == _answers(**VARIANTS[variant])
+    assert update.plan(folder).changes == ()
+
+
+def test_a_lock_from_before_there_were_kinds_has_their_defaults(tmp_path: Path) -> None:
+    """Answers that were never asked for are what they were without a question."""
+    folder = _written(tmp_path / "Foo")
+    text = (folder / lock.PATH).read_text()
+    start = text.index("  kind: minimal")
+    (folder / lock.PATH).write_text(text[:start] + text[text.index("generated:") :])
+    kept = lock.read(folder)
+    assert kept is not None
+    assert "kind" not in kept.answers
+    assert scaffold.recorded(kept) == _answers()
+    assert {change.name for change in update.plan(folder).changes} == {lock.PATH}
+
+
+def test_an_older_standard_knows_no_kinds(tmp_path: Path) -> None:
+    """Its template is frozen, and records what it asked for alone."""
+    for option in (["--kind", "torch"], ["--history", "2"], ["--cameras", "cam_head"]):
+        done = _xpl("Foo", "--spec", "v1", *option, cwd=tmp_path)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert f"{option[0]} needs a newer standard than v1" in done.stderr
+    assert _xpl("Foo", "--spec", "v1", "--json", cwd=tmp_path).returncode == 0
+    kept = lock.read(tmp_path / "policy" / "Foo")
+    assert kept is not None
+    assert "kind" not in kept.answers
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message", "hint"),
+    [
+        ({"kind": "tourch"}, "--kind must be one of minimal, torch, lerobot, remote", "did you mean torch?"),
+        ({"history": 2}, "--history does not fit --kind minimal", "take --history: torch, lerobot, remote"),
+        ({"cameras": ("cam_head",)}, "--cameras does not fit --kind minimal", "torch, lerobot, remote"),
+        ({"history": 0, "kind": "torch"}, "--history must be at least 1", None),
+        ({"ensembling": -0.1}, "--ensembling takes a decay of 0 or more", None),
+        ({"ensembling": float("nan")}, "--ensembling takes a decay of 0 or more", None),
+        ({"ensembling": 0.01, "chunk": 1}, "chunks of one step do not", "--chunk 16"),
+        ({"kind": "torch", "cameras": ("cam_haed",)}, "arx_x5 has 2 arms", "did you mean cam_head"),
+        ({"kind": "torch", "cameras": ("cam_wrist",)}, "arx_x5 has 2 arms", "cam_left_wrist|cam_right_wrist"),
+        ({"kind": "torch", "cameras": ("cam_left_wrist",), "embodiment": "franka_single"}, "has 1 arm,", "cam_wrist"),
+        ({"kind": "torch", "cameras": ("cam_head", "cam_head:1x1")}, "names a camera twice", None),
+        ({"kind": "torch", "cameras": ("cam_head:0x48",)}, r"width x height\); got 'cam_head:0x48'", None),
+        ({"kind": "torch", "cameras": ("",)}, "takes names such as cam_head", None),
+    ],
+)
+def test_what_does_not_fit_is_refused(chosen: dict[str, Any], message: str, hint: str | None) -> None:
+    """With the reason, and what would do."""
+    with pytest.raises(UserError, match=message) as caught:
+        _answers(**chosen)
+    assert hint is None or any(part in str(caught.value.hint) for part in hint.split("|"))
+
+
+def test_a_refusal_of_the_command_is_one_sentence(tmp_path: Path) -> None:
+    """Exit code 2, nothing on stdout, nothing written."""
+    done = _xpl("Foo", "--cameras", "cam_head", cwd=tmp_path)
+    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
+    assert "--cameras does not fit --kind minimal" in done.stderr
+
+
+# -- what the base class does for them ---------------------------------------------------------------------------------
+
+
+@given(st.data())
+def test_an_ensemble_stays_between_what_was_predicted(data: st.DataObject) -> None:
+    """Whatever the decay: a weighted mean of the predictions of a moment, and their value where they agree."""
+    decay = data.draw(st.floats(0, 50))
+    horizon = data.draw(st.integers(1, 6))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    predictions: dict[int, np.ndarray] = {}
+    chunks = {}
+    for step in range(data.draw(st.integers(1, 5))):
+        chunks[step] = rng.normal(size=(horizon, 3))
+        averaged = ensemble(predictions, chunks[step], step, decay)
+        for offset, row in enumerate(averaged):
+            seen = np.array(
+                [chunk[step + offset - made] for made, chunk in chunks.items() if step + offset < made + horizon]
+            )
+            assert (row >= seen.min(axis=0) - 1e-12).all()
+            assert (row <= seen.max(axis=0) + 1e-12).all()
+        np.testing.assert_array_equal(averaged[-1], chunks[step][-1])  # nobody else predicted that moment
+    assert all(made + horizon > step for made in predictions)
+
+
+@given(st.floats(0, 5), st.integers(0, 2**32 - 1))
+def test_an_ensemble_of_plans_that_agree_is_the_plan(decay: float, seed: int) -> None:
+    """A model that sticks to one trajectory is not changed by averaging."""
+    trajectory = np.random.default_rng(seed).normal(size=(12, 4))
+    predictions: dict[int, np.ndarray] = {}
+    for step in range(8):
+        averaged = ensemble(predictions, trajectory[step : step + 4], step, decay)
+        np.testing.assert_allclose(averaged, trajectory[step : step + 4], atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["arx_x5", "franka_single", "tianji_marvin_wuji"]))
+def test_joints_are_kept_inside_their_limits(seed: int, name: str) -> None:
+    """Values inside, grippers and poses stay; values outside end at the limit; the given steps stay as they were."""
+    robot = get_embodiment(name)
+    rng = np.random.default_rng(seed)
+    steps = [{key: rng.normal(0, 3, width).astype(np.float32) for key, width in robot.dims("joint").items()}]
+    before = {key: value.copy() for key, value in steps[0].items()}
+    (inside,) = within_limits(steps, robot)
+    for arm in robot.arms:
+        key = arm.prefix + ARM_JOINTS
+        expected = before[key] if arm.lower is None else np.clip(before[key], arm.lower, arm.upper)
+        np.testing.assert_allclose(inside[key], expected, rtol=1e-6)
+        assert inside[key].dtype == np.float32
+    others = [key for key in before if not key.endswith(ARM_JOINTS)]
+    assert all((inside[key] == before[key]).all() for key in others)
+    assert all((steps[0][key] == before[key]).all() for key in before)
+
+
+def test_poses_have_no_limits() -> None:
+    """End-effector control passes through."""
+    robot = get_embodiment("franka_single")
+    steps = decode_rows([[9, 9, 9, 1, 0, 0, 0, 0.5]], robot, "ee")
+    np.testing.assert_equal(within_limits(steps, robot), steps)
+
+
+# -- the gates ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_remote_policy_passes_every_request_on(tmp_path: Path) -> None:
+    """An episode in one environment and one in a batch, through two servers: the pose is held, and reset forgets."""
+    behind, adapter = _written(tmp_path / "Behind", chunk=2), _written(tmp_path / "Far", kind="remote", chunk=2)
+    with serving(behind) as server:
+        _point(adapter, server.url)
+        with serving(adapter) as far, Client(far.url) as policy:
+            policy.update_obs(_observation(0))
+            assert [_position(step) for step in policy.get_action()] == [0, 0]
+            policy.reset()
+            with pytest.raises(PolicyServerError, match="needs an observation"):
+                policy.get_action()
+            policy.update_obs_batch([{**_observation(env), "env_idx": env} for env in (1, 2, 3)])
+            chunks = policy.get_action_batch([3, 1])
+            assert [[_position(step) for step in chunk] for chunk in chunks] == [[3, 3], [1, 1]]
+
+
+def _observation(number: int) -> dict[str, Any]:
+    """Return what a robot with two arms shows whose first joint is at `number` tenths of a radian."""
+    dims = get_embodiment("arx_x5").dims("joint")
+    return {"state": {key: np.full(width, number / 10, np.float32) for key, width in dims.items()}}
+
+
+def _position(step: dict[str, Any]) -> int:
+    """Return the number of the observation that an action holds."""
+    return round(float(step[f"left_{ARM_JOINTS}"][0]) * 10)
+
+
+def test_a_remote_policy_for_another_robot_is_refused_before_the_first_step(tmp_path: Path) -> None:
+    """Not at the first action, when a robot may be moving."""
+    behind = _written(tmp_path / "Behind", embodiment="franka_single")
+    adapter = _written(tmp_path / "Far", kind="remote")
+    with serving(behind) as server:
+        _point(adapter, server.url)
+        with pytest.raises(UserError, match="franka_single"), serving(adapter):
+            pass  # pragma: no cover
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("chosen", [{}, {"ensembling": 0.01}], ids=["plain", "ensembling"])
+def test_a_remote_policy_passes_all_gates(chosen: dict[str, Any], tmp_path: Path) -> None:
+    """Against a running server of another adapter, which is audited through it."""
+    behind, adapter = _written(tmp_path / "Behind", **chosen), _written(tmp_path / "Far", kind="remote", **chosen)
+    with serving(behind, options=PLACES) as server:
+        _point(adapter, server.url)
+        assert _bad(adapter, *Gate) == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("variant", [name for name in VARIANTS if not name.startswith("remote")])
+def test_every_kind_passes_all_gates_without_its_libraries(variant: str, tmp_path: Path) -> None:
+    """The shadow takes the place of the model where it cannot be had; nothing else is left out."""
+    folder = _written(tmp_path / "Foo", **{**VARIANTS[variant], "python": ""})
+    assert _bad(folder, *Gate) == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_remote_policy_runs_in_an_environment_of_its_own(tmp_path: Path) -> None:
+    """What its manifest lists is all that it needs."""
+    behind = _written(tmp_path / "Behind")
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    adapter = _written(tmp_path / "Far", kind="remote", python=version)
+    done = subprocess.run(
+        [sys.executable, "-m", "xpl_cli", "install", str(adapter)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    if done.returncode:
+        pytest.skip(f"packages cannot be installed here: {done.stderr.strip().splitlines()[-1]}")
+    with serving(behind, options=PLACES) as server:
+        _point(adapter, server.url)
+        assert _bad(adapter, Gate.OFFLINE, names=("action-structure", "batch-order", "reset-twice")) == []
+
+
+def _point(adapter: Path, url: str) -> None:
+    """Write the server's address into deploy.yml, as its author would."""
+    path = adapter / "deploy.yml"
+    path.write_text(path.read_text().replace("ws://localhost:8000", url))
+
+
+def test_the_standard_has_the_default_history() -> None:
+    """Packages that were never asked keep what it says."""
+    temporal = spec.schema("policy")["properties"]["temporal"]["properties"]
+    assert scaffold.defaults()["history"] == temporal["history"]["default"] == scaffold.Answers.history

@@ -1,0 +1,234 @@
+"""`xpl new-env`: what it renders plays and passes its audit; how it writes leaves no half-made folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.peer import xpl
+from tests.support.places import ROOT
+from xpl import _spec as spec
+from xpl.embodiment import get_embodiment
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.packages import environments
+from xpl_cli.packages.targets import find_target
+from xpl_cli.scaffold import adapter, lock
+from xpl_cli.scaffold import environment as scaffold_env
+from xpl_cli.standard.spec import data
+from xpl_cli.standard.validate import validate_yaml_file
+
+OURS = sorted(path.parent.name for path in (ROOT / "envs").glob("*/env.yml"))
+
+
+def _answers(**changes: Any) -> scaffold_env.EnvAnswers:
+    return scaffold_env.EnvAnswers(**{"name": "Foo", **scaffold_env.env_defaults(), **changes})
+
+
+@pytest.fixture(scope="session")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return an environment that was scaffolded with nothing but a name; not to be changed."""
+    target = tmp_path_factory.mktemp("default") / "envs" / "Foo"
+    assert adapter.write(scaffold_env.render_env(_answers()), target) == "written"
+    return target
+
+
+def _tree(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("robot", scaffold_env.movable())
+def test_every_robot_makes_an_environment_that_can_be_solved(robot: str, tmp_path: Path) -> None:
+    """The manifest is valid, and who is shown the ball goes there, in either kind of control."""
+    adapter.write(scaffold_env.render_env(_answers(embodiment=robot, task="touch_it")), tmp_path / "Foo")
+    assert validate_yaml_file(tmp_path / "Foo" / "env.yml", "env") == []
+    embodiment = get_embodiment(robot)
+    pose = embodiment.prefixes[0] + spec.State.EE_POSE
+    for action_type in spec.ACTION_TYPES:
+        config = {"task": "touch_it", "embodiment": robot, "action_type": action_type, "privileged": True}
+        env = environments.make(str(tmp_path / "Foo"), config)
+        env.reset([4])
+        obs = env.get_obs()
+        hold = {key: obs[spec.Obs.STATE][key] for key in embodiment.dims(action_type)}
+        assert env.take_action(hold)["corrections"] == {}
+        if pose in hold:
+            np.testing.assert_allclose(env.get_obs()[spec.Obs.STATE][pose], hold[pose], atol=2e-3)
+        while pose in hold and not env.is_episode_end():
+            env.take_action({**hold, pose: obs[spec.Obs.PRIVILEGED]["ball"]})
+        assert env.results()[0]["success"] is (pose in hold)
+
+
+def test_a_fresh_environment_passes_its_audit(package: Path) -> None:
+    """Through both gates that there are for environments, with nothing left out."""
+    report = engine.audit(package, "env", Options(gates=(Gate.STATIC, Gate.OFFLINE)))
+    assert report.verdict == "green"
+    (offline,) = report.gates[1:]
+    assert {result.outcome for result in offline.results} == {Outcome.PASS}, offline.results
+
+
+def test_equal_audits_end_in_equal_finish_lines(package: Path) -> None:
+    """The digest is of what the environment did."""
+    options = Options((Gate.OFFLINE,), ("env-same-seed",), overrides={"action_type": "joint"})
+    first, second = (engine.audit(package, "env", options).gates[0] for _ in range(2))
+    assert first.finish == second.finish
+    other = engine.audit(package, "env", replace(options, overrides={"action_type": "ee"})).gates[0]
+    assert other.digest != first.digest
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == "mujoco" else ()) for name in OURS]
+)
+def test_our_own_environments_pass_their_audit(name: str) -> None:
+    """What we ask of others; envs/gymnasium is audited where its libraries are (tests/environments/gymnasium)."""
+    gates = (Gate.STATIC,) if name == "gymnasium" else (Gate.STATIC, Gate.OFFLINE)
+    target = find_target(ROOT / "envs" / name)
+    report = engine.audit(target.path, target.kind, Options(gates=gates))
+    assert report.verdict == "green", [result for result in report.results if result.findings]
+
+
+def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
+    """Not run is not green, and names the interpreter that lacks them."""
+    done = xpl("audit", str(ROOT / "envs" / "gymnasium"), "--env", "none", "--json", "--no-cache", cwd=tmp_path)
+    assert done.returncode == ExitCode.NOT_RUN
+    report = json.loads(done.stdout)
+    assert report["next"][0].startswith("xpl install")
+    reasons = {result["reason"] for result in report["targets"][0]["gates"][1]["results"]}
+    assert any("No module named 'gymnasium'" in str(reason) and sys.executable in str(reason) for reason in reasons)
+
+
+def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(package: Path, tmp_path: Path) -> None:
+    """No interpreter, isolation that there is not, or an env.yml that the static gate has to deal with: not run."""
+    gates, names = (Gate.OFFLINE,), ("env-plays",)
+    for options, said in (
+        (Options(gates, names, env="venv:nowhere"), "there is no interpreter at"),
+        (Options(gates, names, python=str(package / "env.yml")), "cannot be started"),
+        (Options(gates, names, isolate=True), "leave --isolate out"),
+    ):
+        (result,) = engine.audit(package, "env", options).gates[0].results
+        assert result.outcome is Outcome.NOT_RUN
+        assert said in str(result.reason)
+    broken = shutil.copytree(package, tmp_path / "Foo")
+    (broken / "env.yml").write_text("name: Foo", encoding="utf-8")
+    (result,) = engine.audit(broken, "env", Options(gates, names)).gates[0].results
+    assert (result.outcome, str(result.reason)[:25]) == (Outcome.NOT_RUN, "env.yml is not understood")
+
+
+def test_an_audit_can_be_narrowed(package: Path) -> None:
+    """`--set task=...` and the like; what is not offered leaves nothing to prove."""
+    gates, names = (Gate.OFFLINE,), ("env-plays",)
+    one = engine.audit(package, "env", Options(gates, names, overrides={"action_type": "ee"}))
+    assert one.gates[0].outcome is Outcome.PASS
+    none = engine.audit(package, "env", Options(gates, names, overrides={"task": "fly"}))
+    assert none.gates[0].outcome is Outcome.NOT_APPLICABLE
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("import time; time.sleep(99)", "did not answer within"),
+        ("import os; os.kill(os.getpid(), 11)", "SIGSEGV"),
+        ("raise SystemExit(3)", "SystemExit"),
+    ],
+)
+def test_an_environment_that_hangs_or_dies_is_a_finding(
+    line: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It runs in a process of its own: the audit goes on, and says what happened."""
+    monkeypatch.setattr("xpl_cli.audit.environments.stage.CALL_S", 1.0)
+    target = tmp_path / "Foo"
+    adapter.write(scaffold_env.render_env(_answers()), target)
+    source = (target / "episode.py").read_text()
+    (target / "episode.py").write_text(source.replace("        rng = np", f"        {line}\n        rng = np"))
+    report = engine.audit(target, "env", Options((Gate.OFFLINE,), ("env-plays",), overrides={"action_type": "ee"}))
+    (result,) = report.gates[0].results
+    assert result.outcome is Outcome.FAIL
+    assert said in result.findings[0].message
+
+
+def test_the_tests_that_come_with_it_pass(package: Path) -> None:
+    """They are the author's to begin with."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(package), str(package)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=package, env=environment)
+    assert done.returncode == 0, done.stdout
+
+
+def test_rendered_python_keeps_to_the_rules_of_this_repository(package: Path) -> None:
+    """But for its folder's name, and being no package of Python's."""
+    ruff = shutil.which("ruff", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
+    if ruff is None:
+        pytest.skip("ruff is not installed")
+    config = ["--no-cache", "--config", str(ROOT / "pyproject.toml")]
+    lint = [*config, "--config", 'lint.isort.known-first-party=["xpl"]', "--ignore", "N999,INP001,S101"]
+    for command in (["check", *lint], ["format", "--check", *config]):
+        done = subprocess.run([ruff, *command, str(package)], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout
+
+
+def test_the_same_answers_give_the_same_bytes(package: Path) -> None:
+    """A render can be made again from the recorded answers alone."""
+    recorded = lock.read(package)
+    assert recorded is not None
+    assert recorded.template == scaffold_env.ENV_TEMPLATE
+    kept = {name: content for name, content in _tree(package).items() if "__pycache__" not in name}
+    assert scaffold_env.render_env(scaffold_env.recorded_env(recorded)) == kept
+
+
+def test_placeholders_are_counted_with_their_place(package: Path) -> None:
+    """Each stands in a line of its own."""
+    marker = data("package")["placeholder"]
+    files = scaffold_env.render_env(_answers())
+    places = adapter.placeholders(files)
+    assert len(places) == sum(content.decode().count(marker) for content in files.values()) > 5
+    for place in places:
+        assert marker in (package / place.file).read_text().splitlines()[place.line - 1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"name": "class"}, "keyword"),
+        ({"name": "my-env"}, "my_env"),
+        ({"name": "numpy"}, "hide the Python module"),
+        ({"embodiment": "arx_x6"}, "did you mean arx_x5"),
+        ({"embodiment": "tianji_marvin_wuji"}, "kinematics"),
+        ({"task": "reach it"}, "--task must be"),
+    ],
+)
+def test_answers_that_are_not_allowed_are_refused(changes: dict[str, str], said: str) -> None:
+    """With one that would do."""
+    with pytest.raises(UserError) as raised:
+        scaffold_env.check_env(_answers(**changes))
+    assert said in f"{raised.value} {raised.value.hint}"
+
+
+def test_the_command_writes_once_and_never_over_the_authors_work(tmp_path: Path) -> None:
+    """No prompt, JSON on stdout, the next commands; a second call changes nothing, a differing folder is kept."""
+    assert "would be written" in xpl("new-env", "Bar", "--dry-run", cwd=tmp_path).stdout
+    assert list(tmp_path.iterdir()) == []
+    done = xpl("new-env", "Bar", "--embodiment", "franka_single", "--json", cwd=tmp_path)
+    report = json.loads(done.stdout)
+    assert (report["schema"], report["state"], report["path"]) == ("xpl.new-env/1", "written", "envs/Bar")
+    assert report["next"] == ["xpl audit envs/Bar", "pytest envs/Bar"]
+    before = _tree(tmp_path / "envs" / "Bar")
+    assert sorted(before) == report["files"]
+    again = xpl("new-env", "Bar", "--embodiment", "franka_single", cwd=tmp_path)
+    assert "unchanged" in again.stdout
+    refused = xpl("new-env", "Bar", cwd=tmp_path)
+    assert refused.returncode == ExitCode.USAGE
+    assert "--overwrite" in refused.stderr
+    assert _tree(tmp_path / "envs" / "Bar") == before
+    (tmp_path / "envs" / "Bar" / "mine.txt").write_text("mine")
+    assert "replaced" in xpl("new-env", "Bar", "--overwrite", cwd=tmp_path).stdout
+    assert (tmp_path / "envs" / "Bar" / "mine.txt").read_text() == "mine"

@@ -1,0 +1,147 @@
+"""Forward and inverse kinematics agree with each other, with MuJoCo and with the limits."""
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from xpl import _spec as spec
+from xpl import get_embodiment, rotation
+from xpl.kinematics import Chain, KinematicsError
+from xpl.poses import compose, invert, pose, transform
+from xpl_cli.basics.content import load_module, room
+
+KNOWN = sorted(name for name, entry in spec.EMBODIMENTS.items() if entry["arm"]["joints"])
+
+
+@pytest.fixture(params=KNOWN)
+def chain(request: pytest.FixtureRequest) -> Chain:
+    """The arm of every embodiment whose joint frames are known."""
+    return Chain.from_embodiment(spec.EMBODIMENTS[request.param])
+
+
+def _random_joints(chain: Chain, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(chain.lower, chain.upper)
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_forward_kinematics_agrees_with_mujoco(name: str) -> None:
+    """Flange and tcp, in the world, are where the simulated arm has its sites, and point the same way."""
+    mujoco = pytest.importorskip("mujoco")
+    folder = room("envs") / "mujoco"
+    facts = load_module(folder / "manifest.py").manifest()
+    embodiment = get_embodiment(name)
+    scene = load_module(folder / "scene.py").build_scene(embodiment, facts)
+    physics = load_module(folder / "physics.py").Physics(scene)
+    chain, rng = Chain.from_embodiment(embodiment.data), np.random.default_rng(0)
+    for _ in range(20):
+        for arm, (names, base) in enumerate(zip(scene.arms, scene.bases, strict=True)):
+            joints = _random_joints(chain, rng)
+            physics.place(arm, joints, 0.5)
+            mujoco.mj_kinematics(physics.model, physics.data)
+            for site, expected in ((names.flange, chain.flange(joints)), (names.tcp, chain.tcp(joints))):
+                found = physics.data.site(site)
+                world = compose(base, expected)
+                assert np.abs(world[:3] - found.xpos).max() < 1e-6
+                assert np.abs(rotation.to_matrix(world[3:]) - found.xmat.reshape(3, 3)).max() < 1e-6
+            assert np.abs(physics.tcp(arm)[:3] - physics.data.site(names.tcp).xpos).max() < 1e-6
+
+
+def test_jacobian_is_the_derivative(chain: Chain) -> None:
+    """Linear rows by differences of positions, angular rows by differences of rotations; for the flange and the tcp."""
+    rng, step = np.random.default_rng(1), 1e-6
+    for point in (chain.flange, chain.tcp):
+        joints = _random_joints(chain, rng)
+        jacobian = chain.jacobian(joints, point(joints)[:3])
+        for column, unit in enumerate(np.eye(chain.dof)):
+            ahead, behind = point(joints + step * unit), point(joints - step * unit)
+            assert np.allclose((ahead - behind)[:3] / (2 * step), jacobian[:3, column], atol=1e-8)
+            turn = rotation.to_axis_angle(rotation.multiply(ahead[3:], rotation.conjugate(behind[3:])))
+            assert np.allclose(turn / (2 * step), jacobian[3:, column], atol=1e-8)
+
+
+def test_warm_started_solutions_reach_their_target(chain: Chain) -> None:
+    """From a configuration near by, every reachable pose is met within the tolerance and the limits."""
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        joints = _random_joints(chain, rng)
+        start = joints + rng.normal(0.0, 0.05, chain.dof)
+        solution = chain.solve(chain.flange(joints), start)
+        reached = chain.flange(solution.joints)
+        assert solution.converged
+        assert np.abs(reached[:3] - chain.flange(joints)[:3]).max() <= 1e-5
+        assert rotation.angle_between(reached[3:], chain.flange(joints)[3:]) <= 1e-4
+        assert np.all((solution.joints >= chain.lower) & (solution.joints <= chain.upper))
+
+
+def test_search_finds_what_is_far_from_the_start(chain: Chain) -> None:
+    """Planning from the middle of the limits reaches nearly every pose of the arm."""
+    rng = np.random.default_rng(3)
+    middle = 0.5 * (chain.lower + chain.upper)
+    found = [chain.search(chain.flange(_random_joints(chain, rng)), middle, attempts=16).converged for _ in range(40)]
+    assert np.mean(found) >= 0.95
+
+
+def test_a_pose_that_holds_is_left_alone(chain: Chain) -> None:
+    """Solving for where the arm is returns the same joints, bit by bit: commanding the current pose stays."""
+    joints = 0.5 * (chain.lower + chain.upper)
+    solution = chain.solve(chain.flange(joints), joints)
+    assert solution.iterations == 0
+    assert np.array_equal(solution.joints, joints)
+
+
+def test_the_sign_of_a_quaternion_does_not_matter(chain: Chain) -> None:
+    """Both q and -q ask for the same rotation."""
+    joints = 0.4 * chain.lower + 0.6 * chain.upper
+    target = chain.flange(joints + 0.02)
+    flipped = pose(target[:3], -target[3:])
+    start = joints.copy()
+    assert np.allclose(chain.solve(target, start).joints, chain.solve(flipped, start).joints, atol=1e-12)
+
+
+def test_a_pose_out_of_reach_is_reported(chain: Chain) -> None:
+    """Two metres away nothing converges; the arm stretches towards it and says how far it is off."""
+    middle = 0.5 * (chain.lower + chain.upper)
+    target = pose([2.0, 0.0, 0.3], chain.flange(middle)[3:])
+    solution = chain.solve(target, middle)
+    assert not solution.converged
+    gap = np.sqrt(np.sum((chain.flange(solution.joints)[:3] - target[:3]) ** 2))
+    assert np.isclose(solution.position_error, gap)
+    assert 0.5 < gap < np.sqrt(np.sum((chain.flange(middle)[:3] - target[:3]) ** 2))
+
+
+def test_solving_is_fast_enough_for_control(chain: Chain) -> None:
+    """The best of many warm solves takes well under a millisecond (a loose bound: machines are shared)."""
+    joints = 0.45 * chain.lower + 0.55 * chain.upper
+    target = chain.flange(joints + 0.02)
+    times = []
+    for _ in range(50):
+        begun = time.perf_counter()
+        chain.solve(target, joints)
+        times.append(time.perf_counter() - begun)
+    assert min(times) < 1e-3
+
+
+def test_frames_compose_and_invert() -> None:
+    """A pose and its inverse cancel; points follow frames; batches work."""
+    rng = np.random.default_rng(4)
+    a = pose(rng.normal(size=(6, 3)), rotation.normalise(rng.normal(size=(6, 4))))
+    b = pose(rng.normal(size=3), rotation.normalise(rng.normal(size=4)))
+    assert np.allclose(compose(a, invert(a))[:, :3], 0.0, atol=1e-12)
+    assert np.allclose(compose(invert(a), compose(a, b))[:, :3], b[:3], atol=1e-12)
+    point = rng.normal(size=3)
+    assert np.allclose(transform(compose(a, b), point), transform(a, transform(b, point)), atol=1e-12)
+
+
+def test_dimensions_without_frames_have_no_kinematics() -> None:
+    """An embodiment of which only dimensions are known is refused by name."""
+    with pytest.raises(KinematicsError, match="tianji_marvin_wuji"):
+        Chain.from_embodiment(spec.EMBODIMENTS["tianji_marvin_wuji"])
+
+
+@pytest.mark.parametrize("bad", [[0.0] * 5, [np.nan] * 6])
+def test_malformed_joints_are_refused(bad: Any) -> None:
+    """The error says what was expected."""
+    with pytest.raises(KinematicsError, match="6 finite numbers"):
+        Chain.from_embodiment(spec.EMBODIMENTS["arx_x5"]).flange(bad)

@@ -1,0 +1,715 @@
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+
+from tests.support.peer import MARK, Peer, processes, wait_until
+from xpl import Client, images
+from xpl import _spec as spec
+from xpl.client import PolicyServerError, ServerConnectionError
+from xpl.wire import codec
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
+
+# Counts what runs, shows what it was given, and does on request everything an adapter should not do.
+SUBJECT = """
+    import os, sys, time
+    import numpy as np
+
+
+    class Model:
+        def __init__(self, config):
+            print("the model prints while it loads")
+            self.config, self.runs, self.seen, self.events = config, 0, [], []
+
+        def update_obs(self, obs):
+            self.seen.append(obs)
+            self.events.append(("update_obs", obs.get("n")))
+
+        def update_obs_batch(self, obs_list):
+            self.seen.extend(obs_list)
+
+        def get_action(self):
+            self.runs += 1
+            self.events.append(("get_action", None))
+            wanted = self.seen[-1].get("do") if self.seen else None
+            if wanted == "wait":
+                open(self.seen[-1]["fifo"]).read()  # until someone opens it for writing and closes it
+            if wanted == "raise":
+                raise ValueError("the gripper is unhappy")
+            if wanted == "exit":
+                sys.exit(3)
+            if wanted == "print":
+                print("x" * 200_000)
+                os.write(1, b"raw bytes \\xff on descriptor 1\\n")
+                sys.__stdout__.write("and on the first stdout")
+            if wanted == "die":
+                os.kill(os.getpid(), 9)
+            if wanted == "map":
+                return {"actions": ["a"], "confidence": 0.5}
+            if wanted in ("object", "loop", "date"):
+                loop = []
+                loop.append(loop)
+                return {"object": object(), "loop": loop, "date": np.array(["2026"], "M8[D]")}[wanted]
+            return [{"run": self.runs}]
+
+        def get_action_batch(self, env_idx_list=None):
+            return ["all"] if env_idx_list is None else list(env_idx_list)
+
+        def reset(self):
+            self.seen, self.events = [], []
+
+        def prepare_case(self, case):
+            return {"case": case["action_case_id"], "color": case.get("color")}
+
+        def on_trial_end(self, result):
+            return {"heard": sorted(result)}
+
+        def declared(self, value=None):
+            return value
+
+        def report(self):
+            ours = ("xpl_cli", "msgpack", "websockets", "yaml", "PIL")
+            modules = sorted(name for name in sys.modules if name.split(".")[0] in ours)
+            told = {"events": self.events, "color": self.color(), "modules": modules}
+            return {"runs": self.runs, "pid": os.getpid(), **told}
+
+        def color(self):
+            cameras = self.seen[-1].get("vision") if self.seen else None
+            return None if cameras is None else cameras["cam_head"]["color"]
+
+        def undeclared(self):
+            return "never reached"
+
+        def _private(self):
+            return "never reached"
+"""
+
+OBS = {"state": {"arm_joint_state": np.arange(7.0)}}
+
+
+@pytest.fixture(scope="module")
+def subject(write_adapter: Callable[..., Path]) -> Path:
+    """Return the folder of the adapter above."""
+    return write_adapter(SUBJECT, methods=["declared", "report", "_private"])
+
+
+@pytest.fixture(scope="module")
+def shared(subject: Path) -> Iterator[RunningServer]:
+    """Serve it once for all tests that leave the server as it was."""
+    with serving(subject) as server:
+        yield server
+
+
+@pytest.fixture
+def peer(shared: RunningServer) -> Iterator[Peer]:
+    """Return a connection that has said hello."""
+    connection = wait_until(lambda: greeted(shared.url), "the server is free")
+    yield connection
+    connection.send("close")
+    connection.close()
+
+
+def greeted(url: str, evaluation_id: str | None = None) -> Peer | None:
+    """Return a connection after its hello, or None if the server is busy."""
+    connection = Peer(url, evaluation_id)
+    if connection.ask("hello").message_type == "hello_ack":
+        return connection
+    connection.close()
+    return None
+
+
+@pytest.fixture
+def fifo(tmp_path: Path) -> Path:
+    """Return a named pipe: the model waits on it until the test opens it."""
+    path = tmp_path / "fifo"
+    os.mkfifo(path)
+    return path
+
+
+def let_go(fifo: Path) -> None:
+    """End the model's wait; returns when the model really waited."""
+    with fifo.open("w"):
+        pass
+
+
+# -- every request has its answer --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("request_type", "payload"),
+    [
+        ("hello", {"evaluation_plan": {}, "capabilities": {"future": True}}),
+        ("prepare_case", {"action_case_id": "c"}),
+        ("reset", {"trial_id": "t", "task_name": "x", "seed": 3, "instruction": "y", "action_type": "joint"}),
+        ("infer", {"observation": OBS}),
+        ("call", {"func_name": "update_obs", "obs": OBS}),
+        ("trial_end", {"trial_id": "t"}),
+        ("heartbeat", {}),
+    ],
+)
+def test_every_request_is_answered_by_its_type_and_with_its_identifiers(
+    peer: Peer, request_type: str, payload: dict[str, Any]
+) -> None:
+    """What clients send besides is accepted."""
+    fields = {"action_case_id": "c", "trial_id": "t", "repeat_index": 4, "step": 9}
+    peer.ask("reset")
+    request = peer.send(request_type, payload, **fields)
+    answer = peer.receive()
+    assert answer.message_type == spec.ANSWERS[request_type]
+    for name in ("message_id", "evaluation_id", *fields):
+        assert getattr(answer, name) == getattr(request, name)
+    assert request_type == "infer" or answer.payload["ok"] is True
+    assert ("latency_ms" in answer.payload) == (request_type in {"infer", "call"})
+
+
+def test_hello_tells_instance_and_capabilities(peer: Peer, shared: RunningServer) -> None:
+    """The same instance for every client."""
+    payload = peer.ask("hello").payload
+    assert payload["server"].startswith("xpl ")
+    assert isinstance(payload["capabilities"], dict)
+    assert payload["server_instance_id"] == peer.ask("hello").payload["server_instance_id"]
+
+
+def test_close_is_not_answered_and_closes(shared: RunningServer) -> None:
+    """The server closes."""
+    connection = wait_until(lambda: greeted(shared.url), "the server is free")
+    connection.send("close")
+    with pytest.raises(ConnectionClosed, match="1000"):
+        connection.receive()
+
+
+def test_hooks_are_called_with_the_payload(peer: Peer) -> None:
+    """And their results come back."""
+    assert peer.ask("prepare_case", {"action_case_id": "c7"}).payload["result"] == {"case": "c7", "color": None}
+    assert peer.ask("trial_end", {"trial_id": "t", "success": True}).payload["result"] == {
+        "heard": ["success", "trial_id"]
+    }
+
+
+def test_reset_infer_and_calls_reach_the_adapter(peer: Peer) -> None:
+    """In the order in which they came."""
+    peer.ask("reset")
+    peer.ask("call", {"func_name": "update_obs", "obs": {"n": 1}})
+    peer.ask("call", {"func_name": "get_action"})
+    peer.ask("infer", {"observation": {"n": 2}})
+    peer.ask("call", {"func_name": "get_action", "obs": {"n": 3}})
+    events = peer.ask("call", {"func_name": "report"}).payload["result"]["events"]
+    assert events == [["update_obs", 1], ["get_action", None], ["update_obs", 2], ["get_action", None],
+                      ["update_obs", 3], ["get_action", None]]  # fmt: skip
+
+
+def test_a_batch_call_passes_its_environments(peer: Peer) -> None:
+    """Absent means None; an empty list stays one."""
+    for obs, result in (([3, 1], [3, 1]), ([], []), (None, ["all"])):
+        assert peer.ask("call", {"func_name": "get_action_batch", "obs": obs}).payload["result"] == result
+
+
+def test_requests_in_flight_stay_in_order_even_if_one_has_images(peer: Peer) -> None:
+    """Decoding takes time, and a request without images must not overtake."""
+    picture = images.encode_png(np.zeros((480, 640, 3), np.uint8))
+    peer.ask("reset")
+    for n in range(4):
+        peer.send("call", {"func_name": "update_obs", "obs": {"n": n, "vision": {"cam_head": {"color": picture}}}})
+        peer.send("call", {"func_name": "get_action"})
+    events = peer.ask("call", {"func_name": "report"}).payload["result"]["events"]
+    assert [n for kind, n in events if kind == "update_obs"] == [0, 1, 2, 3]
+    assert [kind for kind, _ in events] == ["update_obs", "get_action"] * 4
+
+
+def test_a_result_map_with_actions_passes_through(peer: Peer) -> None:
+    """With its other keys."""
+    payload = peer.ask("infer", {"observation": {"do": "map"}}).payload
+    assert (payload["actions"], payload["confidence"]) == (["a"], 0.5)
+    assert payload["latency_ms"] > 0
+
+
+@pytest.mark.parametrize("request_type", ["infer", "call", "declared", "batch"])
+@pytest.mark.parametrize("encode", [images.encode_png, images.encode_jpeg])
+def test_images_arrive_decoded_in_every_request(peer: Peer, request_type: str, encode: Callable[..., bytes]) -> None:
+    """Bytes or one-dimensional arrays; an adapter never decodes."""
+    red = np.zeros((16, 16, 3), np.uint8)
+    red[..., 0] = 255
+    obs = {"vision": {"cam_head": {"color": np.frombuffer(encode(red), np.uint8)}}}
+    peer.ask("reset")
+    if request_type == "infer":
+        peer.ask("infer", {"observation": obs})
+    elif request_type == "call":
+        peer.ask("call", {"func_name": "update_obs", "obs": obs})
+    elif request_type == "batch":
+        peer.ask("call", {"func_name": "update_obs_batch", "obs": [obs]})
+    if request_type == "declared":
+        arrived = peer.ask("call", {"func_name": "declared", "obs": obs}).payload["result"]["vision"]["cam_head"][
+            "color"
+        ]
+    else:
+        arrived = peer.ask("call", {"func_name": "report"}).payload["result"]["color"]
+    assert np.abs(arrived.astype(int) - red).max() < 5
+
+
+def test_every_kind_of_value_survives_the_way_to_the_adapter_and_back(peer: Peer) -> None:
+    """Two codecs lie between; structures, scalars, odd keys and NaN are the same afterwards."""
+    structure = np.zeros(2, [("a", "i1"), ("b", ">f4", (2,))])
+    value = {
+        "@array": 1, "nd": "x", "structure": structure, "scalar": np.float32(0.5), "flag": np.bool_(True),
+        "empty": np.zeros((0, 3)), "zero_d": np.array(3), "bytes": b"\0\xff", "text": "é\0", "none": None,
+        "complex": np.complex64(2j), "list": [[], {}, [None]], "big": np.arange(3, dtype=">i8"),
+    }  # fmt: skip
+    result = peer.ask("call", {"func_name": "declared", "obs": value}).payload["result"]
+    assert result.keys() == value.keys()
+    for key, sent in value.items():
+        if isinstance(sent, (np.ndarray, np.generic)):
+            assert (result[key].dtype, result[key].shape, result[key].tobytes()) == (
+                sent.dtype,
+                sent.shape,
+                sent.tobytes(),
+            )
+            assert isinstance(result[key], np.ndarray) == isinstance(sent, np.ndarray)
+        else:
+            assert result[key] == sent
+
+
+def test_the_worker_needs_nothing_but_numpy(peer: Peer) -> None:
+    """None of the front end's libraries are loaded there, and not the tool."""
+    assert peer.ask("call", {"func_name": "report"}).payload["result"]["modules"] == []
+
+
+# -- what is refused, and how ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("request_type", "payload", "code", "message"),
+    [
+        ("dance", {}, "invalid_frame", "'dance' is not a request"),
+        ("hello_ack", {}, "unknown_message_type", "'hello_ack' is not a request"),
+        ("error", {}, "unknown_message_type", "'error' is not a request"),
+        ("infer", {}, "invalid_frame", "observation"),
+        ("infer", {"observation": [1]}, "invalid_frame", "observation"),
+        ("infer", {"observation": {"vision": {"c": {"color": b"no image"}}}}, "invalid_frame", "do not decode"),
+        ("infer", {"observation": {"do": "raise"}}, "infer_failed", "ValueError: the gripper is unhappy"),
+        ("infer", {"observation": {"do": "exit"}}, "infer_failed", r"SystemExit: the adapter called sys.exit\(3\)"),
+        ("infer", {"observation": {"do": "object"}}, "internal", "result cannot be sent.*object"),
+        ("infer", {"observation": {"do": "loop"}}, "internal", "contains itself"),
+        ("infer", {"observation": {"do": "date"}}, "internal", "only numbers, flags and text"),
+        ("call", {}, "invalid_frame", "name of a public method"),
+        ("call", {"func_name": 3}, "invalid_frame", "name of a public method"),
+        ("call", {"func_name": "_private"}, "invalid_frame", "name of a public method, got '_private'"),
+        ("call", {"func_name": "__init__"}, "invalid_frame", "name of a public method"),
+        ("call", {"func_name": "undeclared"}, "invalid_frame", "no method 'undeclared'.*declared"),
+        ("call", {"func_name": "config"}, "invalid_frame", "no method 'config'"),
+        ("call", {"func_name": "update_obs"}, "invalid_frame", "needs a payload with obs"),
+        ("call", {"func_name": "update_obs", "obs": [1]}, "invalid_frame", "a map; got list"),
+        ("call", {"func_name": "update_obs_batch"}, "invalid_frame", "needs a payload with obs"),
+        ("call", {"func_name": "update_obs_batch", "obs": {}}, "invalid_frame", "a list; got dict"),
+        ("call", {"func_name": "get_action_batch", "obs": 3}, "call_failed", "TypeError"),
+        ("prepare_case", {}, "call_failed", "KeyError: 'action_case_id'"),
+    ],
+)
+def test_errors_have_their_code_and_one_sentence(
+    peer: Peer, request_type: str, payload: dict[str, Any], code: str, message: str
+) -> None:
+    """Never a traceback; and the server goes on."""
+    answer = peer.ask(request_type, payload)
+    assert answer.message_type == "error"
+    assert answer.payload["code"] == code
+    assert re.search(message, answer.payload["message"]), answer.payload["message"]
+    assert "Traceback" not in answer.payload["message"]
+    assert answer.payload["details"] == {}
+    assert peer.ask("call", {"func_name": "report"}).message_type == "call_result"
+
+
+def test_a_frame_that_cannot_be_decoded_is_answered_if_its_id_can_be_read(peer: Peer) -> None:
+    """With the identifiers that are right; anything else is dropped, and the connection lives."""
+    fields = vars(
+        codec.Frame("infer", "e", {"observation": {b"nd": True, b"type": "|O", b"data": b""}}, message_id="m", step=4)
+    )
+    for noise in (b"", b"\xc1", msgpack.packb([1]), msgpack.packb({"message_id": 4})):
+        peer.socket.send(noise)
+    peer.socket.send("text")
+    peer.socket.send(msgpack.packb(fields))
+    answer = peer.receive()
+    assert (answer.message_type, answer.message_id, answer.evaluation_id, answer.step) == ("error", "m", "e", 4)
+    assert answer.payload["code"] == "invalid_frame"
+    assert peer.ask("heartbeat").message_type == "heartbeat_ack"
+
+
+def test_output_of_the_adapter_goes_to_the_log_and_nowhere_else(peer: Peer, shared: RunningServer) -> None:
+    """A lot of it, on any descriptor."""
+    assert peer.ask("infer", {"observation": {"do": "print"}}).message_type == "infer_result"
+    wait_until(lambda: any("raw bytes" in line for line in shared.log), "the output arrived")
+    assert "the model prints while it loads" in shared.log
+    peer.ask("infer", {"observation": {"do": "raise"}})
+    wait_until(
+        lambda: any("ValueError: the gripper is unhappy" in line for line in shared.log), "the traceback arrived"
+    )
+    assert any("Traceback" in line for line in shared.log)
+
+
+# -- exactly once ------------------------------------------------------------------------------------------------------
+
+
+def runs(peer: Peer) -> int:
+    """Return how often the model ran."""
+    return int(peer.ask("call", {"func_name": "report"}).payload["result"]["runs"])
+
+
+def test_a_repeated_id_is_answered_and_runs_nothing(peer: Peer) -> None:
+    """Finished ones from memory, failed ones too."""
+    before = runs(peer)
+    first = peer.ask("infer", {"observation": OBS}, message_id="repeated")
+    assert runs(peer) == before + 1
+    again = peer.ask("infer", {"observation": OBS}, message_id="repeated")
+    assert again.payload["actions"] == first.payload["actions"]
+    failed = peer.ask("infer", {"observation": {"do": "raise"}}, message_id="failed")
+    assert peer.ask("infer", {"observation": OBS}, message_id="failed").payload == failed.payload
+    assert runs(peer) == before + 2
+
+
+def test_a_repeated_id_joins_the_request_that_runs(peer: Peer, fifo: Path) -> None:
+    """Three questions, one run, three answers."""
+    before = runs(peer)
+    for _ in range(3):
+        peer.send("infer", {"observation": {"do": "wait", "fifo": str(fifo)}}, message_id="joined")
+    let_go(fifo)
+    answers = [peer.receive() for _ in range(3)]
+    assert {answer.message_id for answer in answers} == {"joined"}
+    assert all(answer.payload["actions"] == [{"run": before + 1}] for answer in answers)
+    assert runs(peer) == before + 1
+
+
+def test_the_same_id_for_another_type_is_refused(peer: Peer) -> None:
+    """With a reason that machines can read."""
+    before = runs(peer)
+    peer.ask("reset", message_id="mixed")
+    answer = peer.ask("infer", {"observation": OBS}, message_id="mixed")
+    assert answer.payload["code"] == "invalid_frame"
+    assert answer.payload["details"] == {"reason": "duplicate_id"}
+    assert runs(peer) == before
+
+
+def test_answers_are_remembered_for_one_client_only(shared: RunningServer) -> None:
+    """Clients that merely count their messages must not get the answers of those before them."""
+    answers = []
+    for _ in range(2):
+        connection = wait_until(lambda: greeted(shared.url), "the server is free")
+        answers.append(connection.ask("infer", {"observation": OBS}, message_id="1").payload["actions"])
+        connection.send("close")
+        connection.close()
+    assert answers[0] != answers[1]
+
+
+def test_a_retry_after_a_cut_gets_the_answer_of_the_one_run(shared: RunningServer, fifo: Path) -> None:
+    """The cut comes while the model thinks; the retry comes over a new connection."""
+    peer = wait_until(lambda: greeted(shared.url), "the server is free")
+    before = runs(peer)
+    payload = {"observation": {"do": "wait", "fifo": str(fifo)}}
+    peer.send("infer", payload, message_id="cut")
+    with fifo.open("w"):
+        peer.cut()
+        back = wait_until(lambda: greeted(shared.url, peer.evaluation_id), "the same client is let in again")
+        back.send("infer", payload, message_id="cut")
+    assert back.receive().payload["actions"] == [{"run": before + 1}]
+    assert runs(back) == before + 1
+    back.send("close")
+    back.close()
+
+
+# -- who may use the worker --------------------------------------------------------------------------------------------
+
+
+def test_heartbeats_are_answered_while_the_model_thinks(peer: Peer, fifo: Path) -> None:
+    """To the client that waits, and to others."""
+    request = peer.send("infer", {"observation": {"do": "wait", "fifo": str(fifo)}})
+    with fifo.open("w"):  # opened when the model waits
+        assert peer.ask("heartbeat").message_type == "heartbeat_ack"
+    assert peer.receive().message_id == request.message_id
+
+
+def test_a_second_client_is_busy_at_hello_until_the_first_one_closes(shared: RunningServer) -> None:
+    """Then it is let in; it may try on the same connection."""
+    first = wait_until(lambda: greeted(shared.url), "the server is free")
+    second = Peer(shared.url)
+    refusal = second.ask("hello")
+    assert (refusal.message_type, refusal.payload["code"]) == ("error", "internal")
+    assert refusal.payload["details"] == {"reason": "busy"}
+    assert second.ask("infer", {"observation": OBS}).payload["details"] == {"reason": "busy"}
+    assert second.ask("heartbeat").message_type == "heartbeat_ack"
+    first.send("close")
+    wait_until(lambda: second.ask("hello").message_type == "hello_ack", "the lease is free")
+    first.close()
+    second.send("close")
+    second.close()
+
+
+def test_a_connection_closed_in_order_frees_the_worker_without_a_goodbye(shared: RunningServer) -> None:
+    """Clients of the field just close."""
+    first = wait_until(lambda: greeted(shared.url), "the server is free")
+    first.close()
+    second = wait_until(lambda: greeted(shared.url), "the lease is free")
+    second.close()
+
+
+def test_a_cut_client_keeps_its_lease_for_the_grace_period(shared: RunningServer) -> None:
+    """Others hear busy; its own evaluation comes back to its own state."""
+    first = wait_until(lambda: greeted(shared.url), "the server is free")
+    first.ask("reset")
+    first.ask("call", {"func_name": "update_obs", "obs": {"n": 42}})
+    first.cut()
+    other = Peer(shared.url)
+    assert other.ask("hello").payload["details"] == {"reason": "busy"}
+    back = wait_until(lambda: greeted(shared.url, first.evaluation_id), "the same client is let in again")
+    assert back.ask("call", {"func_name": "report"}).payload["result"]["events"] == [["update_obs", 42]]
+    back.send("close")
+    back.close()
+    other.close()
+
+
+# -- loading -----------------------------------------------------------------------------------------------------------
+
+LOADING = """
+    class Model:
+        def __init__(self, config):
+            open(config["fifo"]).read()
+        def infer(self, observation):
+            return [observation["n"]]
+"""
+
+
+@contextlib.contextmanager
+def started(adapter: Path, fifo: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Start a server whose model waits on the named pipe while it loads; yield its process and address."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "xpl_cli", "serve", str(adapter), "--set", f"fifo={fifo}", "--port", str(port)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert process.stdout is not None
+    try:
+        yield process, f"ws://127.0.0.1:{port}"
+    finally:
+        process.terminate()
+        process.wait(20)
+        process.stdout.close()
+
+
+def test_hello_is_not_answered_before_the_model_is_ready(write_adapter: Callable[..., Path], fifo: Path) -> None:
+    """Heartbeats are; and a client that left in the meantime does not hold the worker afterwards."""
+    with started(write_adapter(LOADING), fifo) as (process, url):
+        assert process.stdout is not None
+        with fifo.open("w"):  # the model loads, so the server listens
+            gone = Peer(url)
+            gone.send("hello")
+            assert gone.ask("heartbeat").message_type == "heartbeat_ack"
+            gone.close()
+            waiting = Peer(url)
+            hello = waiting.send("hello")
+            assert waiting.ask("heartbeat").message_type == "heartbeat_ack"
+            assert not select.select([process.stdout], [], [], 0)[0]
+        assert json.loads(process.stdout.readline())["event"] == "ready"
+        answer = waiting.receive()
+        assert (answer.message_id, answer.message_type) == (hello.message_id, "hello_ack")
+        assert waiting.ask("infer", {"observation": {"n": 5}}).payload["actions"] == [5]
+        waiting.close()
+
+
+def test_an_adapter_with_infer_alone_and_no_hooks_is_served(
+    write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
+) -> None:
+    """The hooks are optional; the missing operations are named."""
+    server = serve(
+        write_adapter(
+            "class Model:\n    def __init__(self, config): pass\n    def infer(self, observation): return [1]"
+        )
+    )
+    peer = Peer(server.url)
+    assert peer.ask("infer", {"observation": {}}).payload["actions"] == [1]
+    for kind in ("prepare_case", "trial_end"):
+        assert peer.ask(kind, {"action_case_id": "c"}).payload == {"ok": True}
+    assert "no method 'reset'" in peer.ask("reset").payload["message"]
+    peer.close()
+
+
+@pytest.mark.parametrize(
+    ("model", "reason"),
+    [
+        ("raise ValueError('no weights')", "the model could not be loaded: ValueError: no weights"),
+        ("import sys; sys.exit(7)", r"SystemExit: the adapter called sys\.exit\(7\)"),
+        ("import os; os._exit(7)", "the worker ended with exit code 7"),
+        ("import os; os.kill(os.getpid(), 11)", "the worker was ended by signal SIGSEGV"),
+        ("import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
+        ("class Policy: pass", "LoadError: .*model.py defines no class Model"),
+        ("Model = 3", "defines no class Model"),
+        ("class Model(", "SyntaxError"),
+        ("class Model:\n    pass", r"TypeError: Model\(\) takes no arguments"),
+    ],
+)
+def test_a_model_that_cannot_be_loaded_ends_the_server_with_one_sentence(
+    write_adapter: Callable[..., Path], serve: Callable[..., RunningServer], model: str, reason: str
+) -> None:
+    """Which names the policy; the traceback is in the log."""
+    with pytest.raises(ServerStartError) as failure:
+        serve(write_adapter(model))
+    assert failure.value.code == ExitCode.NOT_RUN
+    assert failure.value.reason.startswith("Subject: ")
+    assert "\n" not in failure.value.reason
+    assert re.search(reason, failure.value.reason)
+
+
+def test_a_client_that_waits_while_loading_fails_is_told_why(write_adapter: Callable[..., Path], fifo: Path) -> None:
+    """At once, not after its timeouts: the reason to close is the sentence that the log has."""
+    model = write_adapter(LOADING.replace("read()", "read(); raise ValueError('no weights')"))
+    with started(model, fifo) as (process, url):
+        with fifo.open("w"):
+            waiting = Peer(url)
+            waiting.send("hello")
+            assert waiting.ask("heartbeat").message_type == "heartbeat_ack"
+        with pytest.raises(ConnectionClosed) as closed:
+            waiting.receive()
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == spec.CLOSE_CODES["server_failed"]
+        assert closed.value.rcvd.reason == "the model could not be loaded: ValueError: no weights"
+        assert process.wait(20) == ExitCode.NOT_RUN
+        waiting.close()
+
+
+def test_a_configuration_that_cannot_travel_is_one_sentence(
+    write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
+) -> None:
+    """YAML has dates, and the link has none."""
+    folder = write_adapter(SUBJECT)
+    (folder / "deploy.yml").write_text("env_cfg_type: piper\nrelease: 2026-01-01\n", encoding="utf-8")
+    with pytest.raises(ServerStartError, match=r"datetime\.date cannot be sent"):
+        serve(folder)
+
+
+# -- ends --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_worker_that_is_killed_is_reported_to_client_and_log(
+    subject: Path, serve: Callable[..., RunningServer]
+) -> None:
+    """The request under way gets an error; the server ends."""
+    server = serve(subject)
+    with Client(server.url) as client:
+        with pytest.raises(PolicyServerError, match="ended by signal SIGKILL") as failure:
+            client.infer({"do": "die"})
+        assert failure.value.details == {"reason": "worker_died"}
+        wait_until(
+            lambda: any(line.startswith("error: Subject: the worker was ended") for line in server.log), "it is logged"
+        )
+        with pytest.raises(ServerConnectionError):
+            client.infer({})
+
+
+def test_a_worker_that_dies_idle_ends_the_server_with_the_reason(subject: Path) -> None:
+    """Without waiting for the next request, which is told the reason."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "xpl_cli", "serve", str(subject), "--port", "0"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    url = json.loads(process.stdout.readline())["url"]
+    client = Client(url)
+    os.kill(client.call("report")["pid"], signal.SIGKILL)
+    _, log = process.communicate(timeout=20)
+    assert process.returncode == ExitCode.NOT_RUN
+    assert log.decode().splitlines()[-1] == "error: Subject: the worker was ended by signal SIGKILL"
+    with pytest.raises(ServerConnectionError, match="policy server ended: the worker was ended by signal SIGKILL"):
+        client.reset()
+
+
+def test_a_model_that_hangs_is_reported_and_killed(
+    subject: Path, serve: Callable[..., RunningServer], fifo: Path
+) -> None:
+    """After the request timeout of deploy.yml; nothing is left of it."""
+    server = serve(subject, overrides={"request_timeout_s": 0.5})
+    peer = Peer(server.url)
+    peer.send("infer", {"observation": {"do": "wait", "fifo": str(fifo)}})
+    queued = peer.send("call", {"func_name": "report"})
+    answers = {answer.message_id: answer for answer in (peer.receive(), peer.receive())}
+    assert {answer.message_type for answer in answers.values()} == {"error"}
+    assert "timeout" in {answer.payload["code"] for answer in answers.values()}
+    assert answers[queued.message_id].payload["code"] == "internal"
+    wait_until(lambda: any("did not answer within 0.5 s" in line for line in server.log), "it is logged")
+    peer.close()
+
+
+ORPHANS = """
+    import subprocess, sys
+
+
+    class Model:
+        def __init__(self, config):
+            self.child = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"])
+
+        def infer(self, observation):
+            open(observation["fifo"]).read()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name)
+@pytest.mark.parametrize("thinking", [True, False], ids=["thinking", "idle"])
+def test_no_signal_leaves_a_process_behind(
+    write_adapter: Callable[..., Path], fifo: Path, number: signal.Signals, thinking: bool
+) -> None:
+    """Neither the worker, nor what the model started, even if the front end has no time to clean up."""
+    mark = uuid.uuid4().hex
+    process = subprocess.Popen(
+        [sys.executable, "-m", "xpl_cli", "serve", str(write_adapter(ORPHANS)), "--port", "0"],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env={**os.environ, MARK: mark}, start_new_session=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    try:
+        url = json.loads(process.stdout.readline())["url"]
+        wait_until(lambda: len(processes(mark)) == 3, "front end, worker and the model's child run")
+        peer = Peer(url)
+        with contextlib.ExitStack() as stack:
+            if thinking:
+                peer.send("infer", {"observation": {"fifo": str(fifo)}})
+                stack.enter_context(fifo.open("w"))
+            process.send_signal(number)
+            assert process.wait(20) == (-9 if number == signal.SIGKILL else 0)
+            wait_until(lambda: not processes(mark), "all processes are gone")
+        with contextlib.suppress(Exception):
+            peer.close()
+    finally:
+        process.stdout.close()
+        for pid in processes(mark):
+            os.kill(pid, signal.SIGKILL)
+
+
+# -- the interpreter ---------------------------------------------------------------------------------------------------
+
+
+def test_an_adapter_is_served_in_the_oldest_supported_python(
+    write_adapter: Callable[..., Path], serve: Callable[..., RunningServer], old_python: str
+) -> None:
+    """With numpy alone installed there."""
+    model = """
+        import sys
+        import numpy as np
+        from xpl import Policy
+
+        class Model(Policy):
+            def encode(self, obs, env): return obs["n"]
+            def predict(self, inputs, envs): return np.full((len(envs), 2, 8), sys.version_info[1] / 10)
+    """
+    with Client(serve(write_adapter(model), python=old_python).url) as client:
+        client.reset()
+        assert client.infer({"n": 1})[0]["ee_joint_state"].tolist() == pytest.approx([0.9])

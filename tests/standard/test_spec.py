@@ -1,0 +1,265 @@
+"""The standard is well formed, and it is the only place that states its facts."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.support.places import ROOT
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import NotFoundError
+from xpl_cli.derived.compiler import compile_source
+from xpl_cli.standard import check, spec, view
+from xpl_cli.standard.validate import validate_yaml_file
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+# Words of the standard that are also ordinary words of Python or of this tool's own answers. Everything else that the
+# standard names is reached through `xpl._spec` or read from the spec.
+ORDINARY = {
+    "action": "what an error calls an action step, and a heading of conventions.yml",
+    "code": "code of an audit rule",
+    "error": "outcome of an audit rule",
+    "details": "field of a result file of RoboDojo",
+    "environment": "table of a manifest, side of a comparison, report of an evaluation",
+    "message": "text of a finding",
+    "observation": "name of a schema",
+    "ok": "mark of a check that passed",
+    "policy": "room, schema, side of a comparison, report of an evaluation",
+    "port": "announcement of a server that is ready",
+    "ready": "stage of a task, mark of an episode",
+    "server": "who answered an episode",
+    "shape": "keyword of x-array, field of a header",
+    "state": "what happened to a file: written, unchanged, replaced",
+    "step": "record of an action step",
+}
+# Files that may name what the standard names, and why.
+EXEMPT = {
+    "xpl/_spec.py": "generated from the standard",
+    "xpl_cli/derived/compiler.py": "reads the standard by these names to make xpl/_spec.py",
+    "policy/*/deploy.py": "runs in a simulator's Python, where xpl may not be installed",
+}
+
+
+def _words() -> set[str]:
+    """Return every name that the standard gives: keys, cameras, robots, messages, errors, settings, files."""
+    classes = [value for value in vars(sdk).values() if isinstance(value, type) and value.__module__ == sdk.__name__]
+    words = {word for entry in classes for name, word in vars(entry).items() if name.isupper()}
+    words.update(*sdk.CAMERAS.values(), sdk.OPTIONAL_CAMERAS, sdk.CHECKPOINT_KEYS, sdk.CONTRACT_METHODS, sdk.HOOKS)
+    for name, robot in sdk.EMBODIMENTS.items():
+        words.update([name, *robot.get("aliases", ())])
+    for schema in ("observation", "action", "trajectory"):
+        words.update(_keys(spec.schema(schema)))
+    package = spec.data("package")
+    words.update(package["files"]["required"], package["files"]["training"], [package["files"]["manifest"]])
+    words.update([package["placeholder"], package["eval_finish_line"], package["eval_env_type"]["variable"]])
+    return words - set(ORDINARY)
+
+
+def _keys(schema: Any) -> Iterator[str]:
+    """Yield the keys of all maps that a schema describes."""
+    if isinstance(schema, dict):
+        yield from schema.get("properties", ())
+        for value in schema.values():
+            yield from _keys(value)
+    elif isinstance(schema, list):
+        for value in schema:
+            yield from _keys(value)
+
+
+def _numbers() -> set[float]:
+    """Return numbers of the standard that mean nothing else: small ones and round ones are left out."""
+    defaults = [value for value in sdk.DEPLOY_DEFAULTS.values() if isinstance(value, int) and value >= 100]
+    return {sdk.POSE_DIM, *defaults, *(value for value in sdk.LIMITS.values() if value >= 100)}
+
+
+def _sources(*patterns: str) -> list[Path]:
+    paths = {path for pattern in patterns for path in ROOT.glob(pattern)}
+    return sorted(path for path in paths if not any(path.relative_to(ROOT).match(name) for name in EXEMPT))
+
+
+def _constants(path: Path) -> Iterator[ast.Constant]:
+    """Yield the constants of a module, without its docstrings."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    prose = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, documented) and node.body and isinstance(node.body[0], ast.Expr)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and id(node) not in prose:
+            yield node
+
+
+def test_no_name_of_the_standard_is_repeated_in_code() -> None:
+    """A key, camera, robot, message, error, setting or file name is written in `spec/` and nowhere else."""
+    words = _words()
+    found = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {node.value!r}"
+        for path in _sources(
+            "xpl/**/*.py", "xpl_cli/**/*.py", "conformance/*/*/rule.py", "envs/**/*.py", "policy/**/*.py"
+        )
+        for node in _constants(path)
+        if isinstance(node.value, str) and node.value in words
+    ]
+    assert not found, "use xpl._spec, or read the spec:\n" + "\n".join(found)
+
+
+def test_no_dimension_or_default_of_the_standard_is_repeated_in_the_engine() -> None:
+    """A pose's length, a limit or a time is written in `spec/` and nowhere else."""
+    numbers = _numbers()
+    found = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {node.value!r}"
+        for path in _sources("xpl/**/*.py", "xpl_cli/**/*.py", "policy/**/*.py")
+        for node in _constants(path)
+        if type(node.value) in (int, float) and node.value in numbers
+    ]
+    assert not found, "use xpl._spec, or read the spec:\n" + "\n".join(found)
+
+
+def test_every_exception_is_needed() -> None:
+    """A word that nobody uses any more does not stay on the list of exceptions."""
+    paths = _sources("xpl/**/*.py", "xpl_cli/**/*.py", "conformance/*/*/rule.py", "envs/**/*.py", "policy/**/*.py")
+    used = {node.value for path in paths for node in _constants(path)}
+    assert set(ORDINARY) <= used
+
+
+def test_the_compiled_constants_are_up_to_date() -> None:
+    """`xpl/_spec.py` is what `xpl spec compile` makes of the spec."""
+    assert (ROOT / "xpl" / "_spec.py").read_text(encoding="utf-8") == compile_source()
+
+
+def test_the_standard_has_no_fault() -> None:
+    """Schemas, references, defaults, requirements and robots are well formed and agree."""
+    assert [str(problem) for problem in check.check_all()] == []
+
+
+def _copy_of_spec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, old: str, new: str) -> list[str]:
+    """Return what the check says of a standard that was changed in one place."""
+    import shutil
+
+    folder = tmp_path / "v9"
+    shutil.copytree(spec.folder("v1"), folder)
+    changed = folder / file
+    text = changed.read_text() if changed.exists() else ""
+    assert old in text
+    changed.write_text(text.replace(old, new, 1) if old else new)
+    monkeypatch.setattr(spec, "room", lambda _name: tmp_path)
+    try:
+        return [str(problem) for problem in check.check("v9")]
+    finally:
+        parts = (spec.schema, spec.data, spec.requirements, spec.embodiments, spec.embodiment_entries)
+        for cached in (*parts, spec.about, spec.lineage):
+            cached.cache_clear()
+        from xpl_cli.standard import validate
+
+        validate.registry.cache_clear()
+        validate._validator.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("deploy.schema.json", '"default": "localhost"', '"default": 3', "its default is not valid"),
+        ("chunk.schema.json", "xpl:v1/action", "xpl:v1/actoin", "leads nowhere"),
+        ("chunk.schema.json", '"minItems": 1', '"minItems": "one"', "not a 2020-12 schema"),
+        ("chunk.schema.json", '"xpl:v1/chunk"', '"xpl:v1/chunks"', "expected xpl:v9/chunk"),
+        ("requirements.yml", "XPL-OBS-1:", "XPL-obs-1:", "an id is XPL-AREA-NUMBER"),
+        ("requirements.yml", "level: MUST", "level: SHALL", "level must be MUST or SHOULD"),
+        ("embodiments/piper.yml", "name: piper", "name: pipr", "expected the file's name piper"),
+        ("embodiments/piper.yml", "dof: 6", "dof: 5", "DOF = 5"),
+        ("embodiments/franka.yml", "aliases: []", "aliases: [piper]", "is taken by"),
+        ("conventions.yml", "joint: [arm_joint_state", "joint: [arm_joint_states", "is no state of an observation"),
+        ("package.yml", "  train.sh: [", "  trian.sh: [", "not among the files of a package"),
+        ("notes.txt", "", "x", "no part of the standard"),
+    ],
+)
+def test_a_fault_of_the_standard_is_found(
+    case: tuple[str, str, str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each check of the standard catches a standard that is broken in its way."""
+    file, old, new, complaint = case
+    problems = _copy_of_spec(tmp_path, monkeypatch, file, old, new)
+    assert any(complaint in problem for problem in problems), problems
+
+
+@pytest.mark.parametrize(
+    ("pattern", "schema"),
+    [("policy/*/policy.yml", "policy"), ("policy/*/deploy.yml", "deploy"), ("envs/*/env.yml", "env")],
+)
+def test_manifests_of_this_repository_are_valid(pattern: str, schema: str) -> None:
+    """What is shipped with the standard keeps to it."""
+    files = sorted(ROOT.glob(pattern))
+    assert files
+    assert [str(problem) for file in files for problem in validate_yaml_file(file, schema, None)] == []
+
+
+def test_every_part_of_the_standard_can_be_shown() -> None:
+    """Each name of the index, and each requirement, has a text and a value that is JSON."""
+    index = view.view(None).value
+    names = [*index["parts"], *index["schemas"], *index["embodiments"], *spec.requirements(), None]
+    for name in names:
+        shown = view.view(name)
+        assert shown.text().strip()
+        assert json.loads(json.dumps(shown.value))
+
+
+def test_an_outline_shows_kind_default_and_need() -> None:
+    """A schema's outline tells what an author wants to know about a key."""
+    lines = view.view("deploy").text().splitlines()
+    port = next(line for line in lines if " port " in line)
+    assert " ".join(port.split()) == "* port integer | null TCP port; null or 0 lets the system choose (default null)"
+
+
+def test_a_misspelt_name_shows_the_nearest() -> None:
+    """`xpl spec show` helps with names as with everything."""
+    with pytest.raises(NotFoundError) as caught:
+        view.view("arx5")
+    assert caught.value.hint == "did you mean arx_x5?"
+
+
+def _xpl(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "xpl_cli", "spec", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=_environment())
+
+
+def _environment() -> dict[str, str]:
+    import os
+
+    return {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+def test_validate_prints_problems_and_fails(tmp_path: Path) -> None:
+    """A file that differs gives exit code 1 and its place on stdout; JSON has the same facts."""
+    file = tmp_path / "deploy.yml"
+    file.write_text((ROOT / "policy/demo_policy/deploy.yml").read_text().replace("protocol: ws", "protocol: wss"))
+    done = _xpl("validate", "deploy.yml", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert done.stdout.startswith("deploy.yml:6:1 protocol: expected 'ws', got 'wss'")
+    done = _xpl("validate", "--json", "deploy.yml", cwd=tmp_path)
+    assert json.loads(done.stdout)["problems"][0]["line"] == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["validate", "policy/demo_policy/policy.yml"], 0),
+        (["validate", "nothing/deploy.yml"], 3),
+        (["validate", "README.md"], 2),
+        (["validate", "--schema", "deply", "README.md"], 2),
+        (["show", "nothing"], 3),
+        (["compile", "--check"], 0),
+    ],
+)
+def test_exit_codes(arguments: list[str], code: int) -> None:
+    """Every outcome of the command has the exit code of the tool."""
+    assert _xpl(*arguments).returncode == code

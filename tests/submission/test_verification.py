@@ -1,0 +1,306 @@
+"""Bundles of runs that were really played: what verification finds in them, and what it plays again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.support.places import ROOT
+from xpl_cli.audit.engine.engine import audit
+from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.progress import Progress
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.runs import evaluate
+from xpl_cli.evaluation.runs.plan import Wishes
+from xpl_cli.lifecycle.checkpoints import fetch, sources, specification, store
+from xpl_cli.packages import package
+from xpl_cli.standard.validate import validate
+from xpl_cli.submission import archive, bundle, prepare, replay, verify
+from xpl_cli.submission.replaying import Player
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.rules.model import TargetReport
+    from xpl_cli.evaluation.records.records import Line, Run
+
+pytestmark = pytest.mark.xdist_group("verification")  # one run for all
+
+EXPERT = ROOT / "policy" / "scripted_expert"
+UNAUDITED = "the audit ran without the gates offline, mujoco"
+"""What is wrong with the bundles of these tests, which spare the time of a whole audit."""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Return a run of two episodes that the expert has solved."""
+    wishes = Wishes("lift_cube", "clean", 2, 0, horizon=1)
+    out = tmp_path_factory.mktemp("runs") / "expert"
+    return evaluate.evaluate(evaluate.Request(package.load(EXPERT), "mujoco", out, wishes, films=0))
+
+
+@pytest.fixture(scope="module")
+def report() -> TargetReport:
+    """Return what the cheapest gate says of the expert."""
+    return audit(EXPERT, package.POLICY, Options(gates=(Gate.STATIC,)), shown="policy/scripted_expert")
+
+
+@pytest.fixture(scope="module")
+def packed(run: Run, report: TargetReport, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the run's bundle."""
+    path = tmp_path_factory.mktemp("bundles") / "expert.xpl.zip"
+    prepare.pack(prepare.Request(package.load(EXPERT), (run.folder,), path), [run], report)
+    return path
+
+
+def _forged(source: Path, target: Path, change: Callable[[Path], Any], *, consistently: bool = True) -> Path:
+    """Write a bundle whose files somebody has changed, with or without telling its manifest."""
+    folder = target.with_suffix("")
+    names = sorted(archive.unpack(source, folder, limit=10**8))
+    change(folder)
+    manifest = json.loads((folder / bundle.MANIFEST).read_bytes())
+    if consistently:
+        for name, entry in manifest["files"].items():
+            content = (folder / name).read_bytes()
+            entry.update(sha256=hashlib.sha256(content).hexdigest(), size=len(content))
+    files: dict[str, Path | bytes] = {name: folder / name for name in names}
+    archive.write(target, {**files, bundle.MANIFEST: bundle.document(manifest)})
+    return target
+
+
+def _records(change: Callable[[list[Line]], Any]) -> Callable[[Path], None]:
+    """Return what changes the lines of a bundle's only run."""
+
+    def edit(folder: Path) -> None:
+        (file,) = folder.glob(f"runs/*/{records.FILE}")
+        lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+        change(lines)
+        file.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
+
+    return edit
+
+
+def _problems(path: Path) -> dict[str, tuple[str, ...]]:
+    """Return what is wrong with a bundle by what was looked at, but for the audit that these tests leave out."""
+    report = verify.verify(verify.Request(path, sample=0))
+    assert validate(report.as_json(), "verification") == []
+    found = {check.name: check.problems for check in report.checks if check.problems}
+    if found.get("audit") == (UNAUDITED,):
+        del found["audit"]
+    return found
+
+
+def test_a_bundle_repeats_itself(run: Run, report: TargetReport, packed: Path, tmp_path: Path) -> None:
+    """The same run, files and audit give the same bytes, which name no place of this machine."""
+    again = tmp_path / "again.zip"
+    prepare.pack(prepare.Request(package.load(EXPERT), (run.folder,), again), [run], report)
+    assert again.read_bytes() == packed.read_bytes()
+    names = archive.unpack(again, tmp_path / "out", limit=10**8)
+    places = (str(EXPERT.parent.parent), str(run.folder), sys.prefix)
+    texts = [(tmp_path / "out" / name).read_text(encoding="utf-8") for name in names]
+    assert not [place for place in places for text in texts if place in text]
+
+
+def test_a_sound_bundle_lacks_only_what_was_left_out(packed: Path) -> None:
+    """Everything but the audit, of which two gates did not run here, is in order."""
+    assert _problems(packed) == {}
+
+
+def test_curves_come_along_where_they_are_wanted(run: Run, report: TargetReport, tmp_path: Path) -> None:
+    """They are held against the records, whose digests they have to have."""
+    path = tmp_path / "traced.zip"
+    prepare.pack(prepare.Request(package.load(EXPERT), (run.folder,), path, frozenset({"trace"})), [run], report)
+    assert _problems(path) == {}
+    forged = _forged(path, tmp_path / "forged.zip", lambda folder: next(folder.rglob("0.npz")).write_bytes(b""))
+    assert "is not what episode 0 recorded" in _problems(forged)["curves and films"][0]
+
+
+@pytest.mark.parametrize(
+    ("change", "where", "said"),
+    [
+        (lambda folder: (folder / "policy/scripted_expert/model.py").write_text(""), "files", "has the SHA-256"),
+        (lambda folder: (folder / "audit.json").write_text("{}"), "files", "audit.json"),
+    ],
+)
+def test_changed_files_are_found(
+    packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, said: str
+) -> None:
+    """Whoever changes a file of a bundle and leaves its manifest alone is found out; nothing else is looked at."""
+    found = _problems(_forged(packed, tmp_path / "forged.zip", change, consistently=False))
+    assert list(found) == [where]
+    assert any(said in problem for problem in found[where])
+
+
+@pytest.mark.parametrize(
+    ("change", "where", "said"),
+    [
+        (_records(lambda lines: lines[-1].update(success=False, failure="task")), "claims", "counts otherwise"),
+        (_records(lambda lines: lines.pop()), "records", "were not played"),
+        (
+            lambda folder: (folder / "policy/scripted_expert/moves.py").write_text("", encoding="utf-8"),
+            "adapter",
+            "have the digest",
+        ),
+        (
+            lambda folder: (folder / bundle.CHECKPOINTS).write_text(
+                json.dumps({"loaded": "0" * 64, "name": None, "declared": []}), encoding="utf-8"
+            ),
+            "checkpoint",
+            "loaded another checkpoint",
+        ),
+    ],
+)
+def test_parts_that_contradict_each_other_are_found(
+    packed: Path, tmp_path: Path, change: Callable[[Path], Any], where: str, said: str
+) -> None:
+    """A manifest that was changed along with a file does not help: the parts no longer fit."""
+    found = _problems(_forged(packed, tmp_path / "forged.zip", change))
+    assert any(said in problem for problem in found[where]), found
+
+
+def test_seeds_that_are_not_the_frozen_ones_are_found(packed: Path, tmp_path: Path) -> None:
+    """Whoever chooses seeds may not call them the environment's."""
+
+    def choose(lines: list[Line]) -> None:
+        lines[0]["cells"][0]["seeds"] = [1, 2]
+        lines[0].update(records.named(lines[0]), created=lines[0]["created"])
+        for line, seed in zip(lines[-2:], (1, 2), strict=True):
+            line["seed"] = seed
+
+    found = _problems(_forged(packed, tmp_path / "forged.zip", _records(choose)))
+    assert any("has frozen" in problem for problem in found["plan"])
+
+
+def test_a_run_is_not_packed_twice(run: Run, tmp_path: Path) -> None:
+    """Nothing is written where something is to be mended first."""
+    out = tmp_path / "twice.zip"
+    answer = prepare.submit(prepare.Request(package.load(EXPERT), (run.folder, run.folder), out))
+    assert answer.code == ExitCode.FINDINGS
+    assert any("given twice" in problem for problem in answer.problems)
+    assert not out.exists()
+
+
+def test_an_adapter_that_changed_since_is_not_packed(run: Run, tmp_path: Path) -> None:
+    """A bundle holds the files that were evaluated, or there is none."""
+    changed = tmp_path / "scripted_expert"
+    shutil.copytree(EXPERT, changed, ignore=shutil.ignore_patterns("__pycache__"))
+    (changed / "model.py").write_text("# other\n", encoding="utf-8")
+    answer = prepare.submit(prepare.Request(package.load(changed), (run.folder,), tmp_path / "a.zip"))
+    assert [problem for problem in answer.problems if "was played with other files" in problem]
+
+
+class TestReplay:
+    """Episodes of a run played again."""
+
+    def test_states_repeat_bit_by_bit(self, run: Run) -> None:
+        """A deterministic policy in a simulation does the same thing on the same machine."""
+        pairs = Player(EXPERT).play(run, [0, 1])
+        assert [pair.match for pair in pairs] == [replay.Match.SAME] * 2
+        assert replay.judge(pairs, 2, deterministic=True).verdict is replay.Verdict.AGREES
+        # What nobody played has other states, and is found in the first episode that is played.
+        forged = [
+            replay.Pair({**pair.recorded, "digest": "0" * 64}, pair.replayed, pair.is_equal_machine) for pair in pairs
+        ]
+        assert replay.judge(forged, 2, deterministic=True).verdict is replay.Verdict.DISAGREES
+
+    def test_only_the_adapter_of_the_run_is_played(self, run: Run) -> None:
+        """Another one says nothing about the bundle."""
+        with pytest.raises(UserError, match="does not have the files of the run"):
+            Player(EXPERT.parent / "demo_policy").play(run, [0])
+
+    def test_weights_that_are_not_here_are_named(self, run: Run) -> None:
+        """Without the checkpoint of the run nothing is played, and what to do is said."""
+        checkpoint = {"path": "checkpoints/base", "digest": "0" * 64}
+        policy = {**run.plan["policy"], "checkpoint": checkpoint}
+        other = records.Run(run.folder, {**run.plan, "policy": policy}, run.machines, run.attempts, run.finals)
+        with pytest.raises(UserError, match="checkpoints/base") as raised:
+            Player(EXPERT).play(other, [0])
+        assert raised.value.code == ExitCode.NOT_RUN
+        assert "xpl checkpoint fetch" in str(raised.value.hint)
+
+    def test_a_robot_is_not_moved(self, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """An environment that does not wait is nothing that could repeat itself."""
+        robot = tmp_path / "envs" / "mujoco"
+        shutil.copytree(EXPERT.parent.parent / "envs" / "mujoco", robot, ignore=shutil.ignore_patterns("__pycache__"))
+        text = (robot / "env.yml").read_text(encoding="utf-8")
+        (robot / "env.yml").write_text(text.replace("real_time: false", "real_time: true"), encoding="utf-8")
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(UserError, match="does not wait for the policy"):
+            Player(EXPERT).play(run, [0])
+
+
+class TestCheckpoints:
+    """Weights stay out of a bundle, and are found by their digest."""
+
+    @pytest.fixture
+    def adapter(self, tmp_path: Path) -> Path:
+        """Return an adapter that specifies a checkpoint, which was fetched."""
+        weights, folder = tmp_path / "weights.bin", tmp_path / "policy" / "demo_policy"
+        weights.write_bytes(b"weights")
+        shutil.copytree(EXPERT.parent / "demo_policy", folder, ignore=shutil.ignore_patterns("__pycache__"))
+        entry = {"name": "base", "source": str(weights), "sha256": hashlib.sha256(b"weights").hexdigest()}
+        with (folder / "policy.yml").open("a", encoding="utf-8") as stream:
+            stream.write(f"checkpoints: {json.dumps([entry])}\n")
+        deploy = (folder / "deploy.yml").read_text(encoding="utf-8").replace("ckpt_name: null", "ckpt_name: base")
+        (folder / "deploy.yml").write_text(deploy, encoding="utf-8")
+        (one,) = specification.choose(package.load(folder), None)
+        kept = store.Store.at(tmp_path / "cache")
+        order = fetch.Order(limit=100, progress=Progress())
+        store.link(folder, one.name, fetch.fetch(one, kept, lambda: sources.source_of(one), order).path)
+        return folder
+
+    def test_a_bundle_finds_the_checkpoint_that_was_fetched(
+        self, adapter: Path, report: TargetReport, tmp_path: Path
+    ) -> None:
+        """It is linked into the unpacked adapter; where it is not kept, nothing is played."""
+        request = evaluate.Request(package.load(adapter), "offline", tmp_path / "run", Wishes(), films=0)
+        run = evaluate.evaluate(request)
+        path = tmp_path / "demo.xpl.zip"
+        prepare.pack(prepare.Request(request.package, (run.folder,), path), [run], report)
+        unpacked = tmp_path / "unpacked"
+        assert not [name for name in archive.unpack(path, unpacked, limit=10**8) if "weights" in name or "base" in name]
+        assert _problems(path).keys() == {"audit"}  # it is of the expert
+        player = Player(unpacked / "policy" / "demo_policy", cache=tmp_path / "empty")
+        with pytest.raises(UserError, match="checkpoints/base"):
+            player.play(run, [0])
+        (pair,) = Player(unpacked / "policy" / "demo_policy", cache=tmp_path / "cache").play(run, [0])
+        assert pair.match in {replay.Match.SAME, replay.Match.OUTCOME}
+
+    def test_weights_that_nobody_else_could_get_are_not_packed(self, adapter: Path, tmp_path: Path) -> None:
+        """What was loaded has to be specified by its digest."""
+        text = (adapter / "policy.yml").read_text(encoding="utf-8")
+        (adapter / "policy.yml").write_text(text.partition("checkpoints:")[0], encoding="utf-8")
+        request = evaluate.Request(package.load(adapter), "offline", tmp_path / "run", Wishes(), films=0)
+        run = evaluate.evaluate(request)
+        answer = prepare.submit(prepare.Request(request.package, (run.folder,), tmp_path / "demo.xpl.zip"))
+        assert any("nobody else could get it" in problem for problem in answer.problems)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_from_evaluation_to_verification(run: Run, tmp_path: Path) -> None:
+    """The commands make a bundle with a whole audit, verify it, and refuse one that was made up."""
+    path = tmp_path / "expert.xpl.zip"
+    code, made = _xpl("submit", "--check", str(EXPERT), str(run.folder), "--out", str(path))
+    assert (code, made["problems"], made["path"]) == (0, [], str(path))
+    code, told = _xpl("verify", str(path), "--sample", "2")
+    assert validate(told, "verification") == []
+    assert (code, told["replay"]["verdict"]) == (0, "agrees")
+    assert told["bundle"] == made["bundle"]
+    forged = _forged(path, tmp_path / "forged.zip", _records(lambda lines: lines[-1].update(digest="0" * 64)))
+    code, told = _xpl("verify", str(forged), "--sample", "2")
+    assert (code, told["replay"]["verdict"], told["replay"]["counts"]) == (1, "disagrees", {"same": 1, "outcome": 1})
+
+
+def _xpl(*arguments: str) -> tuple[int, Any]:
+    command = [sys.executable, "-m", "xpl_cli", *arguments, "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=EXPERT.parent.parent)
+    return done.returncode, json.loads(done.stdout)

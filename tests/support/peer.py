@@ -1,0 +1,82 @@
+"""A plain client of the wire, the command line, and ways to wait for what processes do."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import connect
+
+from xpl.wire import codec
+
+DEADLINE_S = 30.0
+MARK = "XPL_TEST_SERVER"
+
+
+def wait_until(condition: Callable[[], Any], what: str) -> Any:
+    """Wait until a condition holds and return its value; fails after a deadline."""
+    deadline = time.monotonic() + DEADLINE_S
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"waited in vain until {what}"
+        time.sleep(0.01)
+    return value
+
+
+def processes(mark: str) -> dict[int, str]:
+    """Return the living processes that inherited a mark, with their command lines."""
+    wanted = f"{MARK}={mark}".encode()
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+    return found
+
+
+def xpl(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run the command line."""
+    command = [sys.executable, "-m", "xpl_cli", *args]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+
+
+class Peer:
+    """A client that speaks frames and hides nothing: what `xpl.Client` would repair stays visible."""
+
+    def __init__(self, url: str, evaluation_id: str | None = None) -> None:
+        self.evaluation_id = evaluation_id or uuid.uuid4().hex
+        self._open = contextlib.ExitStack()
+        self.socket = self._open.enter_context(connect(url, compression=None, max_size=None, proxy=None))
+
+    def send(self, message_type: str, payload: Mapping[str, Any] | None = None, **fields: Any) -> codec.Frame:
+        """Send a request and return it."""
+        frame = codec.Frame(message_type, self.evaluation_id, dict(payload or {}), **fields)
+        self.socket.send(codec.encode(frame))
+        return frame
+
+    def receive(self) -> codec.Frame:
+        """Return the next frame."""
+        data = self.socket.recv(timeout=DEADLINE_S)
+        assert isinstance(data, bytes)
+        return codec.decode(data)
+
+    def ask(self, message_type: str, payload: Mapping[str, Any] | None = None, **fields: Any) -> codec.Frame:
+        """Send a request and return its answer."""
+        request = self.send(message_type, payload, **fields)
+        while (answer := self.receive()).message_id != request.message_id:
+            pass
+        return answer
+
+    def cut(self) -> None:
+        """Lose the connection without a word of the protocol."""
+        self.socket.socket.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Close the connection in order."""
+        self._open.close()

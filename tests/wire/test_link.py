@@ -1,0 +1,280 @@
+from __future__ import annotations
+
+import itertools
+import os
+import socket
+import struct
+import threading
+import tracemalloc
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from xpl.process import link
+from xpl.process.link import Channel, Inbox, LinkError
+
+
+def message(header: int, body: int) -> bytes:
+    """Return a message of these lengths, with content that tells where it was."""
+    content = (np.arange(header + body) % 251).astype(np.uint8).tobytes()
+    return struct.pack("<4sIQ", b"XPLL", header, body) + content
+
+
+def sent(head: Any, *buffers: bytes) -> tuple[Any, list[bytes]]:
+    """Return what arrives at the other side."""
+    got, views = link.decode(b"".join(link.encode(head, buffers)))
+    return got, list(map(bytes, views))
+
+
+def peak(action: Callable[[], object]) -> int:
+    """Return the most bytes that an action holds at a time."""
+    tracemalloc.start()
+    try:
+        action()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+# -- messages ----------------------------------------------------------------------------------------------------------
+
+HEADS = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=10,
+)
+
+
+@given(HEADS, st.lists(st.binary(max_size=40), max_size=5))
+def test_a_message_arrives_as_it_was_sent(head: Any, buffers: list[bytes]) -> None:
+    """Its head, and its buffers byte for byte."""
+    assert sent(head, *buffers) == (head, buffers)
+
+
+@given(st.lists(st.binary(max_size=40), max_size=5))
+def test_buffers_are_views_at_multiples_of_16_bytes(buffers: list[bytes]) -> None:
+    """So that the arrays in them can be read where they are; nobody can write there."""
+    whole = b"".join(link.encode("head", buffers))
+    start = np.frombuffer(whole, np.uint8).ctypes.data
+    for view in link.decode(whole)[1]:
+        assert view.readonly
+        array = np.frombuffer(view, np.uint8)
+        assert not array.size or (array.ctypes.data - start) % 16 == 0
+        assert not array.size or np.shares_memory(array, np.frombuffer(whole, np.uint8))
+
+
+def test_buffers_are_not_copied() -> None:
+    """However large they are."""
+    buffers = [bytes(1 << 20), bytearray(100), memoryview(bytes(10))]
+    assert [piece for piece in link.encode({}, buffers) if any(piece is buffer for buffer in buffers)] == buffers
+
+
+@pytest.mark.parametrize(
+    "head", [object(), {1, 2}, b"bytes", np.zeros(3), np.float32(1), 10**5000], ids=lambda head: type(head).__name__
+)
+def test_a_head_that_json_does_not_know_cannot_be_sent(head: Any) -> None:
+    """Never a TypeError, which would end the server."""
+    with pytest.raises(LinkError):
+        link.encode([{"head": head}])
+
+
+def test_a_head_that_contains_itself_cannot_be_sent() -> None:
+    """Nor one that is too large."""
+    loop: list[Any] = []
+    loop.append(loop)
+    with pytest.raises(LinkError):
+        link.encode(loop)
+
+
+def test_a_head_over_the_limit_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other side would take it for a stream that is out of step."""
+    monkeypatch.setattr(link, "HEADER_LIMIT", 100)
+    with pytest.raises(LinkError, match="over the limits"):
+        link.encode("x" * 200)
+
+
+def headed(text: bytes, body: int = 0) -> bytes:
+    """Return a message with a header of our own making."""
+    text += b" " * (-len(text) % 16)
+    return struct.pack("<4sIQ", b"XPLL", len(text), body) + text + bytes(body)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"", b"XPLL", headed(b""), headed(b"{}"), headed(b"[]"), headed(b"[1]"), headed(b"[1,2]"), headed(b"[1,[16]]"),
+        headed(b"[1,[]]", 16), headed(b"[1,[8]]", 32), headed(b"[1,[-16,32]]", 16), headed(b"[1,[1.5]]", 16),
+        headed(b'[1,["16"]]', 16), headed(b"[1,[null]]", 16), headed(b"\xff\xfe"), headed(b"[" * 20_000),
+        headed(b"[1,[%d]]" % 2**80, 16), headed(b"[1,[16]]", 16)[:-1], headed(b"[1,[16]]", 16) + b"0",
+    ],
+    ids=lambda data: f"{len(data)} {data[16:32]!r}",
+)  # fmt: skip
+def test_what_is_no_message_is_refused(data: bytes) -> None:
+    """With the one error that the ends of a link know."""
+    with pytest.raises(LinkError):
+        link.decode(data)
+
+
+# -- a stream of messages ----------------------------------------------------------------------------------------------
+
+
+def fed(inbox: Inbox, stream: bytes, sizes: Sequence[int]) -> Iterator[bytes]:
+    """Yield the messages that come out while a stream goes in, in reads of at most these sizes, again and again."""
+    rest = memoryview(stream)
+    for size in itertools.cycle(sizes):
+        if not rest:
+            return
+        space = inbox.space()
+        assert space, "there is always room for more"
+        count = min(size, len(space), len(rest))
+        space[:count] = rest[:count]
+        rest = rest[count:]
+        yield from map(bytes, inbox.take(count))
+
+
+# Around what the inbox holds at once, and well beyond.
+BODIES = st.integers(0, 100) | st.integers(65_480, 65_560) | st.sampled_from([65_536, 200_000])
+READS = st.lists(st.integers(1, 40) | st.integers(60_000, 300_000), min_size=1, max_size=6)
+
+
+@given(st.lists(st.builds(message, st.integers(0, 64), BODIES), max_size=8), READS)
+def test_any_split_of_a_stream_gives_the_same_messages(messages: list[bytes], reads: list[int]) -> None:
+    """From messages of nothing to those far larger than one read."""
+    # Bytes one by one are the slowest way to find nothing new in long bodies.
+    reads = [*reads, 5000]
+    assert list(fed(Inbox(), b"".join(messages), reads)) == messages
+
+
+@pytest.mark.parametrize("body", [0, 1, 65_519, 65_520, 65_521, 70_000])
+def test_a_stream_of_single_bytes_is_cut_as_well(body: int) -> None:
+    """Also where the prefix itself comes in pieces."""
+    messages = [message(0, 0), message(16, body), message(3, 5)]
+    stream = b"".join(messages)
+    reads = [1] * 40 + [max(1, len(stream) - 100)] + [1] * 200
+    assert list(fed(Inbox(), stream, reads)) == messages
+
+
+def test_messages_stay_as_they_are_while_more_is_read() -> None:
+    """An answer may be looked at long after the next one has come."""
+    inbox = Inbox()
+    first, second = message(16, 50), message(32, 100)
+    kept = []
+    for one in (first, second):
+        inbox.space()[: len(one)] = one
+        kept += inbox.take(len(one))
+    assert list(map(bytes, kept)) == [first, second]
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        b"\xff" * 16,
+        b"XPL2" + bytes(12),
+        struct.pack("<4sIQ", b"XPLL", link.HEADER_LIMIT + 1, 0),
+        struct.pack("<4sIQ", b"XPLL", 2**32 - 1, 2**64 - 1),
+        message(16, 4) + b"Traceback (most recent call last)",
+    ],
+)
+def test_a_stream_out_of_step_is_a_link_error(noise: bytes) -> None:
+    """Before anything of the size that it seems to announce is set aside."""
+    inbox = Inbox()
+
+    def read() -> None:
+        with pytest.raises(LinkError, match="out of step"):
+            list(fed(inbox, noise, [7]))
+
+    assert peak(read) < 100_000
+
+
+def test_a_long_message_takes_memory_as_it_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not as it is announced; and it arrives whole."""
+    monkeypatch.setattr(link, "_STEP", 1 << 17)
+    inbox, announced = Inbox(), struct.pack("<4sIQ", b"XPLL", 16, link.BODY_LIMIT)
+    assert peak(lambda: list(fed(inbox, announced + bytes(200_000), [70_000]))) < 2_000_000
+    whole = message(16, 3_000_000)
+    assert list(fed(Inbox(), whole, [100_000])) == [whole]
+
+
+# -- over a real socket ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Channel, socket.socket]]:
+    """Return a worker's end of a link and the raw other one."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        yield Channel(theirs), ours
+
+
+@pytest.mark.parametrize("size", [0, 10, 100_000, 20_000_000])
+def test_what_one_channel_sends_the_other_receives(size: int) -> None:
+    """Also far more than the system keeps in between."""
+    buffers = [bytes([7]) * size, b"", b"x" * 3]
+    left, right = socket.socketpair()
+    with left, right:
+        sender = threading.Thread(target=Channel(left).send, args=({"a": 1}, buffers))
+        sender.start()
+        arrived = Channel(right).receive()
+        sender.join()
+    assert arrived is not None
+    head, views = link.decode(arrived)
+    assert head == {"a": 1}
+    assert list(map(bytes, views)) == buffers
+
+
+def test_messages_that_arrive_together_are_received_one_by_one(ends: tuple[Channel, socket.socket]) -> None:
+    """In their order, and then the end of the stream."""
+    channel, other = ends
+    other.sendall(b"".join(b"".join(link.encode(number)) for number in range(5)))
+    other.close()
+    for number in range(5):
+        received = channel.receive()
+        assert received is not None
+        assert link.decode(received) == (number, [])
+    assert channel.receive() is None
+    assert channel.receive() is None
+
+
+def test_a_stream_that_ends_inside_a_message_ends(ends: tuple[Channel, socket.socket]) -> None:
+    """Half a message is none."""
+    channel, other = ends
+    other.sendall(b"".join(link.encode("head", [bytes(100_000)]))[:90_000])
+    other.close()
+    assert channel.receive() is None
+
+
+def test_a_link_that_was_reset_ends(ends: tuple[Channel, socket.socket]) -> None:
+    """As one that was closed in order."""
+    channel, other = ends
+    channel.send("never read")  # closing with something unread resets the connection
+    other.close()
+    assert channel.receive() is None
+
+
+def test_noise_is_a_link_error(ends: tuple[Channel, socket.socket]) -> None:
+    """It is not waited for more."""
+    channel, other = ends
+    other.sendall(b"a print on the wrong descriptor\n")
+    with pytest.raises(LinkError, match="out of step"):
+        channel.receive()
+
+
+def test_what_cannot_be_sent_leaves_the_link_as_it_was(ends: tuple[Channel, socket.socket]) -> None:
+    """Nothing of it was sent."""
+    channel, other = ends
+    with pytest.raises(LinkError):
+        channel.send({"object": object()}, [bytes(100_000)])
+    channel.send("next")
+    assert link.decode(other.recv(1000)) == ("next", [])
+
+
+def test_sending_to_nobody_is_an_os_error(ends: tuple[Channel, socket.socket]) -> None:
+    """For the caller to decide on."""
+    channel, other = ends
+    other.close()
+    with pytest.raises(OSError, match=os.strerror(32)):
+        channel.send(1)

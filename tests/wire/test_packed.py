@@ -1,0 +1,423 @@
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import struct
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from xpl import _spec as spec
+from xpl.wire import codec, packed
+from xpl.wire.packed import PackingError
+
+MIB = 1 << 20
+
+
+def joined(value: Any) -> bytes:
+    """Return a value as one message."""
+    return b"".join(packed.encode(value))
+
+
+def sent(value: Any) -> Any:
+    """Return what arrives at the other side."""
+    return packed.decode(joined(value))
+
+
+def message(tree: Any, body: bytes = b"") -> bytes:
+    """Return a message with a header of our own making."""
+    text = tree if isinstance(tree, bytes) else json.dumps(tree).encode()
+    text += b" " * (-len(text) % 16)
+    return struct.pack("<4sIQ", b"XPL1", len(text), len(body)) + text + body
+
+
+def same(one: Any, other: Any) -> bool:
+    """Tell whether two values are equal in types, shapes and bits."""
+    if isinstance(one, (np.ndarray, np.generic)):
+        alike = type(one) is type(other) and (one.dtype, one.shape) == (other.dtype, other.shape)
+        return alike and one.tobytes() == other.tobytes()
+    if isinstance(one, dict):
+        return isinstance(other, dict) and list(one) == list(other) and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, list):
+        return isinstance(other, list) and len(one) == len(other) and all(map(same, one, other))
+    return type(one) is type(other) and (one == other or (one != one and other != other))  # noqa: PLR0124 - NaN
+
+
+def arrays_of(value: Any) -> Iterator[np.ndarray]:
+    """Yield all arrays in a value."""
+    if isinstance(value, np.ndarray):
+        yield value
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from arrays_of(item)
+
+
+# -- there and back ----------------------------------------------------------------------------------------------------
+
+PLAIN = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.binary()
+PLAIN_DTYPES = (
+    hnp.boolean_dtypes()
+    | hnp.integer_dtypes()
+    | hnp.unsigned_integer_dtypes()
+    | hnp.floating_dtypes(sizes=(16, 32, 64))
+    | hnp.complex_number_dtypes(sizes=(64, 128))
+    | hnp.byte_string_dtypes()
+    | hnp.unicode_string_dtypes(max_len=4)
+)
+STRUCTURES = hnp.array_dtypes(PLAIN_DTYPES, max_size=3, allow_subarrays=True)
+# A title is a second name of a field; it does not travel.
+DTYPES = PLAIN_DTYPES | STRUCTURES.filter(lambda dtype: all(len(field) == 2 for field in (dtype.fields or {}).values()))
+ARRAYS = DTYPES.flatmap(
+    lambda dtype: hnp.arrays(dtype, hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4))
+)
+KEYS = st.text() | st.sampled_from(["@", "@array", "@@bytes", "@rows", "@shared"])
+
+
+@st.composite
+def action_chunks(draw: st.DrawFn) -> list[dict[str, np.ndarray]]:
+    """Return maps of arrays that are alike, as action chunks are, or nearly alike."""
+    kinds = draw(st.dictionaries(KEYS, st.tuples(PLAIN_DTYPES, hnp.array_shapes(max_dims=2)), min_size=1, max_size=3))
+    steps = draw(st.integers(0, 4))
+    chunk = [{key: draw(hnp.arrays(dtype, shape)) for key, (dtype, shape) in kinds.items()} for _ in range(steps)]
+    if chunk and draw(st.booleans()):
+        chunk[-1][next(iter(kinds))] = draw(ARRAYS)
+    return chunk
+
+
+VALUES = st.recursive(
+    PLAIN | ARRAYS | action_chunks(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@given(VALUES)
+@example([{"@array": np.arange(3)}, {"@array": np.arange(3)}])
+@example([{"a": np.arange(3)}, {"a": np.arange(3.0)}])
+@example([{"a": np.array(1)}, {"a": np.array(2)}])
+@example([{"a": np.zeros((0, 2))}, {"a": np.zeros((0, 2))}])
+@example({"\ud800": "\udfff"})
+def test_values_arrive_the_same(value: Any) -> None:
+    """Every text can be a key, also those that the format uses itself; NaN and infinity have no words in JSON."""
+    assert same(sent(value), value)
+
+
+@given(VALUES)
+def test_arrays_arrive_read_only_and_aligned(value: Any) -> None:
+    """In the message's own memory: every array and every element can be read as its processor likes it best."""
+    whole = joined(value)
+    base = np.frombuffer(whole, np.uint8)
+    for array in arrays_of(packed.decode(whole)):
+        assert not array.flags.writeable
+        assert array.flags.aligned
+        if array.size:
+            assert np.shares_memory(array, base)
+            assert array.ctypes.data % np.gcd(array.dtype.itemsize, 16) == 0
+
+
+def test_arrays_of_a_message_begin_at_multiples_of_16_bytes() -> None:
+    """Whatever lies before them."""
+    arrays = {"a": np.zeros(3, np.uint8), "b": np.arange(5.0), "c": np.zeros(5000, np.int8), "d": np.ones(2, "c16")}
+    for array in sent({"x": b"1", "y": {"z": b"123"}, **arrays}).values():
+        assert not isinstance(array, np.ndarray) or array.ctypes.data % 16 == 0
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6, dtype=">f8").reshape(2, 3),
+        np.asfortranarray(np.arange(6).reshape(2, 3)),
+        np.arange(12)[::-2],
+        np.arange(40_000.0)[::2],
+        np.broadcast_to(np.arange(3), (4, 3)),
+        np.array(5),
+        np.array(["é", "abc"]),
+        np.array([math.nan], np.float16),
+        np.arange(5).view(np.recarray),
+    ],
+    ids=lambda array: f"{array.dtype.str}{array.shape}",
+)
+def test_arrays_of_any_layout_arrive_in_c_order(array: np.ndarray) -> None:
+    """As plain arrays."""
+    arrived = sent(array)
+    assert type(arrived) is np.ndarray
+    assert (arrived.dtype, arrived.shape) == (array.dtype, array.shape)
+    assert arrived.tobytes() == array.tobytes()
+    assert arrived.flags.c_contiguous
+
+
+def test_structures_lose_their_padding_only() -> None:
+    """JSON makes lists of tuples, and a dtype wants tuples."""
+    dtype = np.dtype([("a", "i1"), ("b", [("c", ">f4", (2,))]), ("d", "<U2")], align=True)
+    array = np.zeros((2, 1), dtype)
+    array["a"], array["b"]["c"], array["d"] = 3, [1.5, -2.5], "né"
+    arrived = sent(array)
+    assert arrived.shape == (2, 1)
+    assert arrived.dtype == np.dtype([("a", "i1"), ("b", [("c", ">f4", (2,))]), ("d", "<U2")])
+    assert str(arrived) == str(array)
+
+
+@pytest.mark.parametrize(
+    ("value", "arrives"),
+    [
+        ((1, (2,)), [1, [2]]),
+        ({1: "a", np.int8(-2): "b"}, {"1": "a", "-2": "b"}),
+        (np.float64(0.5), 0.5),
+        (np.str_("x"), "x"),
+        (np.float32(0.5), np.float32(0.5)),
+        (np.bool_(True), np.bool_(True)),
+        (2j, np.complex128(2j)),
+        (bytearray(b"ab"), b"ab"),
+        (memoryview(np.arange(2, dtype=np.uint16)), b"\0\0\1\0"),
+    ],
+)
+def test_what_changes_on_the_way_changes_as_documented(value: Any, arrives: Any) -> None:
+    """Numpy scalars stay scalars, so that a result is the same with and without a worker."""
+    assert same(sent(value), arrives)
+
+
+def test_steps_of_a_chunk_cost_one_entry_together() -> None:
+    """A chunk of 50 steps is as quick to read as one step is."""
+    chunk = [{"arm": np.full(7, step, np.float32), "gripper": np.full(1, step, np.float32)} for step in range(50)]
+    pieces = packed.encode(chunk)
+    assert len(pieces) <= 5
+    assert len(pieces[0]) < 200
+    assert same(packed.decode(b"".join(pieces)), chunk)
+
+
+# -- what is not copied, and what may lie elsewhere --------------------------------------------------------------------
+
+
+def test_large_contiguous_arrays_are_not_copied() -> None:
+    """The pieces are views of them."""
+    array = np.arange(100_000)
+    image = np.zeros((1000, 10, 3), np.uint8)[100:900]
+    tracemalloc.start()
+    pieces = packed.encode({"a": [array, {"image": image}]})
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20_000
+    for given_array in (array, image):
+        assert any(np.shares_memory(np.frombuffer(piece, np.uint8), given_array) for piece in pieces)
+
+
+def test_small_arrays_are_copied_before_encode_returns() -> None:
+    """A message waits to be sent while its sender goes on with its buffers."""
+    array = np.zeros(8)
+    pieces = packed.encode([array])
+    array[:] = 1
+    assert packed.decode(b"".join(pieces))[0].tolist() == [0] * 8
+
+
+def test_large_arrays_may_lie_in_shared_memory() -> None:
+    """Those that are worth it and find room; all others travel in the message."""
+    threshold = spec.LIMITS["shared_array"]
+    shelf: list[np.ndarray] = []
+
+    def place(array: np.ndarray) -> tuple[int, int] | None:
+        if len(shelf) == 2:
+            return None
+        shelf.append(array.copy())
+        return len(shelf) - 1, 64 * len(shelf)
+
+    def find(block: int, offset: int, dtype: np.dtype[Any], shape: Any) -> np.ndarray:
+        assert offset == 64 * (block + 1)
+        return shelf[block].view(dtype).reshape(shape)
+
+    value = {
+        "small": np.zeros(threshold - 1, np.uint8), "large": np.arange(threshold, dtype=np.uint8),
+        "strided": np.arange(threshold, dtype=">i4").reshape(4, -1).T, "third": np.ones(threshold),
+    }  # fmt: skip
+    whole = b"".join(packed.encode(value, place))
+    assert [array.nbytes for array in shelf] == [threshold, 4 * threshold]
+    assert len(whole) < threshold + 8 * threshold + 1000
+    assert same(packed.decode(whole, find), value)
+    with pytest.raises(PackingError, match="none was agreed on"):
+        packed.decode(whole)
+
+
+def test_packed_entries_of_a_frame_arrive_among_the_others() -> None:
+    """Whatever their size: msgpack announces byte strings in three ways."""
+    for size in (1, 100, 10_000, 100_000):
+        pieces = packed.encode({"obs": {"image": np.arange(size) % 251}})
+        frame = codec.decode(codec.encode(codec.Frame("call", "e", {"func_name": "f"}), pieces))
+        assert same(codec.unpacked(frame.payload), {"func_name": "f", "obs": {"image": np.arange(size) % 251}})
+    assert codec.unpacked({"a": 1}) == {"a": 1}
+
+
+@pytest.mark.parametrize("entry", ["text", 3, b"", b"XPL1", joined([1]), joined({})[:-1]])
+def test_packed_entries_that_are_none_are_refused(entry: Any) -> None:
+    """With the error that the format has."""
+    with pytest.raises(PackingError):
+        codec.unpacked({spec.Payload.PACKED: entry})
+
+
+# -- what cannot travel ------------------------------------------------------------------------------------------------
+
+
+def looped() -> list[Any]:
+    """Return a list that contains itself."""
+    loop: list[Any] = []
+    loop.append(loop)
+    return loop
+
+
+@pytest.mark.parametrize(
+    "value",
+    [object(), {1, 2}, np.array([None]), np.array(["2026"], "M8[D]"), np.zeros(1, [("t", "m8[s]")]),
+     {(1,): 2}, {None: 1}, {True: 1}, {b"a": 1}, looped(), 10**5000, [{"a": np.array([None])}] * 2],
+    ids=["object", "set", "objects", "dates", "dates inside", "tuple key", "nil key", "flag key", "bytes key", "loop",
+         "huge number", "rows of objects"],
+)  # fmt: skip
+def test_what_cannot_travel_is_a_packing_error(value: Any) -> None:
+    """Never a RecursionError or a TypeError, which would end the worker."""
+    with pytest.raises(PackingError):
+        packed.encode({"a": [value]})
+
+
+def test_a_header_beyond_the_limit_is_not_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other side would take it for a stream that is out of step."""
+    monkeypatch.setattr(packed, "HEADER_LIMIT", 100)
+    with pytest.raises(PackingError, match="use arrays"):
+        packed.encode(list(range(100)))
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("prefix", "says"),
+    [
+        (b"", "begins with 16 bytes"),
+        (b"XPL1" + bytes(11), "begins with 16 bytes"),
+        (b"XPL2" + bytes(12), "out of step"),
+        (struct.pack("<4sIQ", b"XPL1", packed.HEADER_LIMIT + 1, 0), "over the limits"),
+        (struct.pack("<4sIQ", b"XPL1", 0, packed.BODY_LIMIT + 1), "over the limits"),
+        (struct.pack("<4sIQ", b"XPL1", 2**32 - 1, 2**64 - 1), "over the limits"),
+    ],
+)
+def test_a_prefix_that_is_none_is_refused(prefix: bytes, says: str) -> None:
+    """Before anything is read on its word."""
+    with pytest.raises(PackingError, match=says):
+        packed.lengths(prefix)
+    with pytest.raises(PackingError):
+        packed.decode(prefix)
+
+
+def test_a_message_that_is_not_whole_is_refused() -> None:
+    """A byte less, and a byte more."""
+    whole = joined({"a": np.arange(3)})
+    for data in (whole[:-1], whole + b"\0", whole[:16]):
+        with pytest.raises(PackingError, match="was announced"):
+            packed.decode(data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        message(b""),
+        message(b"{}{}"),
+        message(b"\xff\xfe"),
+        message(b"9" * 10_000),
+        message(b"[" * 20_000 + b"]" * 20_000),
+        message(b'{"a":' * 20_000 + b"1" + b"}" * 20_000),
+        message({"@array": [0, "<f4", [2]]}, b"1234"),
+        message({"@array": [3, "<f4", [1]]}, b"1234"),
+        message({"@array": [-1, "<f4", [1]]}, b"12345"),
+        message({"@array": [True, "|i1", [1]]}, b"12"),
+        message({"@array": [0.0, "|i1", [1]]}, b"1"),
+        message({"@array": [0, "|O", [1]]}, b"12345678"),
+        message({"@array": [0, [["t", "<M8[s]"]], [1]]}, b"12345678"),
+        message({"@array": [0, "<f4", [-1]]}, b"1234"),
+        message({"@array": [0, "<f4", [True]]}, b"1234"),
+        message({"@array": [0, "<f4", [1] * 100]}, b"1234"),
+        message({"@array": [0, "<f4", [2**70, 0]]}, b"1234"),
+        message({"@array": [0, "|i1", [2**63, 2]]}, b"1234"),
+        message({"@array": [0, "<f4"]}, b"1234"),
+        message({"@array": 0}, b"1234"),
+        message({"@array": None}),
+        message([{"@array": [8, "|u1", [8]]}, {"@array": [0, "|u1", [8]]}], bytes(16)),
+        message([{"@array": [0, "|u1", [8]]}, {"@array": [7, "|u1", [8]]}], bytes(16)),
+        message({"@bytes": "x"}, b"1234"),
+        message({"@bytes": [0, 5]}, b"1234"),
+        message({"@bytes": [0, -1]}, b"1234"),
+        message({"@bytes": [2**80, 2**80]}, b"1234"),
+        message({"@shared": [0, 0, "|u1", [1]]}),
+        message({"@rows": {}}),
+        message({"@rows": []}),
+        message({"@rows": {"a": [0, "|u1", [4]], "b": [0, "|u1", [3]]}}, b"1234"),
+        message({"@rows": {"a": [0, "|u1", []]}}, b"1234"),
+    ],
+    ids=lambda data: repr(data[16:56]),
+)
+def test_header_and_body_that_do_not_fit_are_refused(data: bytes) -> None:
+    """Quickly, and with no more memory than the message has."""
+    tracemalloc.start()
+    with pytest.raises(PackingError):
+        packed.decode(data)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 4 * MIB
+
+
+def bombs() -> Iterator[tuple[str, bytes]]:
+    """Yield short messages that ask for much."""
+    for shape in ([10**9, 0], [10**6, 0], [2**40, 0, 3], [10**9]):
+        yield f"rows without content {shape}", message({"@rows": {"a": [0, "|u1", shape]}})
+    column = [0, "|u1", [200_000, 1]]
+    yield "more rows than a message may hold", message({"@rows": {"a": [0, "|u1", [5_000_000, 1]]}}, bytes(5_000_000))
+    yield "columns that share bytes", message({"@rows": {str(n): column for n in range(500)}}, bytes(200_000))
+    yield "byte strings that share bytes", message([{"@bytes": [0, 100_000]}] * 5000, bytes(100_000))
+
+
+@pytest.mark.parametrize(("name", "data"), list(bombs()), ids=[name for name, _ in bombs()])
+def test_a_short_message_cannot_ask_for_much(name: str, data: bytes) -> None:
+    """Neither memory nor time: what a message makes grows with what was sent."""
+    tracemalloc.start()
+    begun = time.process_time()
+    with contextlib.suppress(PackingError):
+        packed.decode(data)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 64 * MIB
+    assert time.process_time() - begun < 5.0
+
+
+GOOD = {
+    "a": np.arange(3), "b": [b"xy", 1.5, "z"], "@array": np.zeros(1, [("f", "i4")]), "s": np.float32(1),
+    "rows": [{"q": np.arange(2), "g": np.ones(1)}] * 3,
+}  # fmt: skip
+
+
+def flipped(data: st.DataObject) -> bytes:
+    """Return a good message with a few wrong bytes."""
+    good = bytearray(joined(GOOD))
+    for _ in range(data.draw(st.integers(1, 4))):
+        good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
+    return bytes(good)
+
+
+def reshaped(data: st.DataObject) -> bytes:
+    """Return a message whose header is well-formed and means nothing."""
+    numbers = st.integers(-2, 40) | st.sampled_from([2**31, 2**63, 2**64, True, None, 1.5])
+    dtypes = st.sampled_from(["|u1", "<f4", "<U3", "|V0", "|O", "<M8[s]", "f4,f4", [["a", "<f4"]], [["a", "<f4", [2]]]])
+    entries = st.lists(numbers | dtypes | st.lists(numbers, max_size=3), max_size=5)
+    marks = st.sampled_from(["@array", "@bytes", "@shared", "@rows", "@", "a"])
+    tree = st.dictionaries(marks, entries | st.dictionaries(marks, entries, max_size=2), max_size=2)
+    return message(data.draw(tree | st.lists(tree, max_size=3)), bytes(32))
+
+
+@settings(max_examples=300)
+@pytest.mark.parametrize("damage", [flipped, reshaped], ids=lambda damage: damage.__name__)
+@given(data=st.data())
+def test_damaged_messages_are_read_or_refused(damage: Callable[[st.DataObject], bytes], data: st.DataObject) -> None:
+    """Nothing but a PackingError comes out of it."""
+    with contextlib.suppress(PackingError):
+        packed.decode(damage(data))

@@ -1,0 +1,219 @@
+"""The environment side of the wire for asyncio (extra `client`: websockets >= 12, msgpack).
+
+async with AsyncClient("ws://localhost:8000") as policy:
+    await policy.reset()
+    await policy.update_obs(observation)
+    chunk = await policy.get_action()
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import inspect
+import ssl
+from collections.abc import Coroutine, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from xpl import _spec as spec
+from xpl.client.base import ClientBase
+from xpl.client.connection import refused_handshake, wrong_address
+from xpl.client.errors import ServerConnectionError, ServerFailedError
+
+if TYPE_CHECKING:
+    from xpl.client.transport import Transport
+
+_Value = TypeVar("_Value")
+_GOODBYE_S = 0.2
+
+
+class AsyncClient(ClientBase):
+    """A connection to a policy server; see `xpl.client.Client` for arguments and errors.
+
+    Nothing is connected before `connect()` or `async with`. Tasks that share a client take turns.
+    """
+
+    def _transport(
+        self, url: str, timing: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+    ) -> Transport:
+        self._turn = asyncio.Lock()
+        return _Suspending(url, timing, token, ssl_context)
+
+    async def connect(self) -> None:
+        """Connect and exchange hellos."""
+        await self._run(self._exchange.connect())
+
+    async def reset(self) -> None:
+        """Start a new episode."""
+        await self._run(self._talk.reset())
+
+    async def update_obs(self, obs: Mapping[str, Any]) -> None:
+        """Show the policy the newest observation of one environment."""
+        await self._run(self._talk.update_obs(obs))
+
+    async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+        """Show the policy the newest observation of several environments."""
+        await self._run(self._talk.update_obs_batch(obs_list))
+
+    async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+        """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
+        return await self._run(self._talk.get_action(obs))
+
+    async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
+        """Return one action chunk per environment of the list; None means the last batch."""
+        return await self._run(self._talk.get_action_batch(env_idx_list))
+
+    async def infer(self, obs: Mapping[str, Any]) -> Any:
+        """Return the action chunk for one observation: update_obs and get_action as one unit."""
+        return await self._run(self._talk.infer(obs))
+
+    async def prepare_case(self, action_case_id: str, **meta: Any) -> Any:
+        """Announce a case to the adapter's hook."""
+        return await self._run(self._talk.prepare_case(action_case_id, meta))
+
+    async def trial_end(self, result: Mapping[str, Any] | None = None) -> Any:
+        """Tell the adapter's hook how the trial ended."""
+        return await self._run(self._talk.trial_end(result))
+
+    async def heartbeat(self) -> None:
+        """Ask for a sign of life; answered while the model thinks, too."""
+        await self._run(self._talk.health())
+
+    async def health(self) -> dict[str, Any]:
+        """Return the server's state: `state` is loading, ready or draining."""
+        return await self._run(self._talk.health())
+
+    async def call(self, func_name: str, obs: Any = None) -> Any:
+        """Call an operation by name, as benchmarks do; further names are methods the adapter declares."""
+        return await self._run(self._talk.call(func_name, obs))
+
+    async def settle(self) -> None:
+        """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
+        await self._run(self._exchange.settle())
+
+    async def close(self) -> None:
+        """Say goodbye and close the connection; closing twice is fine."""
+        await self._run(self._exchange.close())
+
+    async def __aenter__(self) -> AsyncClient:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
+        await self.connect()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def _run(self, talk: Coroutine[Any, Any, _Value]) -> _Value:
+        try:
+            async with self._turn:
+                return await talk
+        finally:
+            talk.close()  # one that never began: the task was cancelled while it waited for its turn
+
+
+class _Suspending:
+    """A WebSocket connection whose methods suspend."""
+
+    def __init__(
+        self, url: str, config: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+    ) -> None:
+        self._url = url
+        self._config = config
+        self._token = token
+        self._ssl = ssl_context
+        self._socket: Any = None
+
+    async def open(self, timeout: float | None) -> None:
+        connect = _connect()
+        try:
+            self._socket = await connect(self._url, **_options(connect, self._config, timeout, self._token, self._ssl))
+        except Exception as error:  # noqa: BLE001 - mapped
+            raise _connection_problem(error, self._url) from None
+
+    async def send(self, data: bytes, timeout: float | None) -> None:
+        try:
+            await asyncio.wait_for(self._socket.send(data), timeout)
+        except asyncio.TimeoutError:
+            raise TimeoutError from None
+        except Exception as error:  # noqa: BLE001 - mapped
+            raise _lost_connection(error) from None
+
+    async def receive(self, timeout: float | None) -> bytes:
+        loop = asyncio.get_running_loop()
+        deadline = None if timeout is None else loop.time() + timeout
+        while True:
+            left = None if deadline is None else max(0.0, deadline - loop.time())
+            try:
+                message = await asyncio.wait_for(self._socket.recv(), left)
+            except asyncio.TimeoutError:
+                raise TimeoutError from None
+            except Exception as error:  # noqa: BLE001 - mapped
+                raise _lost_connection(error) from None
+            if isinstance(message, bytes):  # the wire is binary only
+                return message
+
+    async def close(self) -> None:
+        opened, self._socket = self._socket, None
+        if opened is not None:
+            with contextlib.suppress(Exception):
+                # Said, but not waited for: the other side may be the one that does not answer.
+                closing = asyncio.ensure_future(opened.close())
+                await asyncio.wait({closing}, timeout=_GOODBYE_S)
+
+    async def pause(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
+
+
+def _connect() -> Any:
+    """Return the connect function of websockets: its place is another one since version 13."""
+    try:
+        from websockets.asyncio.client import connect
+    except ImportError:
+        from websockets.client import connect  # type: ignore[attr-defined,no-redef]
+    return connect
+
+
+def _options(
+    connect: Any,
+    config: Mapping[str, Any],
+    timeout: float | None,
+    token: str | None,
+    ssl_context: ssl.SSLContext | None,
+) -> dict[str, Any]:
+    """Return the options for `connect` of any version of websockets from 12 on."""
+    options: dict[str, Any] = {
+        "compression": None,
+        "max_size": spec.LIMITS["frame_bytes"],
+        "open_timeout": timeout,
+        "close_timeout": config[spec.Deploy.CLOSE_TIMEOUT_S],
+        "ping_interval": config[spec.Deploy.WS_PING_INTERVAL_S],
+        "ping_timeout": None,  # a loop that is kept busy must not be taken for a lost connection
+    }
+    known = inspect.signature(connect).parameters
+    if "proxy" in known:
+        options["proxy"] = None  # straight to the server, whatever proxy the environment names
+    if ssl_context is not None:
+        options["ssl"] = ssl_context
+    if token is not None:
+        name = "additional_headers" if "additional_headers" in known else "extra_headers"
+        options[name] = {"Authorization": f"Bearer {token}"}
+    return options
+
+
+def _connection_problem(error: Exception, url: str) -> Exception:
+    from websockets.exceptions import InvalidURI, WebSocketException
+
+    if isinstance(error, InvalidURI):
+        return wrong_address(url, error)
+    if isinstance(error, ssl.SSLError):
+        return ServerConnectionError(f"no secure connection to {url}: {error}")
+    return refused_handshake(error, url) if isinstance(error, WebSocketException) else error
+
+
+def _lost_connection(error: Exception) -> Exception:
+    from websockets.exceptions import ConnectionClosed
+
+    if isinstance(error, ConnectionClosed):
+        if error.rcvd is not None and error.rcvd.code == spec.CLOSE_CODES["server_failed"]:
+            return ServerFailedError(f"the policy server ended: {error.rcvd.reason}")
+        return ConnectionResetError(str(error))
+    return error

@@ -1,0 +1,259 @@
+"""A WebSocket connection whose methods block; the protocol is that of `websockets` (>= 12), which does no I/O itself.
+
+Whoever waits for an answer reads the socket himself: handing it over from a thread that reads would cost as much as the
+answer's way over the network. A thread of its own looks after the connection while nobody asks anything: it answers
+pings and sends some, so that a simulator that computes for minutes keeps its connection.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import ssl
+import threading
+import time
+import weakref
+from collections.abc import Mapping
+from typing import Any
+
+from xpl import _spec as spec
+from xpl.client.errors import ServerConnectionError, ServerFailedError
+
+_CHUNK = 1 << 18
+_LOOK_S = 0.5
+"""How often an idle connection is looked after."""
+
+
+class BlockingTransport:
+    """A connection to one address.
+
+    Args:
+        url: `ws://host:port`, or `wss://`.
+        config: the timing keys of deploy.yml.
+        token: bearer token, or None.
+        ssl_context: for `wss://`; the system's certificates otherwise.
+        turn: held by whoever uses the connection.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        config: Mapping[str, Any],
+        token: str | None,
+        ssl_context: ssl.SSLContext | None,
+        turn: threading.Lock,
+    ) -> None:
+        self._url = url
+        self._token = token
+        self._ssl = ssl_context
+        self._turn = turn
+        self._ping_interval = config[spec.Deploy.WS_PING_INTERVAL_S]
+        self._socket: socket.socket | None = None
+        self._protocol: Any = None
+        self._messages: list[bytes] = []
+        self._fragments: list[bytes] | None = None
+        self._open = False
+        self._ended = False
+        self._seen = 0.0
+
+    async def open(self, timeout: float | None) -> None:
+        """Connect within `timeout` seconds."""
+        from websockets.client import ClientProtocol
+        from websockets.exceptions import InvalidURI
+        from websockets.uri import parse_uri
+
+        deadline = None if timeout is None else time.monotonic() + timeout
+        try:
+            uri = parse_uri(self._url)
+        except InvalidURI as error:
+            raise wrong_address(self._url, error) from None
+        try:
+            raw = socket.create_connection((uri.host, uri.port), _left(deadline))
+            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket = raw
+            if uri.secure:
+                context = self._ssl or ssl.create_default_context()
+                self._socket = context.wrap_socket(raw, server_hostname=uri.host)
+            self._open, self._ended, self._messages, self._fragments = False, False, [], None
+            self._protocol = ClientProtocol(uri, max_size=spec.LIMITS["frame_bytes"])
+            request = self._protocol.connect()
+            if self._token is not None:
+                request.headers["Authorization"] = f"Bearer {self._token}"
+            self._protocol.send_request(request)
+            self._flush()
+            while self._protocol.state.name == "CONNECTING" and self._protocol.handshake_exc is None:
+                self._read(deadline)
+            self._protocol.events_received()  # the answer to the handshake
+        except ssl.SSLError as error:
+            await self.close()
+            raise ServerConnectionError(f"no secure connection to {self._url}: {error}") from None
+        except BaseException:
+            await self.close()
+            raise
+        if self._protocol.handshake_exc is not None:
+            problem = refused_handshake(self._protocol.handshake_exc, self._url)
+            await self.close()
+            raise problem
+        self._open, self._seen = True, time.monotonic()
+        # A daemon: it must not keep the interpreter alive for a script that forgets to close.
+        threading.Thread(target=_look_after, args=(weakref.ref(self), self._socket), daemon=True).start()
+
+    async def send(self, data: bytes, timeout: float | None) -> None:
+        """Send a binary message within `timeout` seconds."""
+        connected = self._connected()
+        connected.settimeout(timeout)
+        if self._ended:  # while nobody asked anything
+            self._end()
+        self._protocol.send_binary(data)
+        self._flush()
+
+    async def receive(self, timeout: float | None) -> bytes:
+        """Return the next binary message."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not self._messages:
+            if self._ended:
+                self._end()
+            self._read(deadline)
+        return self._messages.pop(0)
+
+    async def close(self) -> None:
+        """Close the connection, if there is one; waits for nobody."""
+        connected, self._socket = self._socket, None
+        if connected is None:
+            return
+        with contextlib.suppress(Exception):  # the other side may be gone already, which is what was wanted
+            connected.settimeout(0.0)
+            self._protocol.send_close(1000)
+            for data in self._protocol.data_to_send():
+                connected.send(data)
+        connected.close()
+
+    async def pause(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(seconds)  # noqa: ASYNC251 - this transport is the one that blocks
+
+    def look(self) -> None:
+        """Answer pings that came, and send one if it is time; for an idle connection."""
+        connected = self._connected()
+        if self._ping_interval and time.monotonic() - self._seen > self._ping_interval:
+            self._seen = time.monotonic()
+            self._protocol.send_ping(os.urandom(4))
+        try:
+            while True:
+                connected.settimeout(0.0)
+                self._feed(connected.recv(_CHUNK))
+                if self._ended:
+                    return
+        except (BlockingIOError, ssl.SSLWantReadError):
+            connected.settimeout(_LOOK_S)
+            self._flush()
+
+    def is_at(self, connected: socket.socket) -> bool:
+        """Tell whether this is still the connection over a socket."""
+        return self._socket is connected
+
+    def take_turn(self) -> bool:
+        """Take the turn if nobody has it; `end_turn` gives it back."""
+        return self._turn.acquire(blocking=False)
+
+    def end_turn(self) -> None:
+        """Give the turn back."""
+        self._turn.release()
+
+    def _connected(self) -> socket.socket:
+        if self._socket is None:
+            raise ConnectionResetError("the connection is closed")
+        return self._socket
+
+    def _flush(self) -> None:
+        connected = self._connected()
+        for data in self._protocol.data_to_send():
+            if data:
+                connected.sendall(data)
+
+    def _read(self, deadline: float | None) -> None:
+        connected = self._connected()
+        left = _left(deadline)
+        if left is not None and left <= 0.0:
+            raise TimeoutError("no answer in time")
+        connected.settimeout(left)
+        try:
+            data = connected.recv(_CHUNK)
+        except socket.timeout:
+            raise TimeoutError("no answer in time") from None
+        self._feed(data)
+
+    def _feed(self, data: bytes) -> None:
+        if data:
+            self._protocol.receive_data(data)
+        else:
+            self._protocol.receive_eof()
+        if self._open:
+            self._take_events()
+        self._ended = self._ended or not data or self._protocol.parser_exc is not None
+        with contextlib.suppress(OSError):  # a pong, or a farewell: what was received counts all the same
+            self._flush()
+
+    def _take_events(self) -> None:
+        from websockets.frames import Opcode
+
+        for frame in self._protocol.events_received():
+            if frame.opcode is Opcode.CLOSE:
+                self._ended = True
+            elif frame.opcode in (Opcode.BINARY, Opcode.TEXT, Opcode.CONT):
+                self._take_data(frame, binary=frame.opcode is Opcode.BINARY)
+
+    def _take_data(self, frame: Any, *, binary: bool) -> None:
+        if binary and frame.fin:
+            self._messages.append(frame.data)
+            return
+        if binary:
+            self._fragments = []
+        if self._fragments is None:
+            return  # text: the wire is binary only
+        self._fragments.append(frame.data)
+        if frame.fin:
+            self._messages.append(b"".join(self._fragments))
+            self._fragments = None
+
+    def _end(self) -> None:
+        """Raise why the connection ended: the server's own reason, or that it was lost."""
+        received = self._protocol.close_rcvd
+        if received is not None and received.code == spec.CLOSE_CODES["server_failed"]:
+            raise ServerFailedError(f"the policy server ended: {received.reason}")
+        raise ConnectionResetError("no close frame" if received is None else f"{received.code} {received.reason}")
+
+
+def wrong_address(url: str, error: Exception) -> ServerConnectionError:
+    """Return the error for an address that is none."""
+    return ServerConnectionError(f"a policy server's address is ws://host:port, got {url!r}: {error}")
+
+
+def refused_handshake(error: Exception, url: str) -> Exception:
+    """Return how a refused handshake is reported: for good, or as an OSError that may be tried again."""
+    status = getattr(getattr(error, "response", None), "status_code", None) or getattr(error, "status_code", None)
+    if status in (401, 403):
+        return ServerConnectionError(f"the policy server at {url} wants another bearer token (HTTP {status})")
+    return ConnectionError(str(error))  # something answers there, but no policy server
+
+
+def _left(deadline: float | None) -> float | None:
+    return None if deadline is None else max(1e-3, deadline - time.monotonic())
+
+
+def _look_after(reference: weakref.ref[BlockingTransport], connected: socket.socket) -> None:
+    """Look after a connection now and then, until it is closed or nobody holds it any more."""
+    while True:
+        time.sleep(_LOOK_S)
+        transport = reference()
+        if transport is None or not transport.is_at(connected):
+            return
+        if transport.take_turn():  # otherwise someone is reading who answers pings himself
+            try:
+                transport.look()
+            except Exception:  # noqa: BLE001 - lost; whoever asks next is told
+                return
+            finally:
+                transport.end_turn()
+        del transport

@@ -1,0 +1,1 @@
+"""Environments in processes of their own, as whoever drives them sees them."""

@@ -1,0 +1,65 @@
+"""The worker of an environment: makes one from its client file and runs its operations, in an interpreter of its own.
+
+Standard library and numpy only, besides what the environment needs. Messages have a head, in JSON, and one packed value
+(`xpl.process.link`, `xpl.wire.packed`):
+
+    {"op": "make"}, {"client", "config"}         -> {"ok": true}, {"guarded", "methods"}
+    {"op": "run"}, [[method, arguments], ...]    -> {"ok": true}, what each returns
+    {"op": "close"}, null                        -> {"ok": true}, null
+
+Whatever raises is answered by `{"error": {"type", "message"}}`, and what follows it is not run.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Callable, NoReturn
+
+from xpl import _spec as spec
+from xpl.process import child
+from xpl.process.modules import load_module
+from xpl.wire import packed
+
+if TYPE_CHECKING:
+    from xpl.wire.arrays import Data
+
+
+MAKE, RUN, CLOSE = "make", "run", spec.Message.CLOSE
+
+
+class EnvWorker:
+    """Runs the operations of one environment."""
+
+    def __init__(self) -> None:
+        self._env: Any = None
+
+    def handle(self, head: Mapping[str, Any], buffers: Sequence[Data]) -> tuple[dict[str, Any], list[Data]]:
+        """Return the answer to one message; whatever the environment raises becomes an `error`."""
+        operations: dict[str, Callable[[Any], Any]] = {MAKE: self._make, RUN: self._run, CLOSE: self._close}
+        try:
+            result = operations[head["op"]](packed.decode(buffers[0]))
+            return {"ok": True}, [b"".join(packed.encode(result))]
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a simulator may end the process over anything
+            if not isinstance(error, ValueError):  # which is the caller's: it is told what is wrong
+                traceback.print_exc(file=sys.stderr)
+            return {"error": {"type": type(error).__name__, "message": str(error) or type(error).__name__}}, []
+
+    def _make(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        self._env = load_module(Path(asked["client"])).make(asked["config"])
+        methods = [name for name in dir(self._env) if not name.startswith("_")]
+        return {"guarded": bool(getattr(self._env, "guarded", False)), "methods": methods}
+
+    def _run(self, calls: Sequence[Sequence[Any]]) -> list[Any]:
+        return [getattr(self._env, method)(*arguments) for method, arguments in calls]
+
+    def _close(self, _nothing: None) -> None:
+        if self._env is not None:
+            self._env.close()
+
+
+def main(descriptor: int) -> NoReturn:
+    """Serve messages that arrive on a descriptor until it is closed."""
+    child.serve(descriptor, EnvWorker().handle)

@@ -1,0 +1,147 @@
+"""Arrays as bytes: what may travel, how a dtype is written down, and how an array is made of bytes again.
+
+Both codecs (`xpl.wire.codec`, `xpl.process.link`) build on this. A plain dtype is written as `dtype.str`, a structured
+one as `[[name, dtype], ...]`, or `[name, dtype, shape]` for a field that is an array itself. Objects and dates are
+refused both ways, also inside structures: nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from typing import Any, Union
+
+import numpy as np
+
+Data = Union[bytes, bytearray, memoryview]
+
+_KINDS = "biufcSUV"
+# Narrower than what `np.dtype` understands: no comma-separated lists, shapes or field offsets in a string.
+_NAME = re.compile(r"[<>=|]?[A-Za-z?]\w{0,15}", re.ASCII)
+
+
+class ArrayError(ValueError):
+    """A value is no array that may travel, or a description and its bytes do not make one."""
+
+
+def as_array(value: Any) -> np.ndarray:
+    """Return a C-contiguous array of an array, numpy scalar or torch tensor (any device; bfloat16 becomes float32).
+
+    Structured arrays lose their padding.
+
+    Raises:
+        ArrayError: for any other type, and for arrays of objects or dates.
+    """
+    if not isinstance(value, (np.ndarray, np.generic)):
+        detach = getattr(value, "detach", None)
+        if detach is None:
+            kind = f"{type(value).__module__}.{type(value).__name__}"
+            raise ArrayError(f"a {kind} cannot be sent: use arrays, lists, maps, text")
+        tensor = detach().cpu()
+        value = (tensor.float() if "bfloat16" in str(tensor.dtype) else tensor).numpy()
+    array = np.asarray(value)
+    check_dtype(array.dtype)
+    if array.dtype.names is not None:
+        array = array.astype(parse_dtype(describe_dtype(array.dtype)), copy=False)
+    # ascontiguousarray would turn a 0-d array into a 1-d one.
+    return array if array.flags.c_contiguous else np.ascontiguousarray(array)
+
+
+def data_of(array: np.ndarray) -> Data:
+    """Return the bytes of a C-contiguous array, without a copy."""
+    # As unsigned bytes: buffers of text, structures and foreign byte orders have no format that all readers know.
+    return array.reshape(-1).view(np.uint8).data if array.size else b""
+
+
+def from_data(data: Data, dtype: np.dtype[Any], shape: Any) -> np.ndarray:
+    """Return the read-only array of some bytes, a view of them.
+
+    Raises:
+        ArrayError: if the bytes are not exactly those of an array of this shape and type.
+    """
+    if not isinstance(shape, (list, tuple)) or not all(type(size) is int and size >= 0 for size in shape):
+        raise ArrayError(f"an array shape must be a list of sizes, got {shape!r:.80}")
+    wanted = math.prod(shape) * dtype.itemsize
+    if wanted != len(data):
+        raise ArrayError(f"an array {list(shape)!s:.80} of {dtype!s:.80} takes {wanted} bytes, got {len(data)}")
+    try:
+        array = np.ndarray(shape, dtype, data if wanted else None)
+    except (ValueError, OverflowError, TypeError) as error:  # more dimensions than numpy has, for example
+        raise ArrayError(f"no array has shape {list(shape)!s:.80}: {error}") from None
+    array.flags.writeable = False
+    return array
+
+
+def describe_dtype(dtype: np.dtype[Any]) -> Any:
+    """Return the text or list that stands for a dtype; the inverse of `parse_dtype`."""
+    if dtype.names is None:
+        return dtype.str
+    return [[name, *_describe_field(dtype[name])] for name in dtype.names]
+
+
+def parse_dtype(description: Any) -> np.dtype[Any]:
+    """Return the dtype that a text or a list stands for; text may be bytes.
+
+    Raises:
+        ArrayError: if it stands for none, or for one that may not travel.
+    """
+    if isinstance(description, list):
+        return _dtype([_parse_field(entry) for entry in description], description)
+    return _named_dtype(_text(description))
+
+
+@functools.lru_cache(maxsize=512)
+def _named_dtype(name: str) -> np.dtype[Any]:
+    if not _NAME.fullmatch(name):
+        raise ArrayError(f"unknown array type {name!r:.80}")
+    return _dtype(name, name)
+
+
+def _dtype(known: Any, description: Any) -> np.dtype[Any]:
+    try:
+        dtype: np.dtype[Any] = np.dtype(known)
+    # A warning, too, where those are errors: numpy calls some names old.
+    except (TypeError, ValueError, OverflowError, DeprecationWarning) as error:
+        raise ArrayError(f"unknown array type {description!r:.80}: {error}") from None
+    check_dtype(dtype)
+    return dtype
+
+
+def _describe_field(dtype: np.dtype[Any]) -> list[Any]:
+    if dtype.subdtype is None:
+        return [describe_dtype(dtype)]
+    base, shape = dtype.subdtype
+    return [describe_dtype(base), list(shape)]
+
+
+def _parse_field(entry: Any) -> tuple[Any, ...]:
+    if not isinstance(entry, list) or len(entry) not in (2, 3):
+        raise ArrayError(f"a field of a structure must be [name, type] or [name, type, shape], got {entry!r:.80}")
+    shape = entry[2] if len(entry) == 3 else []
+    if not isinstance(shape, list) or not all(type(size) is int and size > 0 for size in shape):
+        raise ArrayError(f"the shape of a structure's field must be a list of sizes, got {shape!r:.80}")
+    return (_text(entry[0]), parse_dtype(entry[1]), tuple(shape))
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    if not isinstance(value, str):
+        raise ArrayError(f"an array type must be text, got {type(value).__name__}")
+    return value
+
+
+@functools.lru_cache(maxsize=512)
+def check_dtype(dtype: np.dtype[Any]) -> None:
+    """Check that arrays of a type may travel.
+
+    Raises:
+        ArrayError: for objects and dates, also inside structures, and for elements without a size.
+    """
+    parts = [dtype]
+    while parts:
+        part = parts.pop().base
+        if part.kind not in _KINDS or part.hasobject or part.itemsize == 0:
+            raise ArrayError(f"arrays of type {dtype} are refused: only numbers, flags and text travel")
+        parts.extend(part[name] for name in part.names or ())

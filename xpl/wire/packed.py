@@ -1,0 +1,299 @@
+"""Values as bytes without msgpack: a JSON header and raw buffers.
+
+What a worker is asked and answers is in this form, and so are payloads on the wire where both sides announced it:
+arrays are neither wrapped nor copied one by one, and the front end passes on what it need not read. One value is
+
+    <"XPL1"><header length: u32><body length: u64>   little endian
+    <header: JSON, UTF-8, padded with spaces>
+    <body: buffers in the order of the header, each at a multiple of 16 bytes>
+
+In the header an array is `{"@array": [offset, dtype, shape]}`, a numpy scalar the same with shape null, a byte string
+`{"@bytes": [offset, length]}`. An array that lies in shared memory is `{"@shared": [block, offset, dtype, shape]}`. A
+list of maps that hold arrays of equal keys, types and shapes, as action chunks do, is `{"@rows": {key: [offset, dtype,
+shape]}}`, with the length of the list as the first size. A text key that starts with `@` has it doubled. No pickle.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from operator import attrgetter, itemgetter
+from typing import Any, Callable, Optional
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.wire.arrays import Data, as_array, check_dtype, data_of, describe_dtype, from_data, parse_dtype
+
+_PREFIX = struct.Struct("<4sIQ")
+PREFIX_BYTES = _PREFIX.size
+_MAGIC = b"XPL1"
+_ALIGN = 16
+_ESCAPE, _ARRAY, _BYTES, _SHARED, _ROWS = "@", "@array", "@bytes", "@shared", "@rows"
+_MARKS = frozenset((_ARRAY, _BYTES, _SHARED, _ROWS))
+_SMALL = 1 << 12
+_ZEROS = bytes(_ALIGN)
+HEADER_LIMIT = 64 * 1024 * 1024
+BODY_LIMIT = 8 * 1024**3
+"""Bytes; more than any frame unpacks to. Only a stream that is out of step asks for more."""
+
+_dtype_of, _shape_of = attrgetter("dtype"), attrgetter("shape")
+_to_json = json.JSONEncoder(separators=(",", ":")).encode
+
+Place = Callable[[np.ndarray], Optional[tuple[int, int]]]
+"""Puts an array into shared memory and returns its block and offset, or None if it must travel in the message."""
+Find = Callable[[int, int, "np.dtype[Any]", Any], np.ndarray]
+"""Returns the array of a block, an offset, a dtype and a shape in shared memory."""
+
+
+class PackingError(ValueError):
+    """A value cannot be packed, or what arrived is not a packed value."""
+
+
+def encode(value: Any, place: Place | None = None) -> list[Data]:
+    """Return the pieces of one message; arrays are not copied unless they are small or not contiguous.
+
+    Args:
+        value: maps, lists, tuples, text, numbers, None, byte strings, numpy arrays and scalars, torch tensors.
+        place: puts large arrays into shared memory.
+
+    Raises:
+        PackingError: for any other type, for arrays of objects or dates, and for more than fits.
+    """
+    writer = _Writer(place)
+    try:
+        text = _to_json(writer.tree(value)).encode()
+    except RecursionError:
+        raise PackingError("the value contains itself, or is nested too deeply to be sent") from None
+    except ValueError as error:
+        raise PackingError(str(error)) from None
+    if len(text) > HEADER_LIMIT:
+        raise PackingError(f"lists and text of {len(text)} bytes are over the limit of {HEADER_LIMIT}: use arrays")
+    text += b" " * (-len(text) % _ALIGN)
+    return [_PREFIX.pack(_MAGIC, len(text), writer.size) + text, *writer.pieces]
+
+
+def lengths(prefix: Data) -> tuple[int, int]:
+    """Return the lengths of the header and the body that follow the first `PREFIX_BYTES` bytes of a message.
+
+    Raises:
+        PackingError: if it is no prefix, or one beyond any sensible size.
+    """
+    try:
+        magic, header, body = _PREFIX.unpack_from(prefix)
+    except struct.error:
+        raise PackingError(f"a packed value begins with {PREFIX_BYTES} bytes, got {len(prefix)}") from None
+    if magic != _MAGIC:
+        raise PackingError(f"a packed value begins with {_MAGIC!r}, got {bytes(magic)!r}: the stream is out of step")
+    if header > HEADER_LIMIT or body > BODY_LIMIT:
+        raise PackingError(
+            f"a packed value of {header} and {body} bytes is over the limits of {HEADER_LIMIT} and {BODY_LIMIT}: the "
+            "stream is out of step"
+        )
+    return header, body
+
+
+def decode(message: Data, find: Find | None = None) -> Any:
+    """Return the value of one message. Arrays are read-only views of it.
+
+    Args:
+        message: all bytes of it.
+        find: finds arrays in shared memory.
+
+    Raises:
+        PackingError: if the bytes are not exactly one message, or header and body do not fit together.
+    """
+    header, body = lengths(message)
+    view = memoryview(message).toreadonly()
+    if len(view) != PREFIX_BYTES + header + body:
+        raise PackingError(f"a packed value of {PREFIX_BYTES + header + body} bytes was announced, got {len(view)}")
+    try:
+        tree = json.loads(str(view[PREFIX_BYTES : PREFIX_BYTES + header], "utf-8"))
+        return _Reader(view[PREFIX_BYTES + header :], find).value(tree)
+    except PackingError:
+        raise
+    except (ValueError, TypeError, LookupError, RecursionError, OverflowError, AttributeError) as error:
+        raise PackingError(f"header and body of a packed value do not fit together: {error!s:.200}") from None
+
+
+def map_key(key: Any) -> str:
+    """Return the text that a map key travels as: text itself, or a whole number written out.
+
+    Raises:
+        PackingError: for any other key.
+    """
+    if isinstance(key, str):
+        return str(key)
+    if isinstance(key, (int, np.integer)) and not isinstance(key, bool):
+        return str(int(key))
+    raise PackingError(f"a map key must be text, got {key!r:.80}")
+
+
+class _Writer:
+    """Turns a value into a tree for the header and the pieces of the body."""
+
+    def __init__(self, place: Place | None) -> None:
+        self._place = place
+        self.pieces: list[Data] = []
+        self.size = 0
+
+    def tree(self, value: Any) -> Any:  # noqa: PLR0911 - one return for each kind of value
+        kind = type(value)
+        if kind is dict:
+            return {
+                key if type(key) is str and key[:1] != _ESCAPE else _escaped(map_key(key)): self.tree(item)
+                for key, item in value.items()
+            }
+        if kind is np.ndarray:
+            return self._array(value)
+        if value is None or isinstance(value, (str, bool, int, float)):
+            # Python's text and numbers by another name
+            return value.item() if isinstance(value, (np.str_, np.float64)) else value
+        if isinstance(value, np.ndarray):
+            return self._array(value)
+        if isinstance(value, Mapping):
+            return {_escaped(map_key(key)): self.tree(item) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return self._rows(value) or [self.tree(item) for item in value]
+        if isinstance(value, (bytes, bytearray, memoryview)):
+            data = bytes(value)
+            return {_BYTES: [self._add(data), len(data)]}
+        return self._array(np.complex128(value) if isinstance(value, complex) else value)
+
+    def _array(self, value: Any) -> Any:
+        if self._place is not None and isinstance(value, np.ndarray) and value.nbytes >= spec.LIMITS["shared_array"]:
+            array = as_array(value)
+            placed = self._place(array)
+            if placed is not None:
+                return {_SHARED: [*placed, describe_dtype(array.dtype), array.shape]}
+        else:
+            array = as_array(value)
+        data = array.tobytes() if array.nbytes <= _SMALL else data_of(array)
+        shape = None if isinstance(value, np.generic) else array.shape
+        return {_ARRAY: [self._add(data), describe_dtype(array.dtype), shape]}
+
+    def _rows(self, items: Any) -> Any:
+        """Return the tree of a list of maps that differ in the arrays' values only, or None."""
+        first = items[0] if len(items) > 1 else None
+        if type(first) is not dict or not first or set(map(type, items)) != {dict}:
+            return None
+        if set(map(len, items)) != {len(first)} or set(map(type, first)) != {str}:
+            return None
+        try:
+            columns = [list(map(itemgetter(key), items)) for key in first]
+        except KeyError:
+            return None
+        joined = [_joined(values) for values in columns]
+        if None in joined:
+            return None
+        return {
+            _ROWS: {
+                _escaped(key): [self._add(data or b""), describe_dtype(values[0].dtype), (len(items), *values[0].shape)]
+                for key, data, values in zip(first, joined, columns)
+            }
+        }
+
+    def _add(self, data: Data) -> int:
+        offset = self.size
+        size = len(data)
+        gap = -size % _ALIGN
+        self.pieces.append(data)
+        if gap:
+            self.pieces.append(_ZEROS[:gap])
+        self.size = offset + size + gap
+        return offset
+
+
+class _Reader:
+    """Turns a tree and a body back into the value."""
+
+    def __init__(self, body: memoryview, find: Find | None) -> None:
+        self._body = body
+        self._find = find
+        self._read_to = 0
+        self._left = spec.LIMITS["elements"]
+
+    def value(self, tree: Any) -> Any:
+        if isinstance(tree, list):
+            return [self.value(item) for item in tree]
+        if not isinstance(tree, dict):
+            return tree
+        if len(tree) == 1:
+            ((mark, given),) = tree.items()
+            if mark in _MARKS:
+                return self._marked(mark, given)
+        return {
+            key[1:] if key.startswith(_ESCAPE) else key: (self.value(item) if isinstance(item, (dict, list)) else item)
+            for key, item in tree.items()
+        }
+
+    def _marked(self, mark: str, given: Any) -> Any:
+        if mark == _ARRAY:
+            offset, description, shape = given
+            array = self._at(offset, description, () if shape is None else shape)
+            return array[()] if shape is None else array
+        if mark == _ROWS:
+            return self._rows(given)
+        if mark == _SHARED:
+            block, offset, description, shape = given
+            if self._find is None:
+                raise PackingError("an array lies in shared memory, but none was agreed on")
+            return self._find(block, offset, parse_dtype(description), shape)
+        return bytes(self._cut(*given))
+
+    def _rows(self, given: Any) -> list[dict[str, np.ndarray]]:
+        columns = {key[1:] if key.startswith(_ESCAPE) else key: self._at(*place) for key, place in given.items()}
+        # Without content a few bytes could stand for any number of rows.
+        if len({len(column) for column in columns.values()}) != 1 or not all(map(np.size, columns.values())):
+            raise PackingError("the columns of a packed list differ in length, or are empty")
+        self._left -= sum(map(len, columns.values()))
+        if self._left < 0:
+            raise PackingError(f"packed lists hold more than {spec.LIMITS['elements']} arrays: send larger ones")
+        return [dict(zip(columns, row)) for row in zip(*columns.values())]
+
+    def _at(self, offset: Any, description: Any, shape: Any) -> np.ndarray:
+        dtype = parse_dtype(description)
+        return from_data(self._cut(offset, dtype.itemsize * size_of(shape)), dtype, shape)
+
+    def _cut(self, offset: Any, length: Any) -> memoryview:
+        # In the order of the header and none twice: what a message makes is in proportion to its bytes.
+        start, end = self._read_to, len(self._body)
+        if type(offset) is not int or type(length) is not int or not start <= offset <= offset + length <= end:
+            raise PackingError(f"bytes {offset!r:.40} to +{length!r:.40} lie outside a body's {start} to {end}")
+        self._read_to = offset + length
+        return self._body[offset : offset + length]
+
+
+def _joined(values: list[Any]) -> bytes | None:
+    """Return the bytes of small arrays in a row, or None if they are no arrays of one type and shape."""
+    first = values[0]
+    if set(map(type, values)) != {np.ndarray} or not first.shape or not 0 < first.nbytes <= _SMALL:
+        return None
+    if set(map(_dtype_of, values)) != {first.dtype} or set(map(_shape_of, values)) != {first.shape}:
+        return None
+    check_dtype(first.dtype)
+    if first.dtype.names is not None:
+        return None
+    try:
+        return b"".join(values)
+    except (BufferError, ValueError, TypeError):  # not contiguous, or of a type that buffers have no name for
+        return b"".join([value.tobytes() for value in values])
+
+
+def size_of(shape: Any) -> int:
+    """Return how many elements an array of this shape has.
+
+    Raises:
+        PackingError: if it is not a list of sizes.
+    """
+    if not isinstance(shape, (list, tuple)) or not all(type(size) is int and size >= 0 for size in shape):
+        raise PackingError(f"an array shape must be a list of sizes, got {shape!r:.80}")
+    product = 1
+    for size in shape:
+        product *= size
+    return product
+
+
+def _escaped(key: str) -> str:
+    return _ESCAPE + key if key.startswith(_ESCAPE) else key

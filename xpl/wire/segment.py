@@ -1,0 +1,278 @@
+"""Memory that a client, the server and its worker share on one host: arrays cross processes without being sent.
+
+The server makes a file (mode 0600, in memory where the system has such a place), the client proves that it sees the
+same file, the worker maps it, and then the server unlinks it: nothing is left behind, whoever dies. An array lies in
+one block. A block is free, sent (the client wrote it) or taken (the worker has views of it); the worker frees it when
+the last view is gone, so that an observation stays as it is for as long as an adapter keeps it.
+
+`multiprocessing.shared_memory` is not used: in Python 3.11 a process that merely attaches unlinks the memory when it
+ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import itertools
+import mmap
+import os
+import secrets
+import stat
+import tempfile
+import weakref
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.wire.packed import PackingError, size_of
+
+_S = spec.SHARED_MEMORY
+_TOKEN, _STATES, _BLOCKS, _DATA = (_S[name] for name in ("token_bytes", "states_at", "blocks", "data_at"))
+_FREE, _SENT, _TAKEN = _S["free"], _S["sent"], _S["taken"]
+_PREFIX = "xpl-"
+_ALIGN = 64
+_GRAIN = 1 << 22
+"""Memory is taken from the system in pieces of this many bytes."""
+
+
+class SegmentError(OSError):
+    """Shared memory cannot be had, or is not what it was said to be."""
+
+
+def folder() -> Path:
+    """Return where segments are made: memory if there is a file system of it."""
+    memory = Path("/dev/shm")  # noqa: S108 - files are made with mode 0600 under names that nobody can foresee
+    return memory if os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
+
+
+class Segment:
+    """The server's side: makes the file and checks the client's proof.
+
+    Args:
+        size: bytes it may grow to; they are taken from the system as they are used.
+
+    Attributes:
+        path: the file, until it is unlinked.
+        size: bytes.
+        token: what the client has to read there.
+
+    Raises:
+        SegmentError: if there is no room for it.
+    """
+
+    def __init__(self, size: int = spec.LIMITS["shared_bytes"]) -> None:
+        self.path = folder() / f"{_PREFIX}{secrets.token_hex(12)}"
+        self.size = size
+        self.token = secrets.token_bytes(_TOKEN)
+        try:
+            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise SegmentError(f"no shared memory in {self.path.parent}: {error.strerror}") from None
+        try:
+            # The lock tells `sweep` that the maker lives; the system drops it with the process.
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.ftruncate(self._file, size)
+            _take(self._file, 0, min(size, _DATA + _GRAIN))
+            os.pwrite(self._file, self.token, 0)
+        except OSError as error:
+            self.close()
+            raise SegmentError(f"no room for shared memory in {self.path.parent}: {error.strerror}") from None
+
+    def answer(self) -> bytes:
+        """Return what the client wrote as its part of the proof."""
+        return os.pread(self._file, _TOKEN, _TOKEN)
+
+    def unlink(self) -> None:
+        """Take the file's name away; who has mapped it keeps the memory."""
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()
+
+    def close(self) -> None:
+        """Unlink and let go of the file; closing twice is fine."""
+        self.unlink()
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+def sweep() -> list[Path]:
+    """Unlink segments whose maker was killed before it could, and return them."""
+    left = []
+    for path in folder().glob(f"{_PREFIX}*"):
+        with contextlib.suppress(OSError):
+            file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+            try:
+                _check_own(file)
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+                left.append(path)
+            finally:
+                os.close(file)
+    return left
+
+
+class Arena:
+    """The client's side: puts arrays into blocks.
+
+    Args:
+        path: the file that the server named.
+        size: its size.
+
+    Attributes:
+        token: what the server wrote there, the client's proof that it sees the file.
+        answer: what the client wrote there, for the server to read.
+
+    Raises:
+        SegmentError: if there is no such file of ours.
+    """
+
+    def __init__(self, path: str, size: int) -> None:
+        # The server may be anyone's: no other file of this user is to be opened because it says so.
+        if Path(path).parent != folder() or not Path(path).name.startswith(_PREFIX):
+            raise SegmentError(f"shared memory must be a file {folder()}/{_PREFIX}*, the server named {path:.200}")
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+        except OSError as error:
+            raise SegmentError(f"shared memory {path}: {error.strerror}") from None
+        try:
+            _check_own(self._file)
+            if os.fstat(self._file).st_size != size or size <= _DATA:
+                raise SegmentError(f"shared memory {path} has another size than the server says")
+            self._map = mmap.mmap(self._file, size)
+        except (OSError, ValueError) as error:
+            os.close(self._file)
+            raise SegmentError(str(error)) from None
+        self._size = size
+        self._taken_to = _DATA
+        self._used: list[tuple[int, int, int, int]] = []  # offset, end, block, ticket; by offset
+        self._tickets = itertools.count()
+        self._written: list[int] = []
+        self._spare = list(range(_BLOCKS))
+        self.token = self._map[:_TOKEN]
+        self.answer = secrets.token_bytes(_TOKEN)
+        self._map[_TOKEN : 2 * _TOKEN] = self.answer
+
+    def place(self, array: np.ndarray) -> tuple[int, int] | None:
+        """Copy an array into a free block; return block and offset, or None where there is no room."""
+        offset = self._gap(array.nbytes)
+        if offset is None or not self._spare or not self._reserve(offset + array.nbytes):
+            return None
+        block = self._spare.pop()
+        target = np.ndarray(array.shape, array.dtype, self._map, offset)
+        target[...] = array
+        self._map[_STATES + block] = _SENT
+        ticket = next(self._tickets)
+        self._used.append((offset, offset + array.nbytes, block, ticket))
+        self._used.sort()
+        self._written.append(ticket)
+        return block, offset
+
+    def written(self) -> list[int]:
+        """Return the tickets of the arrays placed since the last call: those of one request."""
+        tickets, self._written = self._written, []
+        return tickets
+
+    def answered(self, tickets: list[int]) -> None:
+        """Free the blocks of a request that was answered though the worker never took them.
+
+        A block that the worker has done with may carry the array of a later request already: hence the tickets.
+        """
+        for _, _, block, ticket in self._used:
+            if ticket in tickets and self._map[_STATES + block] == _SENT:
+                self._map[_STATES + block] = _FREE
+
+    def close(self) -> None:
+        """Let go of the memory; closing twice is fine."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+            self._map.close()
+
+    def _gap(self, size: int) -> int | None:
+        """Return the lowest offset with `size` free bytes: memory that is in the processor's cache still."""
+        states = self._map
+        kept, start, found = [], _DATA, None
+        for entry in self._used:
+            offset, end, block, _ = entry
+            if states[_STATES + block] == _FREE:
+                self._spare.append(block)
+                continue
+            if found is None and offset - start >= size:
+                found = start
+            start = end + -end % _ALIGN
+            kept.append(entry)
+        self._used = kept
+        if found is None and self._size - start >= size:
+            found = start
+        return found
+
+    def _reserve(self, end: int) -> bool:
+        """Take memory up to `end` from the system: to write where there is none would end the process."""
+        if end > self._taken_to:
+            wanted = min(self._size, end + -end % _GRAIN)
+            try:
+                _take(self._file, self._taken_to, wanted - self._taken_to)
+            except OSError:
+                return False
+            self._taken_to = wanted
+        return True
+
+
+class Window:
+    """The worker's side: finds arrays in the blocks.
+
+    Args:
+        path: the file.
+        size: its size.
+
+    Raises:
+        SegmentError: if it cannot be mapped.
+    """
+
+    def __init__(self, path: str, size: int) -> None:
+        try:
+            file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        except OSError as error:
+            raise SegmentError(f"shared memory {path}: {error.strerror}") from None
+        try:
+            self._map = mmap.mmap(file, size)
+        except (OSError, ValueError) as error:
+            raise SegmentError(str(error)) from None
+        finally:
+            os.close(file)
+        # Views outlive this object: an adapter may keep an observation after its client has gone.
+        self._data = memoryview(self._map).toreadonly()
+
+    def find(self, block: Any, offset: Any, dtype: np.dtype[Any], shape: Any) -> np.ndarray:
+        """Return the read-only array at a block and an offset, and take the block until its last view is gone.
+
+        Raises:
+            PackingError: if there is none.
+        """
+        size = size_of(shape) * dtype.itemsize
+        fits = type(offset) is int and type(block) is int and _DATA <= offset <= offset + size <= len(self._data)
+        if not fits or not 0 <= block < _BLOCKS or self._map[_STATES + block] != _SENT:
+            raise PackingError(f"block {block!r:.40} at {offset!r:.40} of the shared memory holds no array")
+        self._map[_STATES + block] = _TAKEN
+        flat = np.ndarray((size,), np.uint8, self._data, offset)
+        weakref.finalize(flat, _free, self._map, block, os.getpid()).atexit = False
+        return flat.view(dtype).reshape(shape)
+
+
+def _free(memory: mmap.mmap, block: int, process: int) -> None:
+    if os.getpid() == process:  # a child that the adapter forked drops its copies of views that live on here
+        memory[_STATES + block] = _FREE
+
+
+def _check_own(file: int) -> None:
+    known = os.fstat(file)
+    if not stat.S_ISREG(known.st_mode) or known.st_uid != os.geteuid() or known.st_mode & 0o077:
+        raise SegmentError("shared memory must be a plain file of this user, closed to others")
+
+
+def _take(file: int, start: int, length: int) -> None:
+    """Have the system set memory aside; OSError if there is none."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file, start, length)

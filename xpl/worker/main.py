@@ -1,0 +1,292 @@
+"""The worker: runs one adapter in the policy's own interpreter and answers the front end over a private descriptor.
+
+Standard library and numpy only. Messages have a head, in JSON, and buffers (`xpl.process.link`):
+
+    {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods", "shared"}}; with
+                                                        "shadow": true the model is not loaded (`xpl.worker.shadow`);
+                                                        with "stub_missing": true modules are stubbed
+                                                        (`xpl.worker.stubs`), and the answer names them in "stubbed"
+    {"op": "map", "segment", "path", "size"}            -> {"ok": null}; arrays of requests may lie there from now on
+    {"op": "unmap", "segment"}                          -> {"ok": null}
+    {"op": "run", "requests": [[client, method, segment, optional], ...]}, a packed map (`xpl.wire.packed`) for each
+                                                        -> {"answers": [null or error, ...]}, a packed map for each null
+
+The method of a request is `infer` or what a client may call; its map holds entries of the wire's payload, and so does
+the map of its answer. Whatever raises is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused":
+true` where the request itself was wrong, `"unserialisable": true` where the result cannot travel, and `"lacks":
+{"kind", "name"}` where not the adapter is to blame but the machine (`xpl.worker.lacking`).
+"""
+
+from __future__ import annotations
+
+import gc
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
+
+from xpl import _spec as spec
+from xpl.process import child
+from xpl.wire import packed
+from xpl.worker.loading import check_shareable, ecosystem, load_model_class
+
+if TYPE_CHECKING:
+    from xpl.wire.arrays import Data
+    from xpl.wire.segment import Window
+    from xpl.worker.sharing import SharedModel
+    from xpl.worker.stubs import Stubs
+
+
+# SystemExit, too: libraries that parse the command line end the process over an argument that is not theirs.
+_FAILURES = (Exception, SystemExit)
+_WANTED: dict[str, type] = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}
+
+
+class Request(NamedTuple):
+    """What one client asks for.
+
+    Attributes:
+        client: its number.
+        method: `infer`, or what is called.
+        segment: number of the shared memory that its arrays may lie in, or None.
+        optional: an adapter without this method answers nothing.
+        payload: a packed map.
+    """
+
+    client: int
+    method: str
+    segment: Optional[int]  # noqa: UP045 - evaluated, in Python 3.9 too
+    optional: bool
+    payload: Any
+
+
+class RefusedError(ValueError):
+    """A request asks for what the adapter does not offer, or lacks what it needs."""
+
+
+class Worker:
+    """Executes the operations of one adapter, one after the other."""
+
+    def __init__(self) -> None:
+        self._model: Any = None
+        self._methods: frozenset[str] = frozenset()
+        self._shared: SharedModel | None = None
+        self._windows: dict[int, Window] = {}
+        self._stubs: Stubs | None = None
+        self._policy_dir = Path()
+        self._config: dict[str, Any] = {}
+
+    def handle(self, head: Mapping[str, Any], buffers: Sequence[Data] = ()) -> tuple[dict[str, Any], list[Data]]:
+        """Return the answer to one message of the front end; whatever an adapter raises becomes an `error`."""
+        if head["op"] == "run":
+            requests = [Request(*asked, payload) for asked, payload in zip(head["requests"], buffers)]  # type: ignore[call-arg]
+            return self._run(requests)
+        operations: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+            "load": self._load,
+            "map": self._map,
+            "unmap": self._unmap,
+        }
+        try:
+            return {"ok": operations[head["op"]](head)}, []
+        except _FAILURES as error:
+            return {"error": {**describe(error), **self._lacks(error)}}, []
+
+    # -- between requests ----------------------------------------------------------------------------------------------
+
+    def _load(self, message: Mapping[str, Any]) -> dict[str, Any]:
+        from xpl.policy import Policy
+
+        # Where a model is built anew, the one before has to go first: there may not be room for two.
+        self._model, self._shared = None, None
+        gc.unfreeze()
+        gc.collect()
+        policy_dir = self._policy_dir = Path(message["policy_dir"])
+        if message.get("stub_missing"):
+            from xpl.worker.stubs import Stubs
+
+            self._stubs = Stubs(policy_dir, [policy_dir, *ecosystem(policy_dir)])
+            self._stubs.install()
+        model_class = load_model_class(policy_dir)
+        if message.get("shadow"):
+            from xpl.worker.shadow import shadow_of
+
+            model_class = shadow_of(model_class)
+        config = self._config = dict(message["config"])
+        manifest = message.get("manifest") or {}
+        if issubclass(model_class, Policy):
+            config["manifest"] = manifest
+        declared = tuple(manifest.get("methods") or ())
+        shared = bool((manifest.get("serving") or {}).get("shared"))
+        offered = (*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER, *declared)
+        if shared:
+            check_shareable(model_class, (*spec.HOOKS, *declared))
+        self._model = model_class(config)
+        self._methods = frozenset(
+            name for name in offered if not name.startswith("_") and callable(getattr(self._model, name, None))
+        )
+        # What was loaded stays: looking through it again and again would make some steps slow. And one chunk of actions
+        # makes more objects than Python lets come together by default before it looks through them.
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(10_000, 10, 10)
+        if shared:
+            from xpl.worker.sharing import SharedModel
+
+            self._shared = SharedModel(self._model)
+        answer = {"class": model_class.__name__, "methods": sorted(self._methods), "shared": shared}
+        if self._stubs is not None:
+            self._check_stubs()
+            answer["stubbed"] = self._stubs.names
+        return answer
+
+    def _check_stubs(self) -> None:
+        """Stop an adapter that goes on although a stub could not give what it was asked for.
+
+        Raises:
+            StubError: if there was such a failure since the last check.
+        """
+        if self._stubs is not None:
+            from xpl.worker import stubs
+
+            stubs.check()
+
+    def _map(self, message: Mapping[str, Any]) -> None:
+        from xpl.wire.segment import Window
+
+        self._windows[message["segment"]] = Window(message["path"], message["size"])
+
+    def _unmap(self, message: Mapping[str, Any]) -> None:
+        self._windows.pop(message["segment"], None)  # adapters may keep what they have seen there
+
+    # -- requests ------------------------------------------------------------------------------------------------------
+
+    def _run(self, requests: Sequence[Request]) -> tuple[dict[str, Any], list[Data]]:
+        results = self._results(requests) if self._shared is None else self._shared_results(self._shared, requests)
+        answers: list[dict[str, Any] | None] = []
+        buffers: list[Data] = []
+        for request, result in zip(requests, results):
+            if not isinstance(result, BaseException):
+                try:
+                    buffers.append(_packed_answer(request, result))
+                except Exception as error:  # noqa: BLE001 - also what a library's own array type raises while converted
+                    answers.append({**describe(error), **self._lacks(error), "unserialisable": True})
+                else:
+                    answers.append(None)
+            else:
+                refused = isinstance(result, (RefusedError, packed.PackingError))
+                answers.append({**describe(result), **self._lacks(result), **({"refused": True} if refused else {})})
+                # Who keeps the exception would keep all that its frames hold, and the memory that a client shares.
+                result.__traceback__ = None
+        return {"answers": answers}, buffers
+
+    def _lacks(self, error: BaseException) -> dict[str, Any]:
+        """Return what an error tells of the machine; nothing if the adapter is to blame."""
+        from xpl.worker.lacking import lacking
+
+        found = lacking(error, self._policy_dir, self._config)
+        if self._stubs is not None:
+            from xpl.worker import stubs
+
+            asked = stubs.asked()
+            found = found if asked is None else {"kind": stubs.StubError.kind, "name": asked}
+        return {} if found is None else {"lacks": found}
+
+    def _results(self, requests: Sequence[Request]) -> Iterator[Any]:
+        """Yield what each request returns, or the exception that it raises."""
+        for request in requests:
+            try:
+                result = self._perform(request)
+                self._check_stubs()
+            except _FAILURES as error:
+                result = error
+            yield result
+
+    def _shared_results(self, shared: SharedModel, requests: Sequence[Request]) -> list[Any]:
+        from xpl.worker import sharing
+
+        results: list[Any] = []
+        asked: dict[int, sharing.Request] = {}
+        for place, request in enumerate(requests):
+            try:
+                argument = self._argument(request)
+            except _FAILURES as error:
+                results.append(error)
+                continue
+            results.append(None)  # the answer to an optional method: a model that is shared has no hooks
+            if request.method == spec.Method.INFER or request.method in self._methods:
+                asked[place] = sharing.Request(request.client, request.method, argument)
+        for place, result in zip(asked, shared.run(list(asked.values()))):
+            results[place] = result
+        return results
+
+    def _perform(self, request: Request) -> Any:
+        method, argument = request.method, self._argument(request)
+        if method == spec.Method.INFER or (method == spec.Method.GET_ACTION and isinstance(argument, Mapping)):
+            return self._infer(argument)
+        if method not in self._methods:
+            return None  # an optional one: `_argument` lets no other pass
+        operation = getattr(self._model, method)
+        if argument is None or method in (spec.Method.RESET, spec.Method.GET_ACTION):
+            return operation()
+        return operation(argument)
+
+    def _infer(self, observation: Any) -> Any:
+        if spec.Method.UPDATE_OBS not in self._methods and spec.Method.INFER in self._methods:
+            return self._model.infer(observation)
+        self._model.update_obs(observation)
+        return self._model.get_action()
+
+    def _argument(self, request: Request) -> Any:
+        """Return the argument of a request's method.
+
+        Raises:
+            RefusedError: if the adapter has no such method, or the argument is of the wrong kind.
+            PackingError: if the payload is damaged.
+        """
+        method = request.method
+        window = self._windows.get(request.segment or 0)
+        payload = packed.decode(request.payload, None if window is None else window.find)
+        if not isinstance(payload, dict):
+            raise RefusedError(f"a packed payload must be a map, got {type(payload).__name__}")
+        if method == spec.Method.INFER:
+            observation = payload.get(spec.Payload.OBSERVATION)
+            if not isinstance(observation, dict):
+                raise RefusedError("infer needs a payload with an observation map")
+            return observation
+        if method not in self._methods and not request.optional:
+            offered = ", ".join(sorted(self._methods))
+            raise RefusedError(f"the adapter has no method {method!r}; it has {offered}")
+        if method in spec.HOOKS:
+            return payload
+        argument = payload.get(spec.Payload.OBS)
+        wanted = _WANTED.get(method)
+        if wanted is not None and not isinstance(argument, wanted):
+            kind = "map" if wanted is dict else "list"
+            raise RefusedError(f"{method} needs a payload with obs, a {kind}; got {type(argument).__name__}")
+        return argument
+
+
+def _packed_answer(request: Request, result: Any) -> bytes:
+    """Return the entries of the answer to a request, packed."""
+    entries: Any = {}
+    if request.method == spec.Method.INFER:
+        passes = isinstance(result, Mapping) and spec.Payload.ACTIONS in result
+        entries = result if passes else {spec.Payload.ACTIONS: result}
+    elif result is not None:
+        entries = {spec.Payload.RESULT: result}
+    return b"".join(packed.encode(entries))
+
+
+def describe(error: BaseException) -> dict[str, str]:
+    """Return type, message and traceback of an exception, without this module's own frames."""
+    frames = error.__traceback__
+    while frames is not None and frames.tb_frame.f_code.co_filename == __file__:
+        frames = frames.tb_next
+    text = "".join(traceback.format_exception(type(error), error, frames))
+    message = f"the adapter called sys.exit({error.code!r})" if isinstance(error, SystemExit) else str(error)
+    return {"type": type(error).__name__, "message": message or type(error).__name__, "traceback": text}
+
+
+def main(descriptor: int) -> NoReturn:
+    """Serve messages that arrive on a descriptor until it is closed."""
+    child.serve(descriptor, Worker().handle)

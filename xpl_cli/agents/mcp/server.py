@@ -1,0 +1,98 @@
+"""The server: tools over standard input and output, by the protocol's official SDK."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli import __version__
+from xpl_cli.agents.mcp.call import run
+from xpl_cli.agents.mcp.tools import Tool, tools
+from xpl_cli.basics.errors import UserError, no_such
+from xpl_cli.commands.command import endings
+
+if TYPE_CHECKING:
+    from mcp import types
+    from mcp.server import Server
+
+INSTRUCTIONS: Final = f"""\
+Tools of xpl: robot policies and environments held to one standard. A tool runs the command of the same name, answers
+with its JSON, whose `next` lists the commands that come next, and says how it ended. {endings()}
+`not_run` is no pass: only a whole audit whose verdict is green proves an adapter. `audit` runs the package's code. How
+to integrate, audit, debug and evaluate is told by `xpl skills get NAME --full`; `xpl skills list` names them."""
+
+
+def serve(folder: Path) -> None:
+    """Serve until the client closes the connection.
+
+    Args:
+        folder: working directory of every command.
+
+    Raises:
+        UserError: if the SDK is not installed.
+    """
+    try:
+        import anyio
+        from mcp import stdio_server
+    except ImportError as error:
+        raise UserError(
+            f"xpl mcp needs the protocol's SDK in version 2 or newer: {error}",
+            hint="`pip install 'xpl-cli[mcp]'`",
+        ) from None
+
+    async def serving() -> None:
+        server = _server(folder)
+        async with stdio_server() as (reading, writing):
+            await server.run(reading, writing, server.create_initialization_options())
+
+    anyio.run(serving)
+
+
+def _server(folder: Path) -> Server[Any]:
+    from mcp import types
+    from mcp.server import Server
+
+    offered = {tool.name: tool for tool in tools()}
+
+    async def list_tools(_context: Any, _asked: Any) -> types.ListToolsResult:
+        return types.ListToolsResult(tools=[_described(tool) for tool in offered.values()])
+
+    async def call_tool(context: Any, asked: types.CallToolRequestParams) -> types.CallToolResult:
+        async def progress(number: int, line: str) -> None:
+            await context.session.report_progress(number, None, line)
+
+        if asked.name not in offered:
+            return _refused(no_such(f"there is no tool {asked.name!r}", asked.name, offered))
+        try:
+            command = offered[asked.name].command_line(asked.arguments or {})
+        except UserError as error:
+            return _refused(error)
+        answer = await run(command, folder, progress)
+        texts = [text for text in (answer.text, answer.about) if text]
+        return types.CallToolResult(
+            content=[types.TextContent(type="text", text=text) for text in texts],
+            structured_content=answer.document,
+            is_error=answer.is_error,
+        )
+
+    return Server(
+        "xpl", version=__version__, instructions=INSTRUCTIONS, on_list_tools=list_tools, on_call_tool=call_tool
+    )
+
+
+def _refused(error: UserError) -> types.CallToolResult:
+    from mcp import types
+
+    text = "\n".join([str(error), *([f"Hint: {error.hint}"] if error.hint else [])])
+    return types.CallToolResult(content=[types.TextContent(type="text", text=text)], is_error=True)
+
+
+def _described(tool: Tool) -> types.Tool:
+    from mcp import types
+
+    return types.Tool(
+        name=tool.name,
+        description=tool.description,
+        input_schema=tool.schema,
+        annotations=types.ToolAnnotations(read_only_hint=tool.offer.reads_only, destructive_hint=False),
+    )

@@ -1,0 +1,70 @@
+"""A review for machines: `xpl.review/1`."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli import __version__
+from xpl_cli.audit.formats import document
+from xpl_cli.audit.formats.steps import next_commands
+
+if TYPE_CHECKING:
+    from xpl_cli.agents.review.review import Remark, Review
+
+SCHEMA: Final = "xpl.review/1"
+
+
+def as_json(review: Review) -> dict[str, Any]:
+    """Return the review as a map; `audit` in it is the whole audit, `findings` are those that the review tells."""
+    change, description = review.change, review.description
+    return {
+        "schema": SCHEMA,
+        "tool": {"name": "xpl", "version": __version__},
+        "base": {"ref": change.ref, "commit": change.base},
+        "verdict": review.verdict,
+        "packages": [
+            {
+                "path": touched.target.shown,
+                "name": report.name,
+                "kind": report.kind,
+                "change": touched.change,
+                "files": touched.files,
+                "verdict": report.verdict,
+            }
+            for touched, report in zip(change.packages, review.reports, strict=True)
+        ],
+        "removed": list(change.removed),
+        "elsewhere": len(change.elsewhere),
+        "findings": [_remark(remark) for remark in review.told],
+        "left_out": len(review.remarks) - len(review.told),
+        "description": None
+        if description is None
+        else {"form": description.form, "problems": list(description.problems), "notes": list(description.notes)},
+        "audit": document.as_json(review.reports, review.context),
+        "exit_code": int(review.code),
+        "next": following(review),
+    }
+
+
+def following(review: Review) -> list[str]:
+    """Return the commands that come next: those of the audit, and what audits what was not told."""
+    commands = next_commands(review.reports, review.context) if review.reports else []
+    hidden = dict.fromkeys(remark.first.target.path for remark in review.remarks[len(review.told) :])
+    return [*commands, *([shlex.join(["xpl", "audit", *hidden])] if hidden and not commands else [])]
+
+
+def _remark(remark: Remark) -> dict[str, Any]:
+    first = remark.first
+    return {
+        "code": first.result.code,
+        "slug": first.result.slug,
+        "requirement": first.result.requirement,
+        "package": first.target.path,
+        "gate": first.gate.name.value,
+        "outcome": first.result.outcome.value,
+        "harm": remark.harm.name,
+        "was_there_before": remark.is_old,
+        **document.described(first.finding, first.result, first.folder, first.fingerprint),
+        "also": [{"path": entry.path, "line": entry.finding.line} for entry in remark.others],
+    }

@@ -1,0 +1,1 @@
+"""Runs rules: gates in order, checks, cache, waivers, fixes."""

@@ -1,0 +1,225 @@
+"""Passes of the static gate, kept by content: an adapter that has not changed is not read again.
+
+What an adapter cannot be asked for (`not_applicable`) counts as a pass here: it follows from the same files.
+
+A record belongs to one state of one package: all names in its folder and the content of the files directly in it. It
+holds the content of the deeper files that were read, and the rules that passed, each with a digest of the rule's folder
+and of everything that rules are built on (engine, SDK, standard). Findings are never kept, nor what could not run.
+Only rules that ask for nothing but the files take part; the gates that serve an adapter depend on far more.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import yaml
+
+from xpl_cli import __version__
+from xpl_cli.audit.rules.model import NotRun, Outcome, Result
+from xpl_cli.audit.static.reading import SIZE_LIMIT
+from xpl_cli.basics import content
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from xpl_cli.audit.rules.registry import Entry
+    from xpl_cli.audit.static.source import Source
+
+LIMIT: Final = 1024
+"""Records that are kept; beyond it the ones that were not used for the longest time go."""
+
+_FORMAT: Final = 2
+_MOST_NAMES: Final = 50_000
+"""A folder with more names than this is not looked through: nothing is kept for it."""
+_PARTS: Final = 4
+"""What is kept of a rule: its version, requirement, severity, and why it does not apply; empty for a pass."""
+_UNREAD: Final = frozenset((".git", "__pycache__"))
+_FACTS: Final = frozenset(("source",))
+"""Facts that follow from the files of the package."""
+
+
+_ROOMS: Final = ("audit", "basics", "packages", "scaffold", "standard")
+"""The rooms of the engine that rules of the static gate stand on."""
+
+
+def default_folder() -> Path | None:
+    """Return the folder of the user's cache, None where the user has none."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    with suppress(RuntimeError):
+        return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "xpl" / "audit"
+    return None
+
+
+@dataclass
+class Shelf:
+    """The passes that are known for one state of one package.
+
+    Attributes:
+        record: hash of the boundary, as `Source.record` returns it; empty if it is not known.
+    """
+
+    package: Path
+    file: Path
+    record: str = ""
+    _files: dict[str, str] = field(default_factory=dict)
+    _passes: dict[str, list[str]] = field(default_factory=dict)
+    _news: bool = False
+
+    @classmethod
+    def of(cls, folder: Path, package: Path) -> Shelf | None:
+        """Return the shelf of a package in its present state, None if its folder cannot be looked through.
+
+        Args:
+            folder: where records are kept.
+            package: the package.
+        """
+        try:
+            shelf = cls(package, folder / f"{_state(package)}.json")
+        except (OSError, ValueError):
+            return None
+        shelf._load()
+        return shelf
+
+    def get(self, entry: Entry) -> Result | None:
+        """Return the pass of a rule, None if the rule has to run."""
+        kept = self._passes.get(entry.code)
+        if kept is None or kept[0] != _version(entry):
+            return None
+        _, requirement, severity, reason = kept
+        outcome = Outcome.NOT_APPLICABLE if reason else Outcome.PASS
+        return Result(entry.code, entry.slug, requirement, severity, outcome, reason=reason or None)
+
+    def put(self, entry: Entry, result: Result, facts: tuple[str, ...]) -> None:
+        """Note what a rule found, if it is a pass that follows from the files alone."""
+        reason = result.reason or ""
+        is_sound = result.outcome is Outcome.PASS or (result.outcome is Outcome.NOT_APPLICABLE and reason)
+        if is_sound and _FACTS.issuperset(facts):
+            self._passes[entry.code] = [_version(entry), result.requirement, result.severity, reason]
+            self._news = True
+
+    def save(self, source: Source) -> None:
+        """Keep what was noted. A cache that cannot be written, or a package that changed meanwhile, keeps nothing."""
+        if not self._news:
+            return
+        from xpl_cli.basics.atomic import write_file
+
+        with suppress(OSError, ValueError, NotRun):
+            names = {name for name in (*source.files, *source.seen) if "/" in name}
+            self._files = {name: _digest(self.package / name) for name in sorted(names)}
+            self.record = source.record()
+            if self.file.name != f"{_state(self.package)}.json":
+                return
+            others = Shelf(self.package, self.file)
+            others._load()
+            passes = {**others._passes, **self._passes} if others._files == self._files else self._passes
+            told = {"format": _FORMAT, "files": self._files, "record": self.record, "passes": passes}
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            write_file(self.file, json.dumps(told).encode(), mode=0o600)
+            _prune(self.file.parent)
+
+    def _load(self) -> None:
+        """Read what is kept; a record that is broken, or of other deeper files, counts as none."""
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+            told: dict[str, Any] = json.loads(self.file.read_bytes())
+            files = {str(name): str(digest) for name, digest in told["files"].items()}
+            passes = {str(code): [str(part) for part in kept] for code, kept in told["passes"].items()}
+            if told["format"] != _FORMAT or any(len(kept) != _PARTS for kept in passes.values()):
+                return
+            if any(_digest(self.package / name) != digest for name, digest in files.items()):
+                return
+            self._files, self._passes, self.record = files, passes, str(told["record"])
+            os.utime(self.file)
+
+
+def _state(package: Path) -> str:
+    """Return a hash of a package's name, of all names in its folder, and of the files directly in it.
+
+    Raises:
+        OSError: if it cannot be looked through.
+        ValueError: if it holds too many names.
+    """
+    state = hashlib.sha256(os.fsencode(package.name))
+    waiting, names = [package], 0
+    while waiting:
+        folder = waiting.pop()
+        entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+        names += len(entries)
+        if names > _MOST_NAMES:
+            raise ValueError(f"{package} holds more than {_MOST_NAMES} names")
+        state.update(b"\0\0" + os.fsencode(os.path.relpath(folder, package)))
+        for entry in entries:
+            if entry.name not in _UNREAD:
+                told = _told(entry, direct=folder is package)
+                state.update(b"\0" + os.fsencode(entry.name) + b"\0" + told)
+                if told == b"folder":
+                    waiting.append(Path(entry.path))
+    return state.hexdigest()
+
+
+def _told(entry: os.DirEntry[str], *, direct: bool) -> bytes:
+    """Return what a state says of one name."""
+    if entry.is_symlink():
+        try:
+            there = entry.stat()
+        except OSError:
+            return b"broken link"
+        target = f"link {there.st_mode} {there.st_size} {there.st_mtime_ns} {there.st_ino}"
+        return os.fsencode(f"{target} {Path(entry.path).readlink()}")
+    if entry.is_dir():
+        return b"folder"
+    if not entry.is_file():
+        return b"neither"
+    return f"{entry.stat().st_mode} {_digest(Path(entry.path))}".encode() if direct else b"file"
+
+
+def _digest(file: Path) -> str:
+    """Return the hash of a file's content; of a file that is too large to be read as source, its size."""
+    size = file.stat().st_size
+    return f"{size} bytes" if size > SIZE_LIMIT else hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+@cache
+def _version(entry: Entry) -> str:
+    """Return a hash of a rule's own folder, as far as it is code, and of what all rules are built on."""
+    return _hashed(_python_files(entry.path.parent), tool())
+
+
+@cache
+def tool() -> str:
+    """Return a hash of what all rules are built on: interpreter, libraries, engine, SDK and the standard."""
+    engine = Path(__file__).parents[2]
+    below = (*(engine / room for room in _ROOMS), engine.parent / "xpl")
+    code = (path for start in below for folder, _, _ in os.walk(start) for path in _python_files(Path(folder)))
+    rooms = (path for name in ("spec", "templates") for path in content.room(name).rglob("*") if path.is_file())
+    known = f"{__version__} {platform.python_implementation()} {platform.python_version()} {yaml.__version__}"
+    return _hashed((*code, *rooms), known)
+
+
+def _python_files(folder: Path) -> list[str]:
+    return [f"{folder}/{name}" for name in os.listdir(folder) if name.endswith(".py")]  # noqa: PTH208 - much faster
+
+
+def _hashed(files: Iterable[Path | str], known: str) -> str:
+    state = hashlib.sha256(known.encode())
+    for file in sorted(str(file) for file in files):
+        with open(file, "rb", buffering=0) as stream:  # noqa: PTH123 - much faster, and there are hundreds
+            content = stream.readall()
+        state.update(b"\0" + os.fsencode(os.path.basename(file)) + b"\0" + hashlib.sha256(content).digest())  # noqa: PTH119
+    return state.hexdigest()
+
+
+def _prune(folder: Path, limit: int = LIMIT) -> None:
+    """Remove the records that were not used for the longest time, and a fifth more, so that this is done seldom."""
+    records = [Path(entry.path) for entry in os.scandir(folder) if entry.is_file(follow_symlinks=False)]
+    if len(records) <= limit:
+        return
+    for path in sorted(records, key=os.path.getmtime)[: len(records) - limit * 4 // 5]:
+        path.unlink(missing_ok=True)

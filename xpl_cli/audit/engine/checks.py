@@ -1,0 +1,112 @@
+"""The rules of one gate on one target: each is run once, after those it needs, and its crash is an outcome."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from xpl_cli.audit.rules.facts import wanted
+from xpl_cli.audit.rules.model import NotApplicable, NotRun, Outcome, Profile, Result
+from xpl_cli.audit.rules.registry import RegistryError, needed
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.engine.cache import Shelf
+    from xpl_cli.audit.rules.facts import Facts
+    from xpl_cli.audit.rules.model import Finding
+    from xpl_cli.audit.rules.registry import Entry, Rule
+
+_HOLDS = frozenset((Outcome.PASS, Outcome.WARN, Outcome.NOT_APPLICABLE))
+
+
+class Checks:
+    """The results of a gate's rules, before waivers.
+
+    Args:
+        facts: what rules may ask for.
+        version: the version of the standard that the target is held to; it gives rules their severity.
+        shelf: passes of earlier audits of the same content; None to run every rule.
+    """
+
+    def __init__(self, facts: Facts, version: str, shelf: Shelf | None = None) -> None:
+        self._facts = facts
+        self._version = version
+        self._shelf = shelf
+        self._results: dict[str, Result] = {}
+
+    def result(self, entry: Entry) -> Result:
+        """Return what a rule finds, running it first if it has not run yet.
+
+        Raises:
+            RegistryError: if the rules that it comes after contradict each other.
+        """
+        if entry.slug not in self._results:
+            kept = self._shelf.get(entry) if self._shelf is not None else None
+            self._results[entry.slug] = kept or self._run(entry)
+        return self._results[entry.slug]
+
+    def _run(self, entry: Entry) -> Result:
+        rule: Rule | None = None
+        try:
+            rule = entry.load()
+            result = self._unmet(rule) or self._checked(rule)
+            if self._shelf is not None:
+                self._shelf.put(entry, result, wanted(rule.check))
+        except RegistryError:
+            raise
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a rule's crash must not hide what the others find
+            requirement = rule.requirement if rule is not None else ""
+            return Result(entry.code, entry.slug, requirement, "must", Outcome.ERROR, reason=_told(error))
+        return result
+
+    def _unmet(self, rule: Rule) -> Result | None:
+        """Return the result of a rule that has nothing to build on."""
+        for other in needed(rule):
+            before = self.result(other)
+            if before.outcome not in _HOLDS:
+                why = "does not hold" if before.outcome is Outcome.FAIL else f"could not be checked: {before.reason}"
+                return self._result(rule, Outcome.NOT_RUN, reason=f"it needs {other.code} {other.slug}, which {why}")
+        return None
+
+    def _checked(self, rule: Rule) -> Result:
+        try:
+            self._require(rule)
+            findings: tuple[Finding, ...] = tuple(self._facts.call(rule.check))
+        except NotApplicable as why:
+            return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
+        except NotRun as why:
+            return self._result(rule, Outcome.NOT_RUN, reason=str(why))
+        return self._result(rule, outcome_of(findings, rule.severity_in(self._version)), findings)
+
+    def _require(self, rule: Rule) -> None:
+        """Stop a rule that the target's version of the standard or the profile of this run does not require.
+
+        Raises:
+            NotApplicable: if the version does not have its requirement, or if it judges the model itself, and the run
+                has none.
+            NotRun: if the adapter cannot be served, so that the profile is not known.
+        """
+        if not rule.is_in(self._version):
+            raise NotApplicable(f"{self._version} of the standard does not ask for it: {rule.requirement} is newer")
+        if rule.profile is Profile.FULL and self._facts.get("profile").name is Profile.SHADOW:
+            raise NotApplicable("only the real model can satisfy or break it, and in shadow mode there is none")
+
+    def _result(
+        self, rule: Rule, outcome: Outcome, findings: tuple[Finding, ...] = (), reason: str | None = None
+    ) -> Result:
+        severity = rule.severity_in(self._version)
+        return Result(rule.code, rule.slug, rule.requirement, severity, outcome, findings, reason)
+
+
+def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:
+    """Return how a rule of a severity (`must`, `should`) ends with these findings."""
+    if not findings:
+        return Outcome.PASS
+    return Outcome.FAIL if severity == "must" else Outcome.WARN
+
+
+def _told(error: BaseException) -> str:
+    """Return what a crash was and where, in one line."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})" if trace else ""
+    return f"{type(error).__name__}: {error}{where}"

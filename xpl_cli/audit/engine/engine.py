@@ -1,0 +1,182 @@
+"""Runs the gates on packages: every rule of a gate, and the next gate only if this one has no failure.
+
+The static gate of many packages runs in parallel processes. The gates that serve an adapter run one after the other:
+they measure time, and an adapter may fill a machine.
+"""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from xpl_cli.audit.engine import providers
+from xpl_cli.audit.engine.cache import Shelf
+from xpl_cli.audit.engine.checks import Checks
+from xpl_cli.audit.engine.waivers import waive
+from xpl_cli.audit.rules.facts import Facts
+from xpl_cli.audit.rules.fingerprint import fingerprint
+from xpl_cli.audit.rules.model import Gate, GateReport, Outcome, Profile, Result, TargetReport
+from xpl_cli.audit.rules.registry import Entry, find, select
+from xpl_cli.audit.static.source import Source
+from xpl_cli.basics.progress import Progress
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.packages.targets import Target
+
+
+def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) -> TargetReport:
+    """Audit one package.
+
+    Args:
+        path: its folder.
+        kind: `policy` or `env`.
+        options: what to run.
+        shown: how reports name the folder; the path itself by default.
+    """
+    report = TargetReport(path=shown or str(path), name=path.name, kind=kind, spec=Source(path).version)
+    _carry(report, path, options)
+    return report
+
+
+def audit_all(targets: Sequence[Target], options: Options) -> list[TargetReport]:
+    """Audit several packages; the reports are in the order of the packages."""
+    if len(targets) < 2 or Gate.STATIC not in options.gates:
+        return [audit(target.path, target.kind, options, shown=target.shown) for target in targets]
+    from xpl_cli.basics.parallel import in_processes
+
+    reports = []
+    static = replace(options, gates=(Gate.STATIC,), progress=Progress())
+    later = replace(options, gates=tuple(gate for gate in options.gates if gate is not Gate.STATIC))
+    options.progress.step(f"{len(targets)} packages: static gate")
+    for target, report in zip(targets, in_processes(_static, [(target, static) for target in targets]), strict=True):
+        options.progress.detail(f"{target.path.name}: static gate done")
+        reports.append(report or _lost(target))
+    for target, report in zip(targets, reports, strict=True):
+        _carry(report, target.path, later)
+    return reports
+
+
+def _static(order: tuple[Target, Options]) -> TargetReport:
+    target, options = order
+    return audit(target.path, target.kind, options, shown=target.shown)
+
+
+def _lost(target: Target) -> TargetReport:
+    """Return the report on a package whose reader died, of memory or of a fault of the interpreter."""
+    reason = "the process that read the package died; xpl audit of this package alone shows how"
+    rule = find("parses")
+    result = Result(rule.code, rule.slug, rule.requirement, rule.severity, Outcome.ERROR, reason=reason)
+    gate = GateReport(name=Gate.STATIC, results=[result])
+    return TargetReport(path=target.shown, name=target.path.name, kind=target.kind, gates=[gate])
+
+
+def _carry(report: TargetReport, path: Path, options: Options) -> None:
+    """Carry a package through the gates of a request, after those that its report already has."""
+    chosen = [entry for entry in select(options.names, options.ignore, options.gates) if entry.target == report.kind]
+    for gate in options.gates:
+        selected = [entry for entry in chosen if entry.runs_in(gate)]
+        if not any(not entry.closes or gate is Gate.STATIC for entry in selected):
+            continue
+        blocked = None if options.keep_going else _blocker(report)
+        if blocked is not None:
+            waiting = [entry for entry in selected if not entry.closes]
+            report.gates.append(_not_started(gate, waiting, blocked, report.spec))
+            continue
+        options.progress.step(f"{path.name}: {gate} gate, {len(selected)} rules")
+        with _uncollected() if gate is Gate.STATIC else nullcontext():
+            _run(gate, selected, path, report, options)
+
+
+def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, options: Options) -> None:
+    """Run a gate and add its report."""
+    started = time.perf_counter()
+    report = GateReport(name=gate, source=None if gate is Gate.STATIC else Source(path).record())
+    target.gates.append(report)
+    shelf = Shelf.of(options.cache, path) if options.cache is not None and gate is Gate.STATIC else None
+    given = {"path": path, "kind": target.kind, "gate": gate, "options": _as_before(target, options)}
+    with Facts(given, providers.all_providers()) as facts:
+        checks = Checks(facts, target.spec, shelf)
+        facts.give("checks", checks)
+        waivers = facts.get("waivers") if target.kind == "policy" else ()
+        for entry in sorted(selected, key=lambda entry: entry.closes):
+            if entry.closes and gate is not Gate.STATIC and not any(_meant(waiver.entry, gate) for waiver in waivers):
+                continue
+            options.progress.detail(f"{path.name}: {gate} gate, {entry.code} {entry.slug}")
+            result = checks.result(entry)
+            report.results.append(result if entry.closes else waive(result, waivers))
+        if gate is Gate.STATIC:
+            _note_contents(target, report, facts.get("source"))
+        probe = facts.known("probe")
+        report.served = probe.served if probe is not None else None
+        simulation = facts.known("simulation")
+        report.figures = tuple(simulation.figures) if simulation is not None else ()
+        if gate is Gate.STATIC:  # which reads the files anyway, unless it knows that they are as they were
+            report.source = (shelf.record if shelf is not None else "") or facts.get("source").record()
+        report.digest = _digest(report, [f"source {report.source}"] if gate is Gate.STATIC else facts.records())
+        if shelf is not None:
+            shelf.save(facts.get("source"))
+    report.results.sort(key=lambda result: result.code)
+    report.fingerprint = fingerprint(gate, "" if report.served is None else report.served.mark)
+    report.seconds = time.perf_counter() - started
+
+
+def _as_before(target: TargetReport, options: Options) -> Options:
+    """Return the options with the profile that an earlier gate came to: what is missing there will be missing again."""
+    for gate in target.gates:
+        if gate.served is not None and gate.profile is Profile.SHADOW and options.profile is None:
+            return replace(options, profile=Profile.SHADOW, profile_reason=gate.served.reason)
+    return options
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Spare the garbage collector syntax trees: it would visit all of them again and again, and free none."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+def _meant(entry: Entry | None, gate: Gate) -> bool:
+    return entry is not None and gate in entry.gates
+
+
+def _note_contents(target: TargetReport, report: GateReport, source: Source) -> None:
+    """Note what the files held that fixes would edit, so that no fix is applied to other content."""
+    for result in report.results:
+        for finding in result.findings:
+            for edit in finding.fix.edits if finding.fix is not None else ():
+                target.contents[edit.path] = source.text(edit.path)
+
+
+def _digest(report: GateReport, records: list[str]) -> str:
+    """Return a hash of the outcomes and of what the adapter did, as far as the gate's facts recorded it."""
+    lines = [f"{result.code} {result.outcome} {len(result.findings)}" for result in report.results]
+    return hashlib.sha256("\n".join([*lines, *records]).encode()).hexdigest()[:16]
+
+
+def _blocker(report: TargetReport) -> str | None:
+    for gate in report.gates:
+        if gate.outcome in (Outcome.FAIL, Outcome.ERROR, Outcome.NOT_RUN):
+            return f"the {gate.name} gate did not pass"
+    return None
+
+
+def _not_started(gate: Gate, selected: list[Entry], reason: str, version: str) -> GateReport:
+    rules = [entry.load() for entry in selected]
+    results = [
+        Result(item.code, item.slug, item.requirement, item.severity_in(version), Outcome.NOT_RUN, reason=reason)
+        for item in rules
+    ]
+    return GateReport(name=gate, results=results, reason=reason)

@@ -1,0 +1,130 @@
+r"""Subjects of rules: small overlays on the scaffold that a rule must catch (`bad/`) or leave alone (`good/`).
+
+A subject is a folder `conformance/<gate>/<slug>/{bad,good}/<case>/`. Its files replace or join those of a freshly
+scaffolded adapter or, for rules about environments, environment; an optional `overlay.yml`, not copied, says more:
+
+    scaffold: {embodiment: franka_single, action_type: ee}   # its options; `false`: start from nothing
+    remove: [install.sh]                                     # files of the scaffold that are left out
+    edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold
+    append: {deploy.yml: "horizon: null"}                    # text added at the end of a file
+    methods: "def reset(self): pass"                         # methods added to the model class, or to the episode's
+    message: answers for environment 3                       # what a finding on a bad subject has to say
+"""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.packages import package
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from xpl_cli.audit.rules.registry import Rule
+
+OVERLAY = "overlay.yml"
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One overlay.
+
+    Attributes:
+        folder: where it lies.
+        good: whether its rule must leave it alone.
+        target: kind of package, `policy` or `env`.
+        message: text that a finding on it has to hold.
+    """
+
+    folder: Path
+    good: bool
+    target: str = package.POLICY
+    scaffold: dict[str, Any] | None = field(default_factory=dict)
+    remove: tuple[str, ...] = ()
+    edit: dict[str, dict[str, str]] = field(default_factory=dict)
+    append: dict[str, str] = field(default_factory=dict)
+    methods: str = ""
+    message: str | None = None
+
+    @property
+    def name(self) -> str:
+        """`bad/<case>` or `good/<case>`."""
+        return f"{self.folder.parent.name}/{self.folder.name}"
+
+
+def subjects(rule: Rule) -> Iterator[Subject]:
+    """Yield the subjects of a rule, bad ones first."""
+    for kind in ("bad", "good"):
+        for folder in sorted(path for path in (rule.folder / kind).glob("*") if path.is_dir()):
+            yield _read(folder, good=kind == "good", target=rule.target)
+
+
+def build(subject: Subject, target: Path) -> Path:
+    """Write a subject as an adapter package into the folder `target`; its name is the policy's name.
+
+    Returns:
+        the adapter's folder.
+    """
+    if subject.scaffold is None:
+        target.mkdir(parents=True)
+    else:
+        from xpl_cli.scaffold import adapter as scaffold
+
+        scaffold.write(_rendered(subject.target, tuple(sorted(subject.scaffold.items())), target.name), target)
+    for name in subject.remove:
+        (target / name).unlink()
+    for name, replacements in subject.edit.items():
+        text = (target / name).read_text(encoding="utf-8")
+        for old, new in replacements.items():
+            if old not in text:
+                message = f"{subject.folder / OVERLAY}: {name} of the scaffold does not contain {old!r}"
+                raise ValueError(message)
+            text = text.replace(old, new)
+        (target / name).write_text(text, encoding="utf-8")
+    for name, added in subject.append.items():
+        with (target / name).open("a", encoding="utf-8") as stream:
+            stream.write(f"\n{added}")
+    if subject.methods:
+        # The class is the last thing in that file of the scaffold.
+        file = sdk.File.MODEL_PY if subject.target == package.POLICY else "episode.py"
+        with (target / file).open("a", encoding="utf-8") as stream:
+            stream.write("\n" + textwrap.indent(subject.methods, "    "))
+    ignored = shutil.ignore_patterns(OVERLAY, "__pycache__")
+    shutil.copytree(subject.folder, target, dirs_exist_ok=True, ignore=ignored)
+    return target
+
+
+@cache
+def _rendered(kind: str, options: tuple[tuple[str, Any], ...], name: str) -> dict[str, bytes]:
+    """Return a scaffold; many subjects share one."""
+    from xpl_cli.scaffold import adapter as scaffold
+    from xpl_cli.scaffold import environment
+
+    if kind == package.ENV:
+        given = {**environment.env_defaults(), **dict(options), "name": name}
+        return environment.render_env(environment.EnvAnswers(**given))
+    return scaffold.render(scaffold.Answers(**{**scaffold.defaults(), **dict(options), "name": name}))
+
+
+def _read(folder: Path, *, good: bool, target: str) -> Subject:
+    overlay = folder / OVERLAY
+    told = spec.read_yaml(overlay) if overlay.is_file() else {}
+    scaffold = told.get("scaffold", {})
+    return Subject(
+        folder=folder,
+        good=good,
+        target=target,
+        scaffold=None if scaffold is False else scaffold,
+        remove=tuple(told.get("remove", ())),
+        edit=told.get("edit", {}),
+        append=told.get("append", {}),
+        methods=told.get("methods", ""),
+        message=told.get("message"),
+    )

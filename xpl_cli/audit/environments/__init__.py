@@ -1,0 +1,1 @@
+"""Environment packages on the stage of an audit."""

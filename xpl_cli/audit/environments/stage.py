@@ -1,0 +1,356 @@
+"""The fact about environments: one played in a process of its own, with a time limit on every call."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import get_embodiment
+from xpl.simulator.process import EnvLostError, EnvProcess, EnvRaisedError, message
+from xpl.simulator.worker import CLOSE, MAKE, RUN
+from xpl_cli.audit.rules.model import Finding, Fix, NotApplicable, NotRun
+from xpl_cli.audit.static.manifests import robots
+from xpl_cli.basics.errors import UserError
+from xpl_cli.environments.check import unsupported
+from xpl_cli.lifecycle import interpreter
+from xpl_cli.packages import environments
+from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from xpl import Embodiment
+    from xpl_cli.audit.rules.options import Options
+
+STEPS = 12
+"""Control steps of one trial: enough to move, few enough for every pull request."""
+MAKE_S, CALL_S = 150.0, 60.0
+_ABSENT = frozenset(("ModuleNotFoundError", "ImportError", "RendererMissingError"))
+"""What an environment raises where the machine, and not the environment, is to blame."""
+_SWING, _SHIFT = 0.02, 0.005  # rad and m of the motion that trials make
+
+
+@dataclass(frozen=True)
+class Offer:
+    """One combination that env.yml offers."""
+
+    task: str
+    embodiment: str
+    action_type: str
+
+    def __str__(self) -> str:
+        return f"{self.task} with {self.embodiment} in {self.action_type} control"
+
+    @property
+    def robot(self) -> Embodiment:
+        """The embodiment."""
+        return get_embodiment(self.embodiment)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What was seen of one environment in one episode.
+
+    Attributes:
+        seen: observations, the first and one after every step.
+        result: what the environment says of the episode.
+    """
+
+    seen: tuple[Mapping[str, Any], ...]
+    result: Mapping[str, Any]
+
+
+class Play:
+    """An environment that was made; its operations, each of which may raise what `EnvProcess` raises."""
+
+    def __init__(self, process: EnvProcess, about: Mapping[str, Any]) -> None:
+        self._process = process
+        self.guarded = bool(about["guarded"])
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        """Call an operation and return what it returns."""
+        return self.calls([[method, list(arguments)]])[0]
+
+    def calls(self, asked: Sequence[Sequence[Any]]) -> list[Any]:
+        """Call several operations, one after the other, and return what each returns."""
+        answers: list[Any] = _ask(self._process, RUN, asked, CALL_S)
+        return answers
+
+    def reset(self, *seeds: int) -> None:
+        """Begin episodes."""
+        self.call(sdk.Method.RESET, list(seeds))
+
+    def observe(self, *envs: int) -> list[dict[str, Any]]:
+        """Return observations, of all running environments by default."""
+        found: list[dict[str, Any]] = self.call("get_obs_batch", list(envs) or None)
+        return found
+
+    def act(self, actions: Mapping[int, Mapping[str, Any]]) -> Any:
+        """Execute one action step in some environments; return what the environment reports."""
+        return self.call("take_action_batch", list(actions.values()), list(actions))
+
+    def running(self) -> list[int]:
+        """Return the environments whose episode goes on."""
+        found: list[int] = self.call("get_running_env_idx_list")
+        return found
+
+    def results(self) -> list[dict[str, Any]]:
+        """Return the outcome of every environment's episode."""
+        found: list[dict[str, Any]] = self.call("results")
+        return found
+
+    def trial(self, offer: Offer, *seeds: int, steps: int = STEPS) -> list[Trial]:
+        """Play so many steps of a small motion in every environment."""
+        self.reset(*seeds)
+        first = self.observe()
+        seen = [[obs] for obs in first]
+        for step in range(steps):
+            running = self.running()
+            if not running:
+                break
+            moves = {env: motion(offer, first[env], step) for env in running}
+            _, after = self.calls(
+                [["take_action_batch", [list(moves.values()), running]], ["get_obs_batch", [running]]]
+            )
+            for env, obs in zip(running, after, strict=True):
+                seen[env].append(obs)
+        return [Trial(tuple(each), result) for each, result in zip(seen, self.results(), strict=True)]
+
+
+class Stage:
+    """One environment package, and processes in which its environments are made.
+
+    Args:
+        path: the package's folder.
+        options: how it is audited; `--set` gives keys of its configuration, of which task, embodiment and action_type
+            narrow what is tried.
+    """
+
+    def __init__(self, path: Path, options: Options) -> None:
+        self.path = path
+        self.manifest = environments.manifest(path)
+        self._options = options
+        self._process: EnvProcess | None = None
+        self._heard = hashlib.sha256()
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.close()
+            self._process = None
+
+    def record(self) -> str:
+        """Return the hash of what was seen in all trials."""
+        return self._heard.hexdigest()
+
+    @cached_property
+    def offers(self) -> tuple[Offer, ...]:
+        """Every combination of task, robot and action type that env.yml offers, as far as it is asked for.
+
+        Raises:
+            NotApplicable: there is none.
+            NotRun: env.yml does not say what is offered; the static gate reports why.
+        """
+        problems = validate(self.manifest, "env")
+        unknown = [] if problems else [name for name in self.manifest["embodiments"] if name not in robots()]
+        if problems or unknown:
+            raise NotRun(f"env.yml is not understood: {problems[0].message if problems else f'no robot {unknown[0]}'}")
+        asked = self._options.overrides
+        found = tuple(
+            Offer(task, robot, action_type)
+            for task, facts in self.manifest["tasks"].items()
+            for robot in (get_embodiment(name).name for name in self.manifest["embodiments"])
+            for action_type in self.manifest["action_types"]
+            if unsupported(facts, robot) is None
+            and asked.get("task") in (None, task)
+            and asked.get("embodiment") in (None, robot)
+            and asked.get(sdk.Deploy.ACTION_TYPE) in (None, action_type)
+        )
+        if not found:
+            raise NotApplicable("env.yml offers no task with any of its robots that was asked for")
+        return found
+
+    @property
+    def tasks(self) -> list[Offer]:
+        """Offers in which every task and every action type comes up, and different robots."""
+        return _covering(self.offers, lambda offer: {offer.task, offer.action_type})
+
+    @property
+    def robots(self) -> list[Offer]:
+        """Offers in which every task comes up, and every robot with every action type."""
+        return _covering(self.offers, lambda offer: {offer.task, (offer.embodiment, offer.action_type)})
+
+    @property
+    def cameras(self) -> Any:
+        """What is asked for where pictures are looked at: all, unless `--set cameras=...` says otherwise."""
+        return self._options.overrides.get("cameras", True)
+
+    @property
+    def truth(self) -> dict[str, bool]:
+        """Configuration that shows the simulator's truth, where env.yml says that it can be shown."""
+        return {sdk.Obs.PRIVILEGED: True} if self.manifest.get(sdk.Obs.PRIVILEGED) else {}
+
+    @contextlib.contextmanager
+    def play(self, offer: Offer, *, fresh: bool = False, **config: Any) -> Iterator[Play]:
+        """Make an environment.
+
+        Args:
+            offer: what is played.
+            fresh: in a new process, where nothing was made before.
+            config: further keys of the configuration; no pictures by default.
+
+        Raises:
+            NotRun: the machine lacks what it needs.
+            EnvRaisedError, EnvLostError: it cannot be made.
+        """
+        given = {"cameras": False, **self._options.overrides, **config}
+        asked = {**given, "task": offer.task, "embodiment": offer.embodiment, sdk.Deploy.ACTION_TYPE: offer.action_type}
+        process = self._started() if fresh else self._shared()
+        try:
+            about = _ask(process, MAKE, {"client": str(self._client()), "config": asked}, MAKE_S)
+            yield Play(process, about)
+            if not fresh:
+                _ask(process, CLOSE, None, CALL_S)
+        except EnvLostError:
+            self._process = None if process is self._process else self._process
+            raise
+        except EnvRaisedError as error:
+            if error.kind in _ABSENT:
+                raise NotRun(f"{error.message} (in the Python of the environment, {self._python})") from None
+            raise
+        finally:
+            if fresh:
+                process.close()
+
+    def trial(self, offer: Offer, *seeds: int, fresh: bool = False, **config: Any) -> list[Trial]:
+        """Make one environment for each seed, play a trial, and note what was seen."""
+        with self.play(offer, fresh=fresh, num_envs=len(seeds), **config) as play:
+            trials = play.trial(offer, *seeds)
+        for trial in trials:
+            self._heard.update(f"{offer} {trial.result.get('digest')} {len(trial.seen)}\n".encode())
+        return trials
+
+    def finding(self, text: str, *, expected: str, got: str, advice: str) -> Finding:
+        """Return a finding on the client file."""
+        file = str(self.manifest.get("client") or "client.py")
+        return Finding(text, path=file, line=1, column=1, expected=expected, got=got, fix=Fix("advice", advice))
+
+    def told(self, findings: Iterator[Finding], expected: str) -> Iterator[Finding]:
+        """Yield findings; an environment that raises or dies while they are looked for is one itself."""
+        try:
+            yield from findings
+        except (EnvRaisedError, EnvLostError) as error:
+            yield self.finding(
+                f"the environment fails: {error}",
+                expected=expected,
+                got=str(error),
+                advice="its own output, above, shows where",
+            )
+
+    @cached_property
+    def _python(self) -> str:
+        options = self._options
+        if options.isolate:
+            raise NotRun("an environment is played without isolation: leave --isolate out where you trust it")
+        try:
+            return interpreter.resolve(self.path, self.manifest, python=options.python, env=options.env)
+        except UserError as error:
+            hint = f" ({error.hint})" if error.hint else ""
+            raise NotRun(f"{error}{hint}") from None
+
+    def _client(self) -> Path:
+        return self.path / str(self.manifest.get("client") or "client.py")
+
+    def _shared(self) -> EnvProcess:
+        if self._process is None:
+            self._process = self._started()
+        return self._process
+
+    def _started(self) -> EnvProcess:
+        try:
+            return EnvProcess(self._python)
+        except OSError as error:
+            raise NotRun(f"{self._python} cannot be started: {error.strerror}") from None
+
+
+def motion(offer: Offer, first: Mapping[str, Any], step: int) -> dict[str, np.ndarray]:
+    """Return the action of a small motion around the state of an episode's first observation.
+
+    Raises:
+        NotRun: the state lacks what actions of this type command; the rule `env-observations` reports that.
+    """
+    state = first[sdk.Obs.STATE]
+    action = {}
+    for key, dim in offer.robot.dims(offer.action_type).items():
+        if key not in state:
+            raise NotRun(f"{offer}: the state has no {key}, so that no motion can begin from it")
+        value = np.array(state[key], dtype=np.float32)
+        phase = np.sin(0.7 * step + np.arange(dim))
+        if key.endswith(sdk.State.EE_POSE):
+            value[: sdk.POSITION_DIM] += (_SHIFT * phase)[: sdk.POSITION_DIM]
+        elif key.endswith(sdk.State.ARM_JOINT_STATE):
+            value += np.float32(_SWING) * phase
+        else:
+            value = np.clip(value + 0.1 * phase, sdk.GRIPPER_CLOSED, sdk.GRIPPER_OPEN)
+        action[key] = value.astype(np.float32)
+    return action
+
+
+def difference(first: Trial, second: Trial, tolerance: float = 0.0) -> str | None:
+    """Return where two trials differ first, in words; None if they do not.
+
+    Indices of environments do not count, nor do seeds.
+    """
+    if len(first.seen) != len(second.seen):
+        return f"one took {len(first.seen) - 1} steps, the other {len(second.seen) - 1}"
+    for step, (one, other) in enumerate(zip(first.seen, second.seen, strict=True)):
+        where = _difference(_without_index(one), _without_index(other), tolerance)
+        if where is not None:
+            return f"after step {step}: {where}"
+    for key in ("success", "score", "steps", "end_reason", *(() if tolerance else ("digest",))):
+        if first.result.get(key) != second.result.get(key):
+            return f"the results differ in {key}: {first.result.get(key)!r} and {second.result.get(key)!r}"
+    return None
+
+
+def _difference(one: Any, other: Any, tolerance: float, where: str = "") -> str | None:
+    if isinstance(one, dict) and isinstance(other, dict):
+        if one.keys() != other.keys():
+            return f"{where or 'the observation'} has other keys"
+        found = (_difference(one[key], other[key], tolerance, f"{where}.{key}" if where else str(key)) for key in one)
+        return next((text for text in found if text is not None), None)
+    if isinstance(one, (np.ndarray, float, int)) and not isinstance(one, bool):
+        first, second = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
+        if first.shape != second.shape:
+            return f"{where} has shape {first.shape} and {second.shape}"
+        gap = float(np.abs(first - second).max()) if first.size else 0.0
+        return None if gap <= tolerance else f"{where} differs by {gap:.3g}"
+    return None if one == other else f"{where} is {one!r} and {other!r}"
+
+
+def _without_index(obs: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in obs.items() if key != sdk.Obs.ENV_IDX}
+
+
+def _covering(offers: Sequence[Offer], aspects: Any) -> list[Offer]:
+    """Return few offers with every aspect that any offer has, changing robots from one to the next."""
+    left = set().union(*(aspects(offer) for offer in offers))
+    chosen: list[Offer] = []
+    while left:
+        used = [offer.embodiment for offer in chosen]
+        best = max(offers, key=lambda offer: (len(left & aspects(offer)), -used.count(offer.embodiment)))
+        chosen.append(best)
+        left -= aspects(best)
+    return chosen
+
+
+def _ask(process: EnvProcess, op: str, value: Any, limit_s: float) -> Any:
+    process.send(message(op, value), limit_s)
+    return process.receive()

@@ -1,0 +1,1 @@
+"""What the standard claims of adapters, measured and drawn."""

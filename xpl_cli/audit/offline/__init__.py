@@ -1,0 +1,1 @@
+"""Experiments of the offline gate: the same episode, with one thing changed."""

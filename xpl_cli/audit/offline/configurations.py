@@ -1,0 +1,144 @@
+"""The configurations fact: the same scripted episode under other values of deploy.yml, each in a server of its own.
+
+An experiment that several rules need is made once.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.served.compare import difference
+from xpl_cli.audit.served.service import USUAL_SEED
+from xpl_cli.serving.launch import ServerStartError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.audit.served.service import Service
+
+_STEPS = 3
+_STANDARD = frozenset(value for name, value in vars(sdk.Deploy).items() if name.isupper())
+
+
+@dataclass(frozen=True)
+class Played:
+    """An episode, or why there was none.
+
+    Attributes:
+        chunks: the answer of every step; empty if the server did not start.
+        refusal: why it did not start, or None.
+    """
+
+    chunks: tuple[Any, ...] = ()
+    refusal: str | None = None
+
+    def difference(self, other: Played) -> str | None:
+        """Return where two episodes first differ, in words, or None if they do not. Two refusals are alike."""
+        if self.refusal is not None or other.refusal is not None:
+            alike = (self.refusal is None) == (other.refusal is None)
+            return None if alike else f"{self._told()} against {other._told()}"
+        return difference(self.chunks, other.chunks)
+
+    def _told(self) -> str:
+        return "an episode" if self.refusal is None else f"an error ({self.refusal})"
+
+
+class Configurations:
+    """One adapter under several configurations."""
+
+    def __init__(self, probe: Probe, service: Service) -> None:
+        probe.ready()
+        self.probe = probe
+        self._played: dict[str, Played] = {}
+        if len(service.chunks) >= _STEPS:
+            self._played[_key({sdk.Deploy.SEED: USUAL_SEED})] = Played(tuple(service.chunks[:_STEPS]))
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """Keys of deploy.yml that are the adapter's own, with their values."""
+        deploy = self.probe.package.deploy
+        known = _STANDARD.union(sdk.CHECKPOINT_KEYS, *sdk.CONFIG_ALIASES.values())
+        return {key: value for key, value in deploy.items() if key not in known}
+
+    def own_keys(self) -> dict[str, Any]:
+        """Return the adapter's own keys of deploy.yml.
+
+        Raises:
+            NotApplicable: if it has none.
+        """
+        if not self.own:
+            raise NotApplicable("deploy.yml holds no key of the adapter's own")
+        return self.own
+
+    def with_seed(self, seed: int, run: int = 0) -> Played:
+        """Return the episode with a seed; another run is another process."""
+        return self.played({sdk.Deploy.SEED: seed}, run=run)
+
+    @property
+    def usual(self) -> Played:
+        """The episode with the usual seed and what deploy.yml says."""
+        return self.with_seed(USUAL_SEED)
+
+    @property
+    def repeats(self) -> bool:
+        """Whether a second process acts as the first."""
+        return self.usual.difference(self.with_seed(USUAL_SEED, run=1)) is None
+
+    def require_repeats(self) -> None:
+        """Stop a rule that compares the actions of two processes where these differ anyway.
+
+        Raises:
+            NotApplicable: if the policy is declared not deterministic.
+            NotRun: if it is not, against its declaration; the rule `seed-repeats` reports that.
+        """
+        self.probe.require_deterministic()
+        if not self.repeats:
+            raise NotRun("the policy acts differently each time, and nothing can be compared: seed-repeats says how")
+
+    def changed(self, **overrides: Any) -> Played:
+        """Return the episode with the usual seed and other values of some keys."""
+        return self.played({sdk.Deploy.SEED: USUAL_SEED, **overrides})
+
+    def without(self, keys: Sequence[str], **overrides: Any) -> Played:
+        """Return the episode with some keys left out of deploy.yml."""
+        flags = [flag for key in keys for flag in ("--unset", key)]
+        return self.played({sdk.Deploy.SEED: USUAL_SEED, **overrides}, flags)
+
+    def from_elsewhere(self) -> Played:
+        """Return the episode of a server whose adapter runs in another, empty folder."""
+        with tempfile.TemporaryDirectory(prefix="xpl-elsewhere-") as folder:
+            return self.played({sdk.Deploy.SEED: USUAL_SEED}, ("--chdir", os.fspath(folder)))
+
+    def played(self, overrides: dict[str, Any], flags: Sequence[str] = (), run: int = 0) -> Played:
+        """Return the episode under other values of deploy.yml and options of `xpl serve`, played once."""
+        key = _key(overrides, flags, run)
+        if key not in self._played:
+            self._played[key] = self._play(overrides, flags)
+        return self._played[key]
+
+    def _play(self, overrides: dict[str, Any], flags: Sequence[str]) -> Played:
+        try:
+            with (
+                self.probe.fresh_server(overrides, flags) as server,
+                self.probe.connected(server.url) as policy,
+            ):
+                return Played(tuple(self.probe.episode(policy, steps=_STEPS)))
+        except ServerStartError as error:
+            return Played(refusal=str(error))
+
+
+def _key(overrides: dict[str, Any], flags: Sequence[str] = (), run: int = 0) -> str:
+    return repr((sorted(overrides.items()), tuple(flags), run))
+
+
+def flags_of(settings: dict[str, Any]) -> Iterator[tuple[str, bool]]:
+    """Yield the keys that are true or false, with that value."""
+    for key, value in settings.items():
+        if isinstance(value, bool):
+            yield key, value

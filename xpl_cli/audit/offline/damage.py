@@ -1,0 +1,40 @@
+"""Requests that no adapter can answer: what an environment that hiccups sends."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.audit.served.session import Session
+
+_UNKNOWN = 99
+
+
+def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[Session], Any]]]:
+    """Yield operations with something wrong in them, each with a name for people; they return the policy's answer."""
+    whole = probe.observation()
+    for name, obs in {
+        "an empty observation": {sdk.Obs.ENV_IDX: 0},
+        "an observation without state": {key: value for key, value in whole.items() if key != sdk.Obs.STATE},
+        "an observation without pictures": {key: value for key, value in whole.items() if key != sdk.Obs.VISION},
+        "state and pictures of the wrong type": {**whole, sdk.Obs.STATE: "none", sdk.Obs.VISION: []},
+    }.items():
+        yield name, partial(_shown, obs=obs)
+    batch = [whole, {sdk.Obs.ENV_IDX: 1}]
+    yield "a batch whose second observation is empty", partial(_shown_batch, observations=batch)
+    yield "an unknown environment", lambda policy: policy.get_action_batch([_UNKNOWN])
+
+
+def _shown(policy: Session, obs: dict[str, Any]) -> Any:
+    """Show an observation and ask; the first error counts, because an adapter may read it late."""
+    return policy.update_obs(obs) or policy.get_action()
+
+
+def _shown_batch(policy: Session, observations: list[dict[str, Any]]) -> Any:
+    return policy.update_obs_batch(observations) or policy.get_action_batch([0, 1])

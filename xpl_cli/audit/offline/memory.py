@@ -1,0 +1,134 @@
+"""How much memory an adapter's processes use, and whether an episode that goes on and on makes it more."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import Client
+from xpl import _spec as sdk
+from xpl.client import ClientError
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.served.servers import PATIENCE
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.served.probe import Probe
+
+_PROC = Path("/proc")
+_ENLARGED = 3
+"""Factor of the pictures' sides: what is kept of an observation stands out from what Python itself takes and frees."""
+_STEPS, _SECONDS = 30, 3.0
+"""A stretch ends after so many steps, or so much time where a model is slow."""
+_STRETCHES = 5
+_LEAST = 1_000_000
+"""Bytes in a stretch that are no accident of an allocator."""
+_WARM = 2
+"""Histories that are filled before the first look."""
+
+
+@dataclass(frozen=True)
+class LongEpisode:
+    """What a long episode did to the adapter's memory.
+
+    Attributes:
+        observation: size of one observation, bytes.
+        stretches: for each, its steps and the growth, bytes.
+        per_step: bytes that every step added to the end, or None where memory came to rest.
+    """
+
+    observation: int
+    stretches: tuple[tuple[int, int], ...]
+    per_step: float | None
+
+
+def long_episode(probe: Probe) -> LongEpisode | None:
+    """Play one episode until the adapter's memory rests, or has grown in every stretch.
+
+    Returns:
+        None where the system does not tell what memory a process uses.
+
+    Raises:
+        NotRun: if the adapter does not come through the episode.
+    """
+    server = probe.server()
+    if private_memory(server.pid) is None:
+        return None
+    try:
+        # Through shared memory what an adapter keeps would lie in the client's memory for a while. Off the record: how
+        # many steps are played depends on the machine.
+        with Client(server.url, config=probe.config | PATIENCE, shared_memory=False) as policy:
+            return _stretched(probe, policy, server.pid)
+    except ClientError as error:
+        raise NotRun(f"a long episode does not come to its end: {error}") from None
+
+
+def _stretched(probe: Probe, policy: Client, pid: int) -> LongEpisode:
+    """Play stretches of one episode until one of them adds nothing."""
+    history = (probe.package.manifest.get("temporal") or {}).get("history") or 1
+    size = _size(_enlarged(probe.observation()))
+    stretches: list[tuple[int, int]] = []
+    policy.reset()
+    step = _play(probe, policy, 0, max(_STEPS, _WARM * history))
+    before = private_memory(pid) or 0
+    for _ in range(_STRETCHES):
+        played = _play(probe, policy, step, _STEPS)
+        step += played
+        now = private_memory(pid) or 0
+        stretches.append((played, now - before))
+        before = now
+        if stretches[-1][1] < _LEAST:
+            return LongEpisode(size, tuple(stretches), None)
+    return LongEpisode(size, tuple(stretches), min(grown / steps for steps, grown in stretches))
+
+
+def private_memory(pid: int) -> int | None:
+    """Return the memory that the children of a process, and theirs, have for themselves, bytes; None if unknown."""
+    parents: dict[int, int] = {}
+    for folder in _PROC.glob("[0-9]*"):
+        try:
+            # The name may hold spaces and brackets; the parent is the second field after its end.
+            parents[int(folder.name)] = int((folder / "stat").read_bytes().rpartition(b")")[2].split()[1])
+        except (OSError, ValueError, IndexError):
+            continue  # it has just ended
+    found, family = [], {pid}
+    while grown := {child for child, parent in parents.items() if parent in family and child not in family}:
+        family |= grown
+    for member in family - {pid}:
+        try:
+            status = (_PROC / str(member) / "status").read_text(encoding="utf-8")
+        except OSError:
+            continue
+        line = next((line for line in status.splitlines() if line.startswith("RssAnon:")), None)
+        found += [] if line is None else [1024 * int(line.split()[1])]
+    return sum(found) if found else None
+
+
+def _play(probe: Probe, policy: Client, first: int, most: int) -> int:
+    """Go on with an episode for one stretch and return how many steps that were."""
+    deadline = time.monotonic() + _SECONDS
+    for played in range(1, most + 1):
+        policy.update_obs(_enlarged(probe.observation(0, first + played)))
+        policy.get_action()
+        if time.monotonic() > deadline:
+            break
+    return played
+
+
+def _enlarged(obs: dict[str, Any]) -> dict[str, Any]:
+    vision = {}
+    for name, camera in obs[sdk.Obs.VISION].items():
+        larger = {
+            key: np.repeat(np.repeat(camera[key], _ENLARGED, axis=0), _ENLARGED, axis=1)
+            for key in (sdk.Camera.COLOR, sdk.Camera.DEPTH)
+        }
+        larger[sdk.Camera.SHAPE] = np.array(larger[sdk.Camera.COLOR].shape[:2])
+        vision[name] = {**camera, **larger}
+    return {**obs, sdk.Obs.VISION: vision}
+
+
+def _size(obs: dict[str, Any]) -> int:
+    return sum(value.nbytes for camera in obs[sdk.Obs.VISION].values() for value in camera.values())

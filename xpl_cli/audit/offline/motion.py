@@ -1,0 +1,130 @@
+"""A short episode with every robot and action type that an adapter declares; actions are executed perfectly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl.client import PolicyServerError
+from xpl.embodiment import Embodiment, get_embodiment
+from xpl_cli.audit.rules.model import NotApplicable
+from xpl_cli.audit.served.compare import structure_problem
+from xpl_cli.packages import environments
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.offline.inputs import Observation
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.audit.served.session import Session
+
+_STEPS = 3
+_BATCH = (0, 1)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A chunk, with what it answers.
+
+    Attributes:
+        obs: the newest observation of the environment.
+        step: its control step.
+        chunk: what the adapter answered.
+        batched: whether it was asked for together with that of other environments.
+    """
+
+    obs: Observation
+    step: int
+    chunk: Any
+    batched: bool
+
+    @property
+    def where(self) -> str:
+        """Which answer it is, in words."""
+        together = " of a batch" if self.batched else ""
+        return f"environment {self.obs[sdk.Obs.ENV_IDX]}{together}, step {self.step}"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What an adapter answered as the policy of one robot and action type.
+
+    Attributes:
+        embodiment: the robot.
+        action_type: joint or end-effector control.
+        answers: an episode of one environment, then the first answers of a batch.
+    """
+
+    embodiment: Embodiment
+    action_type: str
+    answers: tuple[Answer, ...]
+
+    def problem(self, answer: Answer) -> str | None:
+        """Return what is wrong with the form of an answer, or None."""
+        return structure_problem(answer.chunk, self.embodiment, self.action_type)
+
+    @property
+    def sound(self) -> list[Answer]:
+        """The answers whose values can be judged, because their form is right."""
+        return [answer for answer in self.answers if self.problem(answer) is None]
+
+
+class Motions:
+    """All motions of one adapter.
+
+    Args:
+        probe: the adapter.
+    """
+
+    def __init__(self, probe: Probe) -> None:
+        self._probe = probe
+        self._scenario = environments.module("offline", "scenario")
+
+    @property
+    def frequency(self) -> float:
+        """The control rate that chunks are meant for, Hz: the manifest's, or else that of the observations."""
+        declared = self._probe.package.manifest.get("control_frequency")
+        return float(declared or self._scenario.FREQUENCY)
+
+    @cached_property
+    def all(self) -> tuple[Motion, ...]:
+        """One motion of every robot and action type that the manifest declares, the configured pair first."""
+        played = []
+        for name, action_type in self._probe.combinations():
+            embodiment = get_embodiment(name)
+            with self._probe.served_as(name, action_type) as policy:
+                answers = tuple(self._play(policy, embodiment, action_type))
+            played.append(Motion(embodiment, action_type, answers))
+        return tuple(played)
+
+    @property
+    def sound(self) -> list[Motion]:
+        """The motions in which there are values to judge.
+
+        Raises:
+            NotApplicable: if there is none.
+        """
+        found = [motion for motion in self.all if motion.sound]
+        if not found:
+            raise NotApplicable("no action has the form that the embodiment asks for")
+        return found
+
+    def _play(self, policy: Session, embodiment: Embodiment, action_type: str) -> Iterator[Answer]:
+        obs = self._probe.observation(embodiment=embodiment)
+        chunk = policy.act(obs)
+        yield Answer(obs, 0, chunk, batched=False)
+        for step in range(1, _STEPS):
+            if structure_problem(chunk, embodiment, action_type) is not None:
+                return
+            obs = self._scenario.advance(obs, chunk[0], step)
+            problem = policy.update_obs(obs)
+            chunk = problem if isinstance(problem, PolicyServerError) else policy.get_action()
+            yield Answer(obs, step, chunk, batched=False)
+        observations = [self._probe.observation(env, embodiment=embodiment) for env in _BATCH]
+        policy.reset()
+        policy.update_obs_batch(observations)
+        chunks = policy.get_action_batch(list(_BATCH))
+        if isinstance(chunks, (list, tuple)):  # whether a batch is answered at all, other rules ask
+            for obs, chunk in zip(observations, chunks, strict=False):
+                yield Answer(obs, 0, chunk, batched=True)

@@ -1,0 +1,84 @@
+"""An adapter played in one process without a server, for what a client cannot see and a server would mend.
+
+One run serves every rule that asks: what the model does to its observations and with a reset that fails
+(`xpl.worker.watch`), and what it answers where it is handed encoded pictures, which a server would have decoded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl.worker import watch
+from xpl_cli.audit.offline import inprocess
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.served.transports import FORMS, decoded, encoded
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from xpl_cli.audit.served.probe import Probe
+
+_EPISODE, _BATCHES = 3, 2
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What was seen.
+
+    Attributes:
+        notes: what the model did to its observations, and resets that went on after a failure (`xpl.worker.watch`).
+        broken: parts of the model that failed during a reset, one at a time.
+        pictures: by the name of a form, the answers to decoded and to encoded pictures; each is a map of a `result` or
+            an `error`.
+    """
+
+    notes: tuple[Mapping[str, str], ...]
+    broken: tuple[str, ...]
+    pictures: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]]
+
+    def noted(self, what: str) -> list[Mapping[str, str]]:
+        """Return the notes of one kind."""
+        return [note for note in self.notes if note["what"] == what]
+
+
+def rehearse(probe: Probe) -> Rehearsal:
+    """Play an adapter in one process.
+
+    Raises:
+        NotRun: if it cannot be loaded there, does not answer, or does not come through a reset that fails.
+    """
+    asking = (sdk.Method.GET_ACTION, ())
+    script: list[inprocess.Call] = []
+    for obs in _pictures(probe):
+        script += [(sdk.Method.RESET, ()), (sdk.Method.UPDATE_OBS, (obs,)), asking]
+    pictures_end = len(script)
+    script.append((sdk.Method.RESET, ()))
+    for step in range(_EPISODE):
+        script += [(sdk.Method.UPDATE_OBS, (probe.observation(0, step),)), asking, asking]
+    script.append((sdk.Method.RESET, ()))
+    for step in range(_BATCHES):
+        script.append((sdk.Method.UPDATE_OBS_BATCH, (probe.observations([0, 1], step),)))
+        script.append((sdk.Method.GET_ACTION_BATCH, ([1, 0],)))
+    script += [(watch.BREAK_RESET, ()), (watch.NOTES, ())]
+    answered = inprocess.answers(probe, script, watch=True)
+    broken, notes = answered[-2:]
+    for answer, what in ((answered[pictures_end + 2], "answer"), (broken, "reset again after a reset that failed")):
+        if "error" in answer:
+            raise NotRun(f"in a process without a server the adapter does not {what}: {answer['error']}")
+    episodes = [_first_error(answered[at : at + 3]) for at in range(0, pictures_end, 3)]
+    pairs = zip(episodes[::2], episodes[1::2], strict=True)
+    return Rehearsal(
+        tuple(notes[sdk.Payload.RESULT]), tuple(broken[sdk.Payload.RESULT]), dict(zip(FORMS, pairs, strict=True))
+    )
+
+
+def _pictures(probe: Probe) -> list[Any]:
+    """Return observations with decoded and encoded pictures in turn, for each form."""
+    sent = [encoded(probe.observation(), form) for form in FORMS]
+    return [obs for one in sent for obs in (decoded(one), one)]
+
+
+def _first_error(answers: list[dict[str, Any]]) -> dict[str, Any]:
+    return next((answer for answer in answers if "error" in answer), answers[-1])

@@ -1,0 +1,89 @@
+"""Orientations that conversions get wrong: half turns, where two formulas fail, and the two quaternions of one turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import rotation
+from xpl_cli.audit.served.compare import difference
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+# An axis a robot may well turn about, and none of the coordinate axes.
+_OBLIQUE = (0.36, 0.48, 0.8)
+_NEARLY = np.pi - 1e-3
+
+HALF_TURNS = {
+    "about x": rotation.from_axis_angle([np.pi, 0, 0]),
+    "about y": rotation.from_axis_angle([0, np.pi, 0]),
+    "about z": rotation.from_axis_angle([0, 0, np.pi]),
+    "about an oblique axis": rotation.from_axis_angle(np.pi * np.array(_OBLIQUE)),
+}
+"""Rotations by 180 degrees, [qw, qx, qy, qz], by what to call them."""
+
+NEARLY = {"but for 0.001 rad about an oblique axis": rotation.from_axis_angle(_NEARLY * np.array(_OBLIQUE))}
+"""A rotation by a little less."""
+
+ORDINARY = rotation.from_axis_angle(0.9 * np.array(_OBLIQUE))
+"""A turn in which no formula has a difficulty."""
+
+LARGE = rotation.from_axis_angle(2.8 * np.array(_OBLIQUE))
+"""A turn whose quaternion and negative quaternion are both far from the identity's."""
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Where an action turns an end effector to.
+
+    Attributes:
+        key: the action's key.
+        quaternion: (4,) of the first action step.
+        away: angle to the observed orientation, rad.
+    """
+
+    key: str
+    quaternion: np.ndarray
+    away: float
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether it is no rotation at all."""
+        return bool(rotation.angle_between(rotation.identity(), self.quaternion) < sdk.QUATERNION_TOLERANCE)
+
+
+def first_turns(obs: Mapping[str, Any], chunk: Any) -> list[Turn]:
+    """Return the orientations that the first step of a chunk commands, one for each arm; none if it commands none."""
+    turns = []
+    for key, values in chunk[0].items():
+        if key.endswith(sdk.State.EE_POSE):
+            quaternion = rotation.normalise(values[sdk.POSITION_DIM :])
+            observed = rotation.normalise(obs[sdk.Obs.STATE][key][sdk.POSITION_DIM :])
+            turns.append(Turn(key, quaternion, float(rotation.angle_between(observed, quaternion))))
+    return turns
+
+
+def rotation_difference(first: Any, second: Any) -> str | None:
+    """Return where two chunks first differ as motions, or None: a quaternion and its negative are the same."""
+    if not isinstance(first, (list, tuple)) or not isinstance(second, (list, tuple)) or len(first) != len(second):
+        return difference(first, second)
+    return difference(first, [_aligned(one, other) for one, other in zip(first, second, strict=True)])
+
+
+def _aligned(reference: Any, step: Any) -> Any:
+    """Return an action step with every quaternion given the sign of the reference's."""
+    if not isinstance(step, dict) or not isinstance(reference, dict) or step.keys() != reference.keys():
+        return step
+    aligned = dict(step)
+    for key in step:
+        if key.endswith(sdk.State.EE_POSE) and np.shape(step[key]) == np.shape(reference[key]) == (sdk.POSE_DIM,):
+            values = np.array(step[key])
+            quaternion = slice(sdk.POSITION_DIM, sdk.POSE_DIM)
+            if np.dot(values[quaternion], np.asarray(reference[key])[quaternion]) < 0:
+                values[quaternion] *= -1
+            aligned[key] = values
+    return aligned

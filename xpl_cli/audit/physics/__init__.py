@@ -1,0 +1,1 @@
+"""Closed loops in MuJoCo, and what is measured in them."""

@@ -1,0 +1,261 @@
+"""One closed loop in physics: an adapter and an environment, step by step, and what is noted of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl.action import ActionError, pack
+from xpl.client import ClientError, PolicyServerError
+from xpl_cli.audit.served.compare import structure_problem
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from xpl.embodiment import Embodiment
+    from xpl_cli.audit.served.session import Session
+
+Watch = Callable[[Any], None]
+"""Is shown the environment before every control step, and once more at the end."""
+
+_SOUND_ENDS = ("success", "max_steps")
+
+
+@dataclass(frozen=True)
+class Course:
+    """What is driven.
+
+    Attributes:
+        task: a task of the environment.
+        embodiment: the robot.
+        action_type: joint or end-effector control.
+        setting: a setting of the environment; None for its first.
+    """
+
+    task: str
+    embodiment: str
+    action_type: str
+    setting: str | None = None
+
+    def __str__(self) -> str:
+        setting = "" if self.setting is None else f", {self.setting}"
+        return f"{self.task} ({self.embodiment}, {self.action_type}{setting})"
+
+
+@dataclass(frozen=True)
+class Query:
+    """A question in a loop, with its answer.
+
+    Attributes:
+        step: control step of the environment at which it was asked.
+        state: the `state` map that the policy was shown then.
+        chunk: flat actions (H, D) of the answer.
+        waited: time for the answer and for what was shown since the question before, s.
+    """
+
+    step: int
+    state: Mapping[str, Any]
+    chunk: np.ndarray
+    waited: float
+
+
+@dataclass
+class Rollout:
+    """What happened in one closed loop.
+
+    Attributes:
+        course: what was driven.
+        robot: the embodiment.
+        seeds: one per environment.
+        results: what the environment says of each episode.
+        queries: per environment, every question with its answer.
+        commands: per environment, the flat action of every step, (D,) each.
+        corrections: per environment, for every step the kinds of corrections that were necessary.
+        problem: why the loop ended early, or None.
+    """
+
+    course: Course
+    robot: Embodiment
+    seeds: tuple[int, ...]
+    results: list[dict[str, Any]] = field(default_factory=list)
+    queries: list[list[Query]] = field(default_factory=list)
+    commands: list[list[np.ndarray]] = field(default_factory=list)
+    corrections: list[list[frozenset[str]]] = field(default_factory=list)
+    problem: str | None = None
+
+    def __post_init__(self) -> None:
+        """Make room for each environment."""
+        for kept in (self.queries, self.commands, self.corrections):
+            kept.extend([] for _ in self.seeds)
+
+    @property
+    def steps(self) -> int:
+        """Control steps of all environments together."""
+        return sum(len(commands) for commands in self.commands)
+
+    @property
+    def digests(self) -> list[str]:
+        """The digest of each environment's trajectory."""
+        return [result["digest"] for result in self.results]
+
+    def corrected(self, kinds: frozenset[str]) -> int:
+        """Return in how many steps a correction of one of these kinds was necessary."""
+        return sum(bool(kinds & found) for steps in self.corrections for found in steps)
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Drives an environment by what a policy answers: each chunk to its end, every observation shown.
+
+    Attributes:
+        session: the policy.
+        env: the environment, reset.
+        played: where everything is noted.
+        only: place of the one environment of the batch that is driven; the others stand still.
+        watch: is shown the environment before every control step.
+        shown: takes every observation that the policy is shown, where they are wanted.
+    """
+
+    session: Session
+    env: Any
+    played: Rollout
+    only: int | None = None
+    watch: Watch | None = None
+    shown: list[dict[str, Any]] | None = None
+
+    def drive(self) -> None:
+        """Play the episodes to their end, or until something breaks."""
+        played = self.played
+        try:
+            played.problem = self._to_the_end()
+        except ClientError as error:
+            played.problem = str(error)
+        played.results = self.env.results()
+        if played.problem is None:
+            ends = {result["end_reason"] for place, result in enumerate(played.results) if self.only in (None, place)}
+            wrong = sorted(map(str, ends.difference(_SOUND_ENDS)))
+            played.problem = f"the episode ended with {', '.join(wrong)}" if wrong else None
+
+    def _to_the_end(self) -> str | None:
+        begun = self.session.reset()
+        if isinstance(begun, PolicyServerError):
+            return str(begun)
+        while running := self._running():
+            problem = self._chunk(running)
+            if problem is not None:
+                return problem
+        if self.watch is not None:
+            self.watch(self.env)
+        return None
+
+    def _running(self) -> list[int]:
+        """Return the environments that are driven and still run."""
+        return [env for env in self.env.get_running_env_idx_list() if self.only in (None, env)]
+
+    def _chunk(self, running: list[int]) -> str | None:
+        """Ask once and execute the whole chunk; return what went wrong, or None."""
+        observations = self._seen(running)
+        waited = time.perf_counter()
+        refused = self.session.update_obs_batch(observations)
+        chunks = self.session.get_action_batch(running)
+        waited = time.perf_counter() - waited
+        problem = self._problem(refused, chunks, len(running))
+        if problem is not None:
+            return problem
+        for env, obs, chunk in zip(running, observations, chunks, strict=True):
+            flat = np.stack([self._packed(action) for action in chunk])
+            step = len(self.played.commands[env])
+            self.played.queries[env].append(Query(step, obs[sdk.Obs.STATE], flat, waited))
+        return self._execute(dict(zip(running, chunks, strict=True)))
+
+    def _seen(self, running: Sequence[int]) -> list[dict[str, Any]]:
+        observations: list[dict[str, Any]] = self.env.get_obs_batch(running)
+        if self.shown is not None:
+            self.shown.extend(observations)
+        return observations
+
+    def _problem(self, refused: Any, chunks: Any, count: int) -> str | None:
+        for answer in (refused, chunks):
+            if isinstance(answer, PolicyServerError):
+                return str(answer)
+        if not isinstance(chunks, (list, tuple)) or len(chunks) != count:
+            return f"{count} environments were asked for, and not as many chunks came"
+        found = (structure_problem(chunk, self.played.robot, self.played.course.action_type) for chunk in chunks)
+        return next((problem for problem in found if problem is not None), None)
+
+    def _execute(self, by_env: Mapping[int, Any]) -> str | None:
+        for index in range(max(map(len, by_env.values()))):
+            alive = self.env.get_running_env_idx_list()
+            moved = [env for env, chunk in by_env.items() if env in alive and index < len(chunk)]
+            if not moved:
+                break
+            if index:
+                refused = self._show(moved)
+                if refused is not None:
+                    return refused
+            problem = self._step({env: by_env[env][index] for env in moved})
+            if problem is not None:
+                return problem
+        return None
+
+    def _show(self, moved: Sequence[int]) -> str | None:
+        """Show what is to be seen between the steps of a chunk, as an evaluation loop does."""
+        observations = self._seen(moved)
+        started = time.perf_counter()
+        refused = self.session.update_obs_batch(observations)
+        waited = time.perf_counter() - started
+        for env in moved:
+            last = self.played.queries[env][-1]
+            self.played.queries[env][-1] = Query(last.step, last.state, last.chunk, last.waited + waited)
+        return str(refused) if isinstance(refused, PolicyServerError) else None
+
+    def _step(self, actions: Mapping[int, Any]) -> str | None:
+        if self.watch is not None:
+            self.watch(self.env)
+        try:
+            reports = self.env.take_action_batch(list(actions.values()), list(actions))
+        except ActionError as error:
+            return str(error)
+        for (env, action), report in zip(actions.items(), reports, strict=True):
+            self.played.commands[env].append(self._packed(action))
+            kinds = frozenset(kind for arm in report["corrections"].values() for kind in arm)
+            self.played.corrections[env].append(kinds)
+        return None
+
+    def _packed(self, action: Mapping[str, Any]) -> np.ndarray:
+        flat: np.ndarray = pack(action, self.played.robot, self.played.course.action_type)
+        return flat
+
+
+def jumps_of_chunks(played: Rollout) -> Iterator[tuple[float, float]]:
+    """Yield, for each environment whose chunks have several steps, the largest changes of what must not jump.
+
+    Grippers may jump. Both changes are in rad for joints and in m for positions.
+
+    Yields:
+        the largest change from the end of a chunk to the beginning of the next, and that inside chunks.
+    """
+    columns = _arm_columns(played.robot, played.course.action_type)
+    for commands, queries in zip(played.commands, played.queries, strict=True):
+        changes = np.abs(np.diff(np.stack(commands)[:, columns], axis=0)).max(axis=1) if commands else np.zeros(0)
+        seams = np.zeros(len(changes), dtype=bool)
+        seams[[query.step - 1 for query in queries if 0 < query.step <= len(changes)]] = True
+        if seams.any() and not seams.all():
+            yield float(changes[seams].max()), float(changes[~seams].max())
+
+
+def _arm_columns(robot: Embodiment, action_type: str) -> np.ndarray:
+    """Return the flat action columns of joint angles or positions."""
+    columns: list[int] = []
+    start = 0
+    for key, dim in robot.dims(action_type).items():
+        if not key.endswith(sdk.State.EE_JOINT_STATE):
+            width = sdk.POSITION_DIM if key.endswith(sdk.State.EE_POSE) else dim
+            columns += range(start, start + width)
+        start += dim
+    return np.array(columns)

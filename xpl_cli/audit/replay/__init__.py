@@ -1,0 +1,1 @@
+"""What an audit asked and heard, played against another server."""

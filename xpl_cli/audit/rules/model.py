@@ -1,0 +1,281 @@
+"""What an audit says: findings, results of rules, reports of gates and targets."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import ExitCode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from xpl_cli.audit.physics.figures import Figure
+    from xpl_cli.audit.rules.profiles import Choice
+
+_NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
+
+
+class Outcome(StrEnum):
+    """How a rule ended. `not_run` is never green; `error` means that the rule itself crashed."""
+
+    PASS = "pass"  # noqa: S105 - an outcome
+    FAIL = "fail"
+    WARN = "warn"
+    NOT_APPLICABLE = "not_applicable"
+    NOT_RUN = "not_run"
+    ERROR = "error"
+
+
+class Gate(StrEnum):
+    """The gates of an audit, cheapest first."""
+
+    STATIC = "static"
+    OFFLINE = "offline"
+    MUJOCO = "mujoco"
+
+
+class Profile(StrEnum):
+    """What a gate that serves the adapter runs on, and with it which rules are required.
+
+    `full` loads the real model. `shadow` skips that and puts a function of the encoded inputs in place of `predict`:
+    rules about the values of actions have nothing to judge then.
+    """
+
+    FULL = "full"
+    SHADOW = "shadow"
+
+
+class NotApplicable(Exception):  # noqa: N818 - an outcome, not an error
+    """Raised by a rule that has nothing to prove on this target; the argument says why."""
+
+
+class NotRun(Exception):  # noqa: N818 - an outcome, not an error
+    """Raised by a rule or a fact that cannot be had; the argument says why."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """A piece of a file and what takes its place.
+
+    Args:
+        path: file, relative to the adapter's folder.
+        line, column: where it begins; 1-based, columns counted in characters.
+        end_line, end_column: the first character behind it; where it begins, if the edit only inserts.
+        text: what stands there afterwards; empty to delete.
+    """
+
+    path: str
+    line: int
+    column: int
+    end_line: int
+    end_column: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Fix:
+    """What to do about a finding.
+
+    Args:
+        kind: `command` (text is an exact command), `safe_edit` (behaviour that is right stays as it is), `unsafe_edit`,
+            or `advice` (text is a sentence).
+        text: the command, the edit in short, or the advice.
+        edits: the edit itself, for whoever carries it out; they do not overlap. Without any, a person has to do it.
+    """
+
+    kind: str
+    text: str
+    edits: tuple[Edit, ...] = ()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong.
+
+    Args:
+        message: the consequence in one sentence.
+        path: file, relative to the adapter's folder, or None where no file is to blame.
+        line, column, end_line, end_column: 1-based range in that file, columns in characters; the end column is the
+            first one behind it.
+        expected: what was expected.
+        got: what came.
+        evidence: frames and numbers that show it; JSON values.
+        fix: what to do.
+    """
+
+    message: str
+    path: str | None = None
+    line: int | None = None
+    column: int | None = None
+    end_line: int | None = None
+    end_column: int | None = None
+    expected: str | None = None
+    got: str | None = None
+    evidence: Mapping[str, Any] | None = None
+    fix: Fix | None = None
+
+    def fingerprint(self, code: str, path: str | None = None, occurrence: int = 1) -> str:
+        """Return an identity that survives edits elsewhere in the file: rule, file and message without numbers.
+
+        Args:
+            code: the rule's.
+            path: file, as far as it has to be told from files of other adapters.
+            occurrence: how many findings of this rule and message the file has up to this one, itself included.
+        """
+        text = "\0".join((code, path or self.path or "", _NUMBER.sub("#", self.message)))
+        if occurrence > 1:
+            text += f"\0{occurrence}"
+        return hashlib.sha256(text.encode(errors="replace")).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Waived:
+    """A finding that the adapter's manifest declares accepted, and why."""
+
+    finding: Finding
+    reason: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """What one rule found on one target.
+
+    Attributes:
+        code, slug, requirement, severity: the rule's.
+        findings: what is wrong and counts.
+        reason: why there is nothing to say, for `not_applicable` and `not_run`, or how the rule crashed.
+        waived: what is wrong and was accepted; it changes no outcome.
+    """
+
+    code: str
+    slug: str
+    requirement: str
+    severity: str
+    outcome: Outcome
+    findings: tuple[Finding, ...] = ()
+    reason: str | None = None
+    waived: tuple[Waived, ...] = ()
+
+    @property
+    def explain(self) -> str:
+        """The command that explains the rule."""
+        return f"xpl explain {self.code}"
+
+
+@dataclass
+class GateReport:
+    """One gate on one target.
+
+    Attributes:
+        finish: the deterministic finish line, where the gate ran.
+        digest: hash of what the adapter did; equal for equal behaviour under an equal fingerprint.
+        served: the profile and what stood in for the model, where the gate served the adapter.
+        figures: success rates and scores that were measured.
+        source: hash of the package's files as the gate read them; None if it was not started.
+    """
+
+    name: Gate
+    results: list[Result] = field(default_factory=list)
+    reason: str | None = None
+    seconds: float = 0.0
+    digest: str | None = None
+    fingerprint: str | None = None
+    served: Choice | None = None
+    figures: tuple[Figure, ...] = ()
+    source: str | None = None
+
+    @property
+    def outcome(self) -> Outcome:
+        """The worst of the gate's results; `not_applicable` if no rule had anything to prove."""
+        outcomes = {result.outcome for result in self.results}
+        for worst in (Outcome.FAIL, Outcome.ERROR, Outcome.NOT_RUN):
+            if worst in outcomes:
+                return worst
+        return Outcome.PASS if outcomes & {Outcome.PASS, Outcome.WARN} else Outcome.NOT_APPLICABLE
+
+    @property
+    def finish(self) -> str | None:
+        """The finish line: equal runs print equal lines, so that it holds no time and no path."""
+        if self.reason is not None:
+            return None
+        counts = counted(self.results)
+        numbers = " ".join(f"{outcome}={counts[outcome]}" for outcome in Outcome if counts[outcome])
+        line = (
+            f"XPL-FINISH gate={self.name} {self.outcome} {numbers} digest={self.digest} fingerprint={self.fingerprint}"
+        )
+        return line if self.served is None else f"{line}{self.served.mark}"
+
+    @property
+    def profile(self) -> Profile | None:
+        """The profile, where the gate served the adapter."""
+        return None if self.served is None else self.served.name
+
+    @property
+    def stood_in(self) -> str | None:
+        """What stood in for the model or for modules, and why; None where everything was real."""
+        return None if self.served is None else self.served.sentence or None
+
+
+@dataclass
+class TargetReport:
+    """All gates of one target.
+
+    Attributes:
+        contents: text of the files that fixes edit, as the rules read it; no fix is applied to anything else.
+        spec: version of the standard that the target is held to.
+    """
+
+    path: str
+    name: str
+    kind: str
+    gates: list[GateReport] = field(default_factory=list)
+    contents: dict[str, str] = field(default_factory=dict)
+    spec: str = sdk.SPEC_VERSION
+
+    @property
+    def results(self) -> list[Result]:
+        """The results of all gates."""
+        return [result for gate in self.gates for result in gate.results]
+
+    @property
+    def verdict(self) -> str:
+        """`green` if something was proved and all that was asked for held, `red` with a failure, else `incomplete`."""
+        outcomes = {gate.outcome for gate in self.gates}
+        if outcomes & {Outcome.FAIL, Outcome.ERROR}:
+            return "red"
+        return "green" if _sound(outcomes) else "incomplete"
+
+
+def counted(results: Iterable[Result]) -> Counter[str]:
+    """Return how many results have each outcome."""
+    return Counter(result.outcome for result in results)
+
+
+def exit_code(targets: Iterable[TargetReport], fail_on: Outcome = Outcome.FAIL) -> ExitCode:
+    """Return the exit code of an audit: findings before crashes before checks that could not run.
+
+    Args:
+        targets: what was audited.
+        fail_on: the mildest outcome that counts as a finding, `fail` or `warn`.
+
+    Returns:
+        a package that proved nothing is `NOT_RUN`; where none had to be audited, as none changed, that is clean.
+    """
+    targets = list(targets)
+    outcomes = [{gate.outcome for gate in target.gates} for target in targets]
+    if any(result.outcome in {Outcome.FAIL, fail_on} for target in targets for result in target.results):
+        return ExitCode.FINDINGS
+    if any(Outcome.ERROR in found for found in outcomes):
+        return ExitCode.INTERNAL
+    return ExitCode.CLEAN if all(_sound(found) for found in outcomes) else ExitCode.NOT_RUN
+
+
+def _sound(outcomes: set[Outcome]) -> bool:
+    """Tell whether gates with these outcomes proved something and left nothing open."""
+    return Outcome.PASS in outcomes and outcomes <= {Outcome.PASS, Outcome.NOT_APPLICABLE}

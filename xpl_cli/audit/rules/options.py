@@ -1,0 +1,59 @@
+"""What an audit is asked to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from xpl_cli.audit.rules.model import Gate, Profile
+from xpl_cli.basics.progress import Progress
+
+
+@dataclass(frozen=True)
+class Options:
+    """One request.
+
+    Attributes:
+        gates: gates to run, in order.
+        names, ignore: codes, code prefixes and slugs of rules to run and to leave out.
+        keep_going: run a gate although an earlier one failed.
+        overrides: keys of deploy.yml for the gates that serve the adapter.
+        python, env: interpreter of the adapter, as for `xpl serve`.
+        profile: what the gates that serve the adapter run on; None for the full one, or where the model cannot be
+            loaded here for want of something, the shadow.
+        profile_reason: why an earlier gate chose the shadow; None if it was asked for.
+        stub_missing: stub modules that are not installed where nothing else helps.
+        memory_limit: what the adapter's processes may hold, as for `xpl serve`.
+        isolate: keep the adapter from the network and from writing.
+        tasks: tasks in which the physics gate drives the adapter; empty for its own choice.
+        episodes: whole episodes over which it measures success; None for what the manifest claims, or else a few.
+        video: folder for films of what it plays; None to film nothing.
+        trace: new folder for recordings of what was asked and answered (`served.recording`); None to keep none.
+        cache: folder with passes of the static gate (`xpl_cli.audit.engine.cache`); None to run every rule.
+        progress: told what is being done, for a person who waits.
+    """
+
+    gates: tuple[Gate, ...] = tuple(Gate)
+    names: tuple[str, ...] = ()
+    ignore: tuple[str, ...] = ()
+    keep_going: bool = False
+    overrides: dict[str, Any] = field(default_factory=dict)
+    python: str | None = None
+    env: str | None = None
+    profile: Profile | None = None
+    profile_reason: str | None = None
+    stub_missing: bool = False
+    memory_limit: str = "none"
+    isolate: bool = False
+    tasks: tuple[str, ...] = ()
+    episodes: int | None = None
+    video: Path | None = None
+    trace: Path | None = None
+    cache: Path | None = None
+    progress: Progress = field(default_factory=Progress)
+
+    @property
+    def confinement(self) -> tuple[str, ...]:
+        """Options of `xpl serve` that keep the adapter within bounds."""
+        return ("--memory-limit", self.memory_limit, *(("--isolate",) if self.isolate else ()))

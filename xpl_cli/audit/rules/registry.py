@@ -1,0 +1,253 @@
+"""Rules: how one is declared, and where all of them are found."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from xpl_cli.audit.rules.model import Finding, Gate, Profile
+from xpl_cli.basics import content
+from xpl_cli.basics.errors import no_such
+from xpl_cli.standard import spec
+
+Check = Callable[..., Iterator[Finding]]
+
+
+class RegistryError(Exception):
+    """The rules contradict each other; a mistake in the conformance room."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One check of one requirement.
+
+    Attributes:
+        code: `XPL1xx` static, `XPL2xx` offline, `XPL3xx` MuJoCo, `XPL4xx` environment packages, `XPL5xx` the
+            audit itself, `XPL6xx` advice of general tools.
+        slug: name for people; the rule's folder in `conformance/`.
+        gate: where it runs.
+        requirement: id of what it proves; its level gives the severity.
+        target: kind of package it looks at, `policy` or `env`.
+        check: the function; its parameters name the facts it needs.
+        folder: the rule's folder.
+        after: slugs of rules of the same gate that have to hold first; where one does not, this one is not run.
+        profile: the smaller profile that requires it: `shadow` where it holds of any model, so that both profiles
+            require it; `full` where it judges the values that the real model answers.
+    """
+
+    code: str
+    slug: str
+    gate: Gate
+    requirement: str
+    target: str
+    check: Check
+    folder: Path
+    after: tuple[str, ...] = ()
+    profile: Profile = Profile.SHADOW
+
+    @property
+    def severity(self) -> str:
+        """`must` or `should`, from the requirement of the newest version."""
+        return self.severity_in(spec.CURRENT)
+
+    def severity_in(self, version: str) -> str:
+        """Return `must` or `should`, from the requirement as a version of the standard has it."""
+        known = spec.requirements(version if self.is_in(version) else spec.CURRENT)
+        return known[self.requirement].level.lower()
+
+    def is_in(self, version: str) -> bool:
+        """Tell whether a version of the standard has the requirement."""
+        return self.requirement in spec.requirements(version)
+
+    @property
+    def documentation(self) -> str:
+        """The docstring: a summary line, then sections with fixed headings."""
+        return inspect.getdoc(self.check) or ""
+
+    @property
+    def summary(self) -> str:
+        """First line of the documentation."""
+        return self.documentation.partition("\n")[0]
+
+
+def rule(  # noqa: PLR0913 - a declaration, by keyword
+    *,
+    code: str,
+    slug: str,
+    gate: str,
+    requirement: str,
+    target: str = "policy",
+    after: tuple[str, ...] = (),
+    profile: str = "shadow",
+) -> Callable[[Check], Check]:
+    """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
+
+    Its docstring is what `xpl explain` prints: a summary line, then the headings What it does, Why it matters, Example,
+    Use instead, Fix safety. `after` names rules of the same gate without which this one would prove nothing;
+    `profile="full"` says that only the real model can satisfy or break it.
+    """
+
+    def declare(check: Check) -> Check:
+        folder = Path(inspect.getfile(check)).parent
+        declared = Rule(code, slug, Gate(gate), requirement, target, check, folder, after, Profile(profile))
+        check.__dict__["xpl_rule"] = declared
+        return check
+
+    return declare
+
+
+# The hundred of a code names its gate, so that the rules of gates that do not run need not be imported.
+_GATES = {
+    "1": (Gate.STATIC,),
+    "2": (Gate.OFFLINE,),
+    "3": (Gate.MUJOCO,),
+    "4": tuple(Gate),
+    "5": tuple(Gate),
+    "6": (Gate.STATIC,),
+}
+_ENVIRONMENTS, _EVERY_GATE, _ADVICE = "4", "5", "6"
+
+ADVICE = "advice"
+"""Name of the rules that run only where they are selected: what they say depends on tools that may not be installed."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is known of a rule without importing it: its folder is its slug, its file begins with its code."""
+
+    code: str
+    slug: str
+    path: Path
+
+    @property
+    def gates(self) -> tuple[Gate, ...]:
+        """The gates that a rule of this code may run in."""
+        return _GATES[self._hundred]
+
+    @property
+    def target(self) -> str:
+        """The kind of package that it looks at, `policy` or `env`."""
+        return "env" if self._hundred == _ENVIRONMENTS else "policy"
+
+    @property
+    def _hundred(self) -> str:
+        return self.code.removeprefix("XPL")[0]
+
+    def runs_in(self, gate: Gate) -> bool:
+        """Tell whether the rule runs in a gate; imports it only where its code leaves that open."""
+        if self._hundred == _ENVIRONMENTS:
+            return self.load().gate == gate
+        return gate in self.gates
+
+    @property
+    def closes(self) -> bool:
+        """Whether it judges the audit of a gate, after all other rules of it."""
+        return self._hundred == _EVERY_GATE
+
+    @property
+    def is_advice(self) -> bool:
+        """Whether it hands on what another tool says, and runs only where it is selected."""
+        return self._hundred == _ADVICE
+
+    def load(self) -> Rule:
+        """Import the rule."""
+        return _declared(self.path)
+
+
+@cache
+def entries() -> tuple[Entry, ...]:
+    """Return every rule of the conformance room, not imported, in order of code."""
+    paths = content.room("conformance").glob("*/*/rule.py")
+    return tuple(
+        sorted((Entry(_first_word(path), path.parent.name, path) for path in paths), key=lambda item: item.code)
+    )
+
+
+def rules() -> tuple[Rule, ...]:
+    """Return every rule of the conformance room, in order of code."""
+    return tuple(entry.load() for entry in entries())
+
+
+def find(name: str) -> Rule:
+    """Return a rule by code or slug.
+
+    Raises:
+        UserError: with the nearest names.
+    """
+    names = {key: entry for entry in entries() for key in (entry.code, entry.slug)}
+    wanted = name.upper() if name.upper() in names else name.lower()
+    if wanted in names:
+        return names[wanted].load()
+    raise no_such(f"there is no rule {name!r}", name, names, listing="xpl rules")
+
+
+def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, ...]) -> tuple[Entry, ...]:
+    """Return the rules of some gates that a selection leaves, not imported, in order of code.
+
+    Args:
+        names: codes, code prefixes, slugs and `advice` to run; empty for all but advice.
+        ignore: the same, to leave out.
+        gates: the gates.
+
+    Raises:
+        UserError: if a name stands for no rule.
+    """
+    for name in (*names, *ignore):
+        if not any(_matches(entry, name) for entry in entries()):
+            find(name)
+    return tuple(
+        entry
+        for entry in entries()
+        if set(entry.gates) & set(gates)
+        and (any(_matches(entry, name) for name in names) if names else not entry.is_advice)
+        and not any(_matches(entry, name) for name in ignore)
+    )
+
+
+def lookup(name: str) -> Entry | None:
+    """Return what stands for a rule of this code or slug, None if there is none."""
+    return next((item for item in entries() if name in {item.code, item.slug}), None)
+
+
+def needed(item: Rule, way: tuple[str, ...] = ()) -> tuple[Entry, ...]:
+    """Return the rules that a rule comes after.
+
+    Raises:
+        RegistryError: if it names a rule that is not there or runs in another gate, or if it comes after itself.
+    """
+    found = []
+    for slug in item.after:
+        if slug in {*way, item.slug}:
+            raise RegistryError(f"rules wait for each other: {' after '.join((*way, item.slug, slug))}")
+        other = lookup(slug)
+        if other is None or not other.runs_in(item.gate):
+            raise RegistryError(f"{item.slug} comes after {slug!r}, which is no rule of the {item.gate} gate")
+        needed(other.load(), (*way, item.slug))
+        found.append(other)
+    return tuple(found)
+
+
+def _matches(entry: Entry, name: str) -> bool:
+    if name == ADVICE:
+        return entry.is_advice
+    return entry.slug == name or (name.upper().startswith("XPL") and entry.code.startswith(name.upper()))
+
+
+def _first_word(path: Path) -> str:
+    """Return the code with which the docstring of a rule's file begins."""
+    with path.open(encoding="utf-8") as stream:
+        return stream.readline().removeprefix('"""').partition(":")[0]
+
+
+def _declared(path: Path) -> Rule:
+    module: Any = content.load_module(path)
+    declared = [value.xpl_rule for value in vars(module).values() if hasattr(value, "xpl_rule")]
+    if len(declared) != 1:
+        message = f"{path} must declare exactly one rule, found {len(declared)}"
+        raise RuntimeError(message)
+    result: Rule = declared[0]
+    return result

@@ -1,0 +1,1 @@
+"""An adapter that is really served: servers, clients, and what they said to each other."""

@@ -1,0 +1,90 @@
+"""The checkpoint of an adapter, as its configuration names it: which files it has, and what is not there."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl.checkpoint import CheckpointError, resolve
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from xpl_cli.packages.package import Package
+
+_STEP_KEY = re.compile(r"(?:(?:ckpt|checkpoint|load|model|resume)_(?:step|epoch|iter|iteration|num)|step|epoch)")
+_NUMBER = re.compile(r"\d+")
+_DEPTH = 2
+"""How far below the checkpoint's folder the entries of training steps are looked for."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a configuration asks for.
+
+    Attributes:
+        key: the key of deploy.yml that names it.
+        name: the value of that key.
+        path: the file or folder.
+        config: the configuration.
+        policy_dir: folder that relative paths start at.
+    """
+
+    key: str
+    name: str
+    path: Path
+    config: Mapping[str, Any]
+    policy_dir: Path
+
+    @classmethod
+    def of(cls, package: Package, config: Mapping[str, Any]) -> Checkpoint | None:
+        """Return the checkpoint of a configuration, None if it names none that is there."""
+        keys = (*sdk.CHECKPOINT_KEYS, sdk.Deploy.CKPT_NAME)
+        key = next((key for key in keys if config.get(key) not in (None, "")), None)
+        if key is None:
+            return None
+        try:
+            return cls(key, str(config[key]), resolve(config, package.path), config, package.path)
+        except CheckpointError:
+            return None
+
+    def state(self) -> dict[Path, tuple[int, int]]:
+        """Return size in bytes and time of the last change in ns of every file."""
+        files = [self.path] if self.path.is_file() else sorted(self.path.rglob("*"))
+        return {file: (file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()}
+
+    def absent_names(self) -> list[str]:
+        """Return names like that of the checkpoint, under which there is nothing: a longer one, and a beginning."""
+        beginning = re.sub(r"(\d)\d+$", r"\1", self.name)
+        near = [f"{self.name}-missing", beginning if beginning != self.name else self.name[:-1]]
+        return [name for name in near if name and not self._resolves(name)]
+
+    def step_keys(self) -> Iterator[tuple[str, int]]:
+        """Yield the keys that choose a training step of the checkpoint, with the step that there is."""
+        steps = self.steps()
+        for key, value in self.config.items():
+            if not _STEP_KEY.fullmatch(key) or not steps:
+                continue
+            step = max(steps) if value is None else value if type(value) is int else None
+            if step in steps:
+                yield key, step
+
+    def steps(self) -> set[int]:
+        """Return the training steps that names of its entries hold."""
+        depths = ["/".join("*" * depth) for depth in range(1, _DEPTH + 1)]
+        names = {entry.stem for pattern in depths for entry in self.path.glob(pattern)} if self.path.is_dir() else set()
+        return {int(number) for name in names for number in _NUMBER.findall(name)}
+
+    def absent_steps(self, step: int) -> list[int]:
+        """Return steps that are not there and that careless code takes for this one: 0, a beginning, a longer one."""
+        return [other for other in dict.fromkeys((0, int(str(step)[0]), 10 * step)) if other not in self.steps()]
+
+    def _resolves(self, name: str) -> bool:
+        try:
+            resolve({**self.config, self.key: name}, self.policy_dir)
+        except CheckpointError:
+            return False
+        return True

@@ -1,0 +1,257 @@
+"""The offline fact: a real server in its own process, a real client, scripted observations.
+
+Rules describe what they do in terms of this class, so that each reads as the experiment it is:
+
+    with probe.session() as policy:
+        policy.reset()
+        policy.update_obs_batch(probe.observations([3, 7, 9]))
+        answer = policy.get_action_batch([9])
+"""
+
+from __future__ import annotations
+
+import contextlib
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl.client import ClientError, PolicyServerError
+from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment
+from xpl_cli.audit.rules.model import Finding, Gate, NotApplicable, NotRun
+from xpl_cli.audit.rules.profiles import Lacking
+from xpl_cli.audit.served.checkpoints import Checkpoint
+from xpl_cli.audit.served.compare import same
+from xpl_cli.audit.served.servers import Servers
+from xpl_cli.packages import environments, package
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.served.session import Session
+
+_UNSTEADY = "the policy acts differently each time, and nothing can be compared: seed-repeats says how"
+
+
+def image_sizes(manifest: Mapping[str, Any], usual: tuple[int, int]) -> dict[str, tuple[int, int]]:
+    """Return height and width of the images that a manifest asks for, of cameras for which the usual ones will not do.
+
+    Args:
+        manifest: the adapter's.
+        usual: height and width where nothing is declared.
+    """
+    sizes = {}
+    for camera, needs in (manifest.get("cameras") or {}).items():
+        least = (needs.get("height") or 1, needs.get("width") or 1)
+        exact = needs.get("exact") and needs.get("height") and needs.get("width")
+        size = least if exact else (max(least[0], usual[0]), max(least[1], usual[1]))
+        if size != usual:
+            sizes[camera] = size
+    return sizes
+
+
+class Probe(Servers):
+    """One adapter being probed.
+
+    Attributes:
+        embodiment, action_type: what it is served for.
+        checkpoint: the checkpoint that the configuration names, None if there is none.
+        checkpoint_before: state of its files before anything was served.
+    """
+
+    def __init__(self, target: package.Package, options: Options, gate: Gate = Gate.OFFLINE) -> None:
+        super().__init__(target, options, gate)
+        try:
+            self.embodiment: Embodiment = get_embodiment(str(self.config[sdk.Deploy.ENV_CFG_TYPE]))
+        except UnknownEmbodimentError as error:
+            raise NotRun(f"{error}: name one with --set {sdk.Deploy.ENV_CFG_TYPE}=NAME") from None
+        self.action_type: str = self.config[sdk.Deploy.ACTION_TYPE]
+        self.checkpoint = Checkpoint.of(target, self.config)
+        self.checkpoint_before = {} if self.checkpoint is None else self.checkpoint.state()
+        self._answered: Any = None
+        self._scenario = environments.module("offline", "scenario")
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        """Inputs that the manifest requires, as dotted names; empty for an adapter without a manifest."""
+        return tuple((self.package.manifest.get("inputs") or {}).get("required") or ())
+
+    def named_inputs(self) -> tuple[str, ...]:
+        """Return the inputs that the manifest requires, for rules that try them one by one.
+
+        Raises:
+            NotApplicable: if none is declared, so that there is nothing to try.
+        """
+        if not self.required:
+            raise NotApplicable(f"no {sdk.File.POLICY_YML} declares a required input")
+        return self.required
+
+    def observation(
+        self, env: int = 0, step: int = 0, embodiment: Embodiment | None = None, **options: Any
+    ) -> dict[str, Any]:
+        """Return the scripted observation of one environment at one step, with every input the manifest requires.
+
+        Images have the size that the manifest declares for their camera, or a larger one where it takes that. Further
+        options are those of `envs/offline/scenario.py`, such as the `size` of images.
+        """
+        if sdk.Obs.PRIVILEGED in self.required:
+            raise NotApplicable("the adapter needs privileged observations, which only a simulator can give")
+        cameras = [name.partition(".")[2] for name in self.required if name.startswith(sdk.Obs.VISION)]
+        robot = embodiment or self.embodiment
+        result: dict[str, Any] = self._scenario.observation(robot, env, step, cameras=cameras, **options)
+        vision = result[sdk.Obs.VISION]
+        for camera, size in image_sizes(self.package.manifest, options.pop("size", self._scenario.SIZE)).items():
+            if camera in vision:
+                again = self._scenario.observation(robot, env, step, cameras=cameras, size=size, **options)
+                vision[camera] = again[sdk.Obs.VISION][camera]
+        return result
+
+    def observations(self, envs: Sequence[int], step: int = 0, instruction: str | None = None) -> list[dict[str, Any]]:
+        """Return the scripted observations of several environments, each with its own instruction or all with one."""
+        told = {} if instruction is None else {sdk.Obs.INSTRUCTION: instruction}
+        return [{**self.observation(env, step), **told} for env in envs]
+
+    def require_deterministic(self) -> None:
+        """Stop a rule that compares answers where the manifest says that they differ anyway.
+
+        Raises:
+            NotApplicable: if the policy is declared not deterministic.
+        """
+        if not self.package.manifest.get("deterministic", True):
+            raise NotApplicable("the manifest declares the policy not deterministic")
+
+    def require_repeatable(self) -> None:
+        """Stop a rule that compares the answers of several runs where these differ anyway.
+
+        Raises:
+            NotApplicable: if the policy is declared not deterministic.
+            NotRun: if it is not, against its declaration; the rule `seed-repeats` reports that.
+        """
+        self.require_deterministic()
+        if not (self.repeats_in_place or self.repeats_renewed or self.repeats_afresh):
+            raise NotRun(_UNSTEADY)
+
+    def require_repeatable_afresh(self) -> None:
+        """Drop what a rule found by comparing two servers where any two of them differ.
+
+        Raises:
+            NotRun: if they do, against the declaration of the manifest; the rule `seed-repeats` reports that.
+        """
+        if not self.repeats_afresh:
+            raise NotRun(_UNSTEADY)
+
+    @contextlib.contextmanager
+    def run(self) -> Iterator[Session]:
+        """Connect for an experiment whose answers are compared with those of another.
+
+        Where the policy draws other random numbers in every episode, each experiment gets a model that was just built:
+        in the same process where that gives the same, or else in a server of its own.
+        """
+        self.require_repeatable()
+        if self.repeats_in_place or self.repeats_renewed:
+            server = self.server() if self.repeats_in_place else self.renewing
+            opened = self.connected(server.url)
+        else:
+            opened = self.fresh_session()
+        with opened as session:
+            yield session
+
+    @cached_property
+    def repeats_in_place(self) -> bool:
+        """Whether one server answers the same in its second and third episode."""
+        with self.session() as policy:
+            return same(self.episode(policy), self.episode(policy))
+
+    @cached_property
+    def repeats_renewed(self) -> bool:
+        """Whether a model that is built anew in one process answers the same as the first one there."""
+        try:
+            first, second = (self._first_episode() for _ in range(2))
+        except (ClientError, NotRun):  # some models cannot be built twice in one process
+            return False
+        return same(first, second)
+
+    @cached_property
+    def repeats_afresh(self) -> bool:
+        """Whether two servers answer the same."""
+        with self.fresh_session() as first, self.fresh_session() as second:
+            return same(self.episode(first), self.episode(second))
+
+    def _first_episode(self) -> list[Any]:
+        with self.connected(self.renewing.url) as policy:
+            return self.episode(policy)
+
+    def answer(self, obs: Any) -> Any:
+        """Return the comparable answer to one observation in a new episode."""
+        with self.run() as policy:
+            return policy.act(obs)
+
+    def batch_answer(self, observations: Sequence[Any], wanted: Sequence[int] | None) -> Any:
+        """Return the comparable answer to `get_action_batch(wanted)` after a batch of observations in a new episode."""
+        with self.run() as policy:
+            policy.reset()
+            policy.update_obs_batch(observations)
+            return policy.get_action_batch(wanted)
+
+    def batch_episode(self, envs: Sequence[int], steps: int = 3, instruction: str | None = None) -> list[Any]:
+        """Play a comparable episode of some environments in one batch; return the answer of every step.
+
+        Each environment has its own instruction, or all have the one that is given.
+        """
+        answered = []
+        with self.run() as policy:
+            policy.reset()
+            for step in range(steps):
+                policy.update_obs_batch(self.observations(envs, step, instruction))
+                answered.append(policy.get_action_batch(envs))
+        return answered
+
+    def combinations(self) -> list[tuple[str, str]]:
+        """Return every embodiment and action type that the manifest declares, the configured pair first."""
+        manifest = self.package.manifest
+        configured = (self.embodiment.name, self.action_type)
+        declared = [
+            (name, kind) for name in manifest.get("embodiments", ()) for kind in manifest.get("action_types", ())
+        ]
+        return list(dict.fromkeys((configured, *declared)))
+
+    @contextlib.contextmanager
+    def served_as(self, embodiment: str, action_type: str) -> Iterator[Session]:
+        """Connect to a server of one embodiment and action type: the running one, or one of its own."""
+        if (embodiment, action_type) == (self.embodiment.name, self.action_type):
+            opened = self.session()
+        else:
+            opened = self.fresh_session(**{sdk.Deploy.ENV_CFG_TYPE: embodiment, sdk.Deploy.ACTION_TYPE: action_type})
+        with opened as session:
+            yield session
+
+    def episode(self, policy: Session, env: int = 0, steps: int = 3) -> list[Any]:
+        """Play a scripted episode of one environment and return the chunk of every step."""
+        policy.reset()
+        chunks = []
+        for step in range(steps):
+            policy.update_obs(self.observation(env, step))
+            chunks.append(policy.get_action())
+        return chunks
+
+    def ready(self) -> None:
+        """Check once that the adapter answers at all; rules about how it answers make no sense otherwise.
+
+        Raises:
+            NotRun: if it does not.
+        """
+        if self._answered is None:
+            with self.session() as policy:
+                try:
+                    self._answered = policy.act(self.observation())
+                except Lacking as why:
+                    if not why.is_stub:
+                        raise
+                    self._answered = why  # it answers up to where the stubbed module begins
+        if isinstance(self._answered, PolicyServerError):
+            raise NotRun(f"the adapter does not answer a plain observation: {self._answered}")
+
+
+def blame(message: str, **details: Any) -> Finding:
+    """Return a finding about behaviour: it lies in model.py, on no particular line."""
+    return Finding(message=message, path=sdk.File.MODEL_PY, **details)

@@ -1,0 +1,233 @@
+"""The servers of an audit: the adapter in processes of its own, and clients that are connected to them."""
+
+from __future__ import annotations
+
+import contextlib
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+from xpl import Client
+from xpl import _spec as sdk
+from xpl.client import ClientError, PolicyServerError
+from xpl_cli.audit.rules.model import Gate, NotApplicable, NotRun
+from xpl_cli.audit.rules.profiles import Choice, Lacking
+from xpl_cli.audit.served.recording import tape
+from xpl_cli.audit.served.session import Recorder, Session
+from xpl_cli.packages import package
+from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from xpl_cli.audit.rules.options import Options
+
+PATIENCE = {sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1}
+"""How long an audit waits for a server that has said that it is ready."""
+
+
+class Servers(ABC):
+    """One adapter, served: by a server that most experiments share, and by others for those that need their own.
+
+    Attributes:
+        package: the adapter.
+        options: how it is audited.
+        config: its configuration.
+        recorder: hears what is said to every server.
+        choice: what is served, the model or what stands in for it; settled when the server runs.
+    """
+
+    def __init__(self, target: package.Package, options: Options, gate: Gate) -> None:
+        self.package = target
+        self.options = options
+        self.config = target.config(options.overrides)
+        self.recorder = Recorder(None if options.trace is None else lambda: tape(target, options, gate))
+        self.choice = Choice.first(options)
+        self._open = contextlib.ExitStack()
+        self._server: RunningServer | None = None
+        self._problem: ServerStartError | None = None
+
+    @classmethod
+    @contextlib.contextmanager
+    def start(cls, path: Path, options: Options, gate: Gate = Gate.OFFLINE) -> Iterator[Self]:
+        """Prepare to probe an adapter; its server is started when it is first asked for."""
+        started = cls(package.load(path), options, gate)
+        with started.recorder, started._open:
+            yield started
+
+    def record(self) -> str:
+        """Return the hash of everything the adapter answered."""
+        return self.recorder.record()
+
+    def server(self) -> RunningServer:
+        """Return the server, started on first use.
+
+        Raises:
+            NotRun: if it did not start; the rule `serves` reports why.
+        """
+        if self._server is None:
+            try:
+                self._server = self.start_server()
+            except ServerStartError as error:
+                raise NotRun(self.choice.told(error)) from None
+        if self.ended is not None:
+            raise NotRun(f"the server has ended: {self.ended}")
+        return self._server
+
+    def start_server(self) -> RunningServer:
+        """Start the server once; the same failure is raised again to whoever asks later.
+
+        Raises:
+            ServerStartError: with the adapter's output.
+        """
+        if self._problem is not None:
+            raise self._problem
+        while True:
+            try:
+                return self._open.enter_context(self._tried())
+            except ServerStartError as error:
+                other = self.choice.after(error, self.options)
+                if other is None:
+                    self._problem = error
+                    raise
+                self.choice = other
+
+    @contextlib.contextmanager
+    def connected(self, url: str, **wishes: Any) -> Iterator[Session]:
+        """Connect to one of the audit's servers for the length of a `with` block.
+
+        Args:
+            url: its address.
+            wishes: options of the client.
+
+        Raises:
+            NotRun: if it refuses.
+        """
+        try:
+            client = Client(url, config=self.config | PATIENCE, **wishes)
+        except ClientError as error:
+            raise NotRun(str(error)) from None
+        with client, self.recorder.session(url, wishes) as line:
+            yield Session(client, line)
+
+    @contextlib.contextmanager
+    def session(self, **wishes: Any) -> Iterator[Session]:
+        """Connect to the server for the length of a `with` block; `wishes` are options of the client."""
+        with self.connected(self.server().url, **wishes) as session:
+            yield session
+
+    @contextlib.contextmanager
+    def fresh_session(self, **overrides: Any) -> Iterator[Session]:
+        """Connect to a server of its own, in a new process, with other values of deploy.yml.
+
+        Raises:
+            NotRun: if it does not start.
+        """
+        with self.own_server(overrides) as server, self.connected(server.url) as session:
+            yield session
+
+    @contextlib.contextmanager
+    def fresh_sessions(self, count: int) -> Iterator[list[Session]]:
+        """Connect several clients to one server of their own, in a new process, where the adapter may be shared.
+
+        Raises:
+            NotRun: if it does not start, or refuses one of them.
+        """
+        with self.own_server({}) as server, contextlib.ExitStack() as clients:
+            yield [clients.enter_context(self.connected(server.url)) for _ in range(count)]
+
+    @property
+    def profile(self) -> Choice:
+        """What is served.
+
+        Raises:
+            NotRun: if nothing can be.
+        """
+        self.server()
+        return self.choice
+
+    @property
+    def served(self) -> Choice | None:
+        """What is served, None as long as nothing is."""
+        return None if self._server is None else self.choice
+
+    @property
+    def ended(self) -> str | None:
+        """Why the server ended after it had started; None as long as it runs."""
+        if self._server is None or self._server.ended is None:
+            return None
+        return self._server.last_error or "it printed no reason"
+
+    @property
+    def start_problem(self) -> ServerStartError | None:
+        """Why the server did not start; None if it did, or was not asked for."""
+        return self._problem
+
+    @contextlib.contextmanager
+    def fresh_server(self, overrides: Mapping[str, Any], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+        """Start a server of its own, in a new process, with other values of deploy.yml and options of `xpl serve`.
+
+        Raises:
+            ServerStartError: if it does not start.
+        """
+        with self._serving({**self.options.overrides, **overrides}, flags) as server:
+            yield server
+
+    @contextlib.contextmanager
+    def own_server(self, overrides: Mapping[str, Any], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+        """Start a server of its own like `fresh_server`.
+
+        Raises:
+            NotRun: if it does not start.
+        """
+        try:
+            with self.fresh_server(overrides, flags) as server:
+                yield server
+        except ServerStartError as error:
+            values = ", ".join(f"{key}={value}" for key, value in overrides.items())
+            raise NotRun(f"the server did not start with {values or 'the same configuration'}: {error}") from None
+
+    @cached_property
+    def renewing(self) -> RunningServer:
+        """A server that builds the model anew for every client."""
+        return self._open.enter_context(self.own_server({}, ["--renew"]))
+
+    @abstractmethod
+    def observation(self) -> Any:
+        """Return what an adapter is shown to see whether it can answer at all."""
+
+    @contextlib.contextmanager
+    def _serving(self, overrides: Mapping[str, Any], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+        served = (*self.choice.stand_in.flags, *flags)
+        started = serving(
+            self.package.path,
+            overrides,
+            python=self.options.python,
+            env=self.options.env or self.choice.env,
+            options=(*served, *self.options.confinement),
+        )
+        with started as server, self.recorder.server(server.url, overrides, served):
+            yield server
+
+    @contextlib.contextmanager
+    def _tried(self) -> Iterator[RunningServer]:
+        """Serve, and see by one observation whether the machine has what an answer takes.
+
+        Raises:
+            ServerStartError: if not: the adapter may have put off what loading is for.
+        """
+        with self._serving(self.options.overrides) as server:
+            self.choice = replace(self.choice, stubbed=server.stubbed)
+            with (
+                contextlib.suppress(ClientError, NotApplicable),
+                Client(server.url, config=self.config | PATIENCE) as client,
+            ):
+                try:
+                    client.infer(self.observation())
+                except PolicyServerError as error:
+                    lacks = error.details.get("lacks")
+                    if lacks and not Lacking(lacks).is_stub:
+                        raise ServerStartError(str(error), list(server.log), lacks) from None
+            yield server

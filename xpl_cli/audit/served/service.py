@@ -1,0 +1,149 @@
+"""The service fact: one server of an adapter from its start to its end, timed, with the processes that it had."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl.client import ClientError, PolicyServerError
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.served.compare import answers
+from xpl_cli.isolation import family
+from xpl_cli.serving.launch import ServerStartError
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.isolation.family import Member
+
+USUAL_SEED = sdk.DEPLOY_DEFAULTS[sdk.Deploy.SEED]
+_ASKED = 8
+_TABLES = ("tcp", "tcp6")
+_LISTENS = "0A"  # proc_pid_net(5): TCP_LISTEN
+
+
+@dataclass
+class Service:
+    """What one server did.
+
+    Attributes:
+        chunks: the answers to one scripted episode.
+        seconds: time of each, s.
+        trouble: why it could not go on, or None.
+        processes: the adapter's, while it was asked.
+        left_group: those of them that had left its process group.
+        listening: TCP addresses on which the adapter listened, with the process.
+        code: exit code after it was told to end.
+        stop_seconds: how long that took, s.
+        survivors: processes of the adapter that lived on.
+        log: last lines of its output.
+    """
+
+    chunks: list[Any] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    trouble: str | None = None
+    processes: list[Member] = field(default_factory=list)
+    left_group: list[tuple[Member, str]] = field(default_factory=list)
+    listening: list[tuple[str, Member]] = field(default_factory=list)
+    code: int | None = None
+    stop_seconds: float = 0.0
+    survivors: list[Member] = field(default_factory=list)
+    log: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, probe: Probe) -> Service:
+        """Serve an adapter with the usual seed, play an episode, and end its server.
+
+        Raises:
+            NotRun: if it does not start.
+        """
+        with contextlib.suppress(NotRun):
+            probe.server()  # settles what is served; this server may be gone already, which is what rules ask about
+        seen = cls()
+        try:
+            with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
+                seen._ask(probe, server.url)
+                seen.processes = family.descendants(server.pid)
+                seen._look_around(server.pid)
+        except ServerStartError as error:
+            raise NotRun(f"the server did not start: {error}") from None
+        seen.code, seen.stop_seconds = server.ended, server.stop_seconds or 0.0
+        seen.survivors = [member for member in seen.processes if member.lives]
+        seen.log = list(server.log)
+        if seen.trouble is not None:
+            seen.trouble = server.last_error or seen.trouble
+        return seen
+
+    @property
+    def first(self) -> float:
+        """Time of the first answer, s.
+
+        Raises:
+            NotRun: if not all questions were answered.
+        """
+        return self._answered()[0]
+
+    @property
+    def usual(self) -> float:
+        """Middle time of the later answers, s.
+
+        Raises:
+            NotRun: if not all questions were answered.
+        """
+        return median(self._answered()[1:])
+
+    @property
+    def steps(self) -> int:
+        """Action steps of a chunk."""
+        return len(self.chunks[-1]) if self.chunks and answers(self.chunks[-1]) else 0
+
+    def _answered(self) -> list[float]:
+        if len(self.seconds) < _ASKED:
+            raise NotRun(f"the adapter does not answer a plain observation: {self.trouble or 'it gave an error'}")
+        return self.seconds
+
+    def _ask(self, probe: Probe, url: str) -> None:
+        observations = [probe.observation(0, step) for step in range(_ASKED)]
+        try:
+            with probe.connected(url) as policy:
+                policy.reset()
+                for obs in observations:
+                    started = time.perf_counter()
+                    shown, answer = policy.update_obs(obs), policy.get_action()
+                    for failed in (shown, answer):
+                        if isinstance(failed, PolicyServerError):
+                            self.trouble = str(failed) if failed.spoils_trial else None
+                            return
+                    self.seconds.append(time.perf_counter() - started)
+                    self.chunks.append(answer)
+        except ClientError as error:
+            self.trouble = str(error)
+
+    def _look_around(self, front_end: int) -> None:
+        workers = {member.pid for member in self.processes if member.parent == front_end and member.group == member.pid}
+        for member in self.processes:
+            # The worker leads its group; a child that leads one, or that the front end had to adopt, has left.
+            if member.group not in workers or (member.group == member.pid and member.parent != front_end):
+                self.left_group.append((member, member.command))
+            self.listening += [(address, member) for address in _listening(member.pid)]
+
+
+def _listening(pid: int) -> list[str]:
+    """Return the TCP addresses on which a process listens."""
+    held = set()
+    with contextlib.suppress(OSError):
+        for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                held.add(descriptor.readlink().name)
+    found = []
+    for table in _TABLES:
+        with contextlib.suppress(OSError):
+            for line in Path(f"/proc/{pid}/net/{table}").read_text(encoding="ascii").splitlines()[1:]:
+                columns = line.split()
+                if columns[3] == _LISTENS and f"socket:[{columns[9]}]" in held:
+                    found.append(f"port {int(columns[1].rpartition(':')[2], 16)}")
+    return found

@@ -1,0 +1,71 @@
+"""The forms in which a picture travels, and what each of them costs in exactness."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import images
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from xpl_cli.audit.served.probe import Probe
+
+
+def _legacy_jpeg(image: np.ndarray) -> bytes:
+    """Return a JPEG as older writers make it: without the marker, red and blue exchanged."""
+    from PIL import Image
+
+    target = io.BytesIO()
+    exchanged = np.ascontiguousarray(image[:, :, ::-1])
+    Image.fromarray(exchanged).save(target, "JPEG", quality=images.DEFAULT_QUALITY)
+    return target.getvalue()
+
+
+FORMS: Final[Mapping[str, Callable[[np.ndarray], bytes]]] = {
+    "marked JPEG": images.encode_jpeg,
+    "legacy JPEG": _legacy_jpeg,
+    "true-RGB PNG": images.encode_png,
+}
+"""Encoders of (H, W, 3) uint8 RGB images, by the name of the form."""
+
+
+def encoded(obs: dict[str, Any], form: str) -> dict[str, Any]:
+    """Return an observation with every picture in one of the `FORMS`."""
+    encode = FORMS[form]
+    return _each_picture(obs, encode)
+
+
+def decoded(obs: dict[str, Any]) -> dict[str, Any]:
+    """Return an observation with every encoded picture as the standard reads it."""
+    return _each_picture(obs, images.decode)
+
+
+def error_of(obs: dict[str, Any], other: dict[str, Any]) -> int:
+    """Return the largest difference between the pictures of two observations, of 255."""
+    pairs = ((camera, other[sdk.Obs.VISION][name]) for name, camera in obs[sdk.Obs.VISION].items())
+    return max(
+        int(np.abs(np.subtract(one[sdk.Camera.COLOR], two[sdk.Camera.COLOR], dtype=np.int16)).max())
+        for one, two in pairs
+    )
+
+
+def sees_pictures(probe: Probe) -> bool:
+    """Tell whether an adapter may look at a camera: its manifest says so, or it has none that could."""
+    inputs = probe.package.manifest.get("inputs")
+    if inputs is None:
+        return True
+    names = (*(inputs.get("required") or ()), *(inputs.get("optional") or ()))
+    return any(name.partition(".")[0] == sdk.Obs.VISION for name in names)
+
+
+def _each_picture(obs: dict[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
+    vision = {
+        name: {**camera, sdk.Camera.COLOR: change(camera[sdk.Camera.COLOR])}
+        for name, camera in obs[sdk.Obs.VISION].items()
+    }
+    return {**obs, sdk.Obs.VISION: vision}

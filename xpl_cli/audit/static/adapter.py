@@ -1,0 +1,391 @@
+"""The class `Model` of an adapter as a reader sees it: its methods, what they reach, what configuration they read."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Final, TypeVar, cast
+
+from xpl import _spec as sdk
+from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.static.syntax import (
+    FunctionNode,
+    KeyRead,
+    called,
+    dotted,
+    key_read,
+    last,
+    parameters,
+    self_attribute,
+    targets,
+)
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.episode import Write
+    from xpl_cli.audit.static.source import Source
+
+_Node = TypeVar("_Node", bound=ast.AST)
+
+UPDATE, UPDATE_BATCH, ACT, ACT_BATCH, RESET = sdk.CONTRACT_METHODS
+LOADING: Final = ("__init__", "load")
+OBSERVING: Final = (UPDATE, UPDATE_BATCH, "encode")
+ACTING: Final = (ACT, ACT_BATCH, "predict", "decode")
+RESETTING: Final = (RESET, "reset_env")
+
+_SDK_CLASS, _TEMPLATE = "Policy", "ModelTemplate"
+_TEMPLATE_GIVES: Final = ("__init__", RESET)
+_HARMLESS: Final = frozenset(("dict", "copy", "deepcopy", "isinstance", "len", "str", "repr", "print", "bool", "get"))
+"""Calls that take a configuration and read no key of it that matters."""
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function or method and where it stands."""
+
+    file: str
+    node: FunctionNode
+    owner: ast.ClassDef | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.node.name
+
+    @cached_property
+    def nodes(self) -> tuple[ast.AST, ...]:
+        """Everything in it, the outermost first."""
+        return tuple(ast.walk(self.node))
+
+    @cached_property
+    def kinds(self) -> dict[type[ast.AST], list[ast.AST]]:
+        """Its nodes by their type, each list in the order of `nodes`."""
+        found: dict[type[ast.AST], list[ast.AST]] = {}
+        for node in self.nodes:
+            found.setdefault(type(node), []).append(node)
+        return found
+
+    def of(self, *kinds: type[_Node]) -> list[_Node]:
+        """Return its nodes of some types."""
+        found = [node for kind in kinds for node in self.kinds.get(kind, ())]
+        return cast("list[_Node]", found)
+
+    @cached_property
+    def writes(self) -> tuple[Write, ...]:
+        """Where it changes attributes of `self`."""
+        from xpl_cli.audit.static.episode import writes
+
+        return tuple(writes([self]))
+
+    @cached_property
+    def up(self) -> dict[ast.AST, ast.AST]:
+        """The parent of each of its nodes."""
+        return {child: parent for parent in self.nodes for child in ast.iter_child_nodes(parent)}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One place where the adapter reads its configuration."""
+
+    function: Function
+    read: KeyRead
+
+
+@dataclass
+class Adapter:
+    """The class `Model`.
+
+    Attributes:
+        file, node: where it is defined.
+        methods: its own methods and those of its base classes in the boundary, by name.
+        inherited: names that base classes outside the boundary give it.
+        is_sdk: whether it derives from `xpl.Policy`, which keeps environments, order and seeds itself.
+        is_closed: whether every base class is known, so that a method that is not here does not exist.
+    """
+
+    source: Source
+    file: str
+    node: ast.ClassDef
+    methods: dict[str, Function] = field(default_factory=dict)
+    inherited: set[str] = field(default_factory=set)
+    is_sdk: bool = False
+    is_closed: bool = True
+    _mentions: dict[int, list[Function]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, source: Source) -> Adapter:
+        """Find the class.
+
+        Raises:
+            NotRun: if model.py does not parse or does not define it.
+            NotApplicable: if model.py takes it from a package that is not part of the adapter.
+        """
+        wanted = sdk.MODEL_CLASS
+        source.tree(sdk.File.MODEL_PY)
+        found = symbols(source, sdk.File.MODEL_PY).classes.get(wanted)
+        if found is None and _origin(source, sdk.File.MODEL_PY, wanted):
+            raise NotApplicable(f"model.py takes {wanted} from a package that is not part of the adapter")
+        if found is None:
+            raise NotRun(f"model.py defines no class {wanted}")
+        return cls.described(source, *found)
+
+    @classmethod
+    def described(cls, source: Source, file: str, node: ast.ClassDef) -> Adapter:
+        """Describe a class of the boundary."""
+        adapter = cls(source, file, node)
+        adapter._inherit(file, node, set())
+        return adapter
+
+    def _inherit(self, file: str, node: ast.ClassDef, seen: set[str]) -> None:
+        defined = {  # of two definitions in one class the later one counts
+            child.name: self.source.function(file, child, node)
+            for child in node.body
+            if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef))
+        }
+        self.methods = {**defined, **self.methods}
+        for base in node.bases:
+            name = dotted(base)
+            local = None if name in seen else symbols(self.source, file).classes.get(name)
+            if local is not None:
+                self._inherit(*local, seen | {name})
+            elif last(name) == _SDK_CLASS and _origin(self.source, file, name).startswith("xpl"):
+                self.is_sdk = True
+                self.inherited.update(("__init__", *sdk.CONTRACT_METHODS))
+            elif last(name) == _TEMPLATE:
+                self.inherited.update(_TEMPLATE_GIVES)
+            elif name not in {"object", "ABC", "abc.ABC"}:
+                self.is_closed = False
+
+    def has(self, name: str) -> bool:
+        """Tell whether the class has a method, its own or inherited."""
+        return name in self.methods or name in self.inherited
+
+    def method(self, name: str) -> Function | None:
+        """Return a method that the boundary defines."""
+        return self.methods.get(name)
+
+    def reach(self, *names: str) -> list[Function]:
+        """Return these methods and every function of the boundary that they may call, each once, callers first."""
+        return self._walk([self.methods[name] for name in names if name in self.methods])
+
+    def reach_from(self, *functions: Function) -> list[Function]:
+        """Return these functions and every function of the boundary that they may call."""
+        return self._walk(list(functions))
+
+    def _walk(self, found: list[Function]) -> list[Function]:
+        seen = {id(function.node) for function in found}
+        for function in found:
+            key = id(function.node)
+            if key not in self._mentions:
+                self._mentions[key] = list(self._mentioned(function))
+            for other in self._mentions[key]:
+                if id(other.node) not in seen:
+                    seen.add(id(other.node))
+                    found.append(other)
+        return found
+
+    def _mentioned(self, function: Function) -> Iterator[Function]:
+        local = symbols(self.source, function.file).functions
+        for node in function.nodes:
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and node.value.id in {"self", "cls"}
+            ):
+                if node.attr in self.methods:
+                    yield self.methods[node.attr]
+            elif isinstance(node, ast.Name) and node.id in local and isinstance(node.ctx, ast.Load):
+                yield local[node.id]
+
+    @cached_property
+    def components(self) -> dict[str, Adapter]:
+        """Attributes that hold an object of another class of the boundary, with that class."""
+        found: dict[str, Adapter] = {}
+        for function in self.reach(*LOADING):
+            for node in function.nodes:
+                made = self._made(function, node.value) if isinstance(node, ast.Assign) else None
+                for target in targets(node) if made is not None else []:
+                    attribute = _plain_attribute(target)
+                    if attribute is not None and made is not None:
+                        found[attribute] = made
+        return found
+
+    def _made(self, function: Function, value: ast.expr, depth: int = 2) -> Adapter | None:
+        """Return the class of what an expression makes: a constructor, or a function that returns one's result."""
+        if not isinstance(value, ast.Call) or depth == 0:
+            return None
+        cls = symbols(self.source, function.file).classes.get(dotted(value.func))
+        if cls is not None:
+            return Adapter.described(self.source, *cls)
+        maker = self.callee(function, value)
+        returned = [node.value for node in maker.nodes if isinstance(node, ast.Return) and node.value] if maker else []
+        return self._made(maker, returned[-1], depth - 1) if maker and returned else None
+
+    @cached_property
+    def settings(self) -> list[Setting]:
+        """Every place where the class, or a function it hands its configuration to, reads a key of it."""
+        return [
+            Setting(function, read)
+            for function, is_config in self._configured
+            for read in map(key_read, function.nodes)
+            if read is not None and is_config(read.owner)
+        ]
+
+    @cached_property
+    def config_escapes(self) -> bool:
+        """Whether the configuration is handed on as a whole to code outside the boundary, which may read any key."""
+        return any(
+            self._hands_on(function, node, is_config)
+            for function, is_config in self._configured
+            for node in function.nodes
+        )
+
+    def _hands_on(self, function: Function, node: ast.AST, is_config: Callable[[ast.AST], bool]) -> bool:
+        if isinstance(node, ast.keyword) and node.arg is None:
+            return is_config(node.value)
+        if isinstance(node, (ast.For, ast.comprehension)):
+            return is_config(node.iter)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and is_config(node.func.value):
+            return node.func.attr in {"items", "keys", "values"}
+        if not isinstance(node, ast.Call) or not any(is_config(value) for value in _values(node)):
+            return False
+        return last(called(node)) not in _HARMLESS and self.callee(function, node) is None
+
+    @cached_property
+    def _configured(self) -> list[tuple[Function, Callable[[ast.AST], bool]]]:
+        """Every function of the class, with a test for expressions that are the configuration."""
+        functions = {id(function.node): function for function in self.reach(*self.methods)}
+        known: dict[int, set[str]] = {key: set() for key in functions}
+        attributes = {"config"} if self.is_sdk else set()
+        for name in LOADING:
+            function = self.methods.get(name)
+            if function is not None:
+                known[id(function.node)].update(parameters(function.node)[:1])
+        before = -1
+        while before != (before := len(attributes) + sum(map(len, known.values()))):
+            for key, function in functions.items():
+                self._spread(function, known[key], attributes, known)
+        return [(function, _test(known[key], attributes)) for key, function in functions.items()]
+
+    def _spread(self, function: Function, local: set[str], attributes: set[str], known: dict[int, set[str]]) -> None:
+        """Note where a function puts the configuration: into names, attributes, parameters of functions it calls."""
+        is_config = _test(local, attributes)
+        for node in function.nodes:
+            if isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None:
+                if is_config(_uncopied(node.value)):
+                    for target in targets(node):
+                        if isinstance(target, ast.Name):
+                            local.add(target.id)
+                        elif (attribute := _plain_attribute(target)) is not None:
+                            attributes.add(attribute)
+            elif isinstance(node, ast.Call) and (other := self.callee(function, node)) is not None:
+                given = _bound(parameters(other.node), node)
+                known.setdefault(id(other.node), set()).update(
+                    name for name, value in given if is_config(_uncopied(value))
+                )
+
+    def callee(self, function: Function, call: ast.Call) -> Function | None:
+        """Return the function of the boundary that a call means."""
+        name = dotted(call.func)
+        if name.startswith(("self.", "cls.")):
+            return self.methods.get(name.partition(".")[2])
+        if isinstance(call.func, ast.Name):
+            return symbols(self.source, function.file).functions.get(call.func.id)
+        return None
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """What the names of one file mean, as far as the boundary defines it."""
+
+    classes: dict[str, tuple[str, ast.ClassDef]] = field(default_factory=dict)
+    functions: dict[str, Function] = field(default_factory=dict)
+
+
+def symbols(source: Source, file: str) -> Symbols:
+    """Return the classes and functions that a file defines at its top level or imports from the boundary."""
+    known = source.memory
+    if file not in known:
+        known[file] = found = Symbols()
+        try:
+            tree = source.tree(file)
+        except NotRun:
+            return found
+        modules = source.imports(file)
+        for node in _top_level(tree.body):
+            if isinstance(node, ast.ClassDef):
+                found.classes[node.name] = (file, node)
+            elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                found.functions[node.name] = source.function(file, node)
+            elif isinstance(node, ast.ImportFrom):
+                module = modules.get("." * node.level + (node.module or ""))
+                other = Symbols() if module is None else symbols(source, module)
+                for alias in node.names:
+                    name = alias.asname or alias.name
+                    if alias.name in other.classes:
+                        found.classes[name] = other.classes[alias.name]
+                    if alias.name in other.functions:
+                        found.functions[name] = other.functions[alias.name]
+    return known[file]
+
+
+def _top_level(body: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """Yield the statements of a module, those inside `if` and `try` too."""
+    for statement in body:
+        yield statement
+        for block in ("body", "orelse", "finalbody"):
+            if isinstance(statement, (ast.If, ast.Try)):
+                yield from _top_level(getattr(statement, block, []))
+        for handler in getattr(statement, "handlers", []):
+            yield from _top_level(handler.body)
+
+
+def _origin(source: Source, file: str, name: str) -> str:
+    """Return the module that a name was imported from."""
+    top = name.partition(".")[0]
+    for node in source.nodes(file):
+        if isinstance(node, ast.ImportFrom) and not node.level:
+            if any((alias.asname or alias.name) == top for alias in node.names):
+                return node.module or ""
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if (alias.asname or alias.name.partition(".")[0]) == top:
+                    return alias.name
+    return ""
+
+
+def _plain_attribute(node: ast.AST) -> str | None:
+    return self_attribute(node) if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) else None
+
+
+def _uncopied(node: ast.expr) -> ast.expr:
+    """Return what a copy is made of: `dict(config)`, `config.copy()`, `config or {}`."""
+    if isinstance(node, ast.Call):
+        name = last(called(node))
+        if name in {"dict", "copy", "deepcopy"} and isinstance(node.func, ast.Attribute) and not node.args:
+            return node.func.value
+        if name in {"dict", "copy", "deepcopy"} and len(node.args) == 1:
+            return node.args[0]
+    if isinstance(node, ast.BoolOp):
+        return node.values[0]
+    return node
+
+
+def _test(local: set[str], attributes: set[str]) -> Callable[[ast.AST], bool]:
+    def is_config(node: ast.AST) -> bool:
+        if isinstance(node, ast.Name):
+            return node.id in local
+        return _plain_attribute(node) in attributes if isinstance(node, ast.Attribute) else False
+
+    return is_config
+
+
+def _values(call: ast.Call) -> list[ast.expr]:
+    return [*call.args, *(keyword.value for keyword in call.keywords)]
+
+
+def _bound(names: list[str], call: ast.Call) -> list[tuple[str, ast.expr]]:
+    """Return the parameters that a call gives, with what they get."""
+    given = list(zip(names, call.args, strict=False))
+    return given + [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg in names]

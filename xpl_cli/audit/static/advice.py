@@ -1,0 +1,235 @@
+"""What general tools say about an adapter's own files: ruff and mypy, where they are installed.
+
+Both are given a copy of the boundary in an empty folder, as the audit has read it. So they see no configuration, plugin
+or stub that lies beside the adapter, follow no import into a vendored tree, and their places fit the text that fixes
+are applied to. Neither executes what it reads. Their words depend on their version, and are therefore never cached.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, NotApplicable, NotRun
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.source import Source
+
+_SELECTED: Final = (
+    "F",  # names that do not exist, values that nobody reads
+    "B",  # likely bugs: mutable defaults, closures over loop variables
+    "PLE",  # what fails when it is reached
+    "NPY",  # the global random state, names that numpy has removed
+    "S301",  # unpickling
+    "S506",  # loading YAML that can construct objects
+)
+_LEFT_OUT: Final = (
+    "F403",  # star imports: XPL107 tells what they cost
+    "F405",
+    "F541",  # an f-string without a value does what it says
+    "B007",  # an unused loop variable hurts nobody
+    "B028",  # where a warning seems to come from
+    "B904",  # how a traceback reads
+    "B905",  # `zip(strict=)` is younger than the Python of many policies
+)
+_RUFF: Final = (
+    *("check", "--isolated", "--no-cache", "--no-fix", "--exit-zero", "--output-format", "json"),
+    *("--select", ",".join(_SELECTED), "--ignore", ",".join(_LEFT_OUT)),
+)
+_MYPY: Final = (
+    *("--config-file=", "--no-incremental", f"--cache-dir={os.devnull}", "--no-site-packages"),
+    *("--ignore-missing-imports", "--follow-imports=silent", "--check-untyped-defs", "--no-error-summary"),
+    *("--explicit-package-bases", "--namespace-packages", "--disable-error-code", "var-annotated"),
+    # Attributes that are None until `load` fills them are the rule here, and nine in ten findings without this.
+    "--no-strict-optional",
+    *("--output", "json"),
+)
+_SDK: Final = "xpl"
+_PATIENCE: Final = 90.0
+"""Seconds until a tool is given up."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One thing that a tool says.
+
+    Attributes:
+        tool, rule: the tool, and its own code.
+        message: its sentence.
+        path, line, column, end_line, end_column: where; 1-based, columns in characters.
+        fix: what it offers to do.
+    """
+
+    tool: str
+    rule: str
+    message: str
+    path: str
+    line: int
+    column: int
+    end_line: int
+    end_column: int
+    fix: Fix
+
+    def finding(self, source: Source) -> Finding:
+        """Return it as a finding of the audit."""
+        lines = source.text(self.path).split("\n")
+        return Finding(
+            f"{self.tool} {self.rule}: {self.message}",
+            path=self.path,
+            line=self.line,
+            column=self.column,
+            end_line=self.end_line,
+            end_column=self.end_column,
+            expected=f"code that {self.tool} has nothing to say about",
+            got=lines[self.line - 1].strip()[:80] if self.line <= len(lines) else "",
+            evidence={"tool": self.tool, "rule": self.rule},
+            fix=self.fix,
+        )
+
+
+def ruff(source: Source) -> tuple[Remark, ...]:
+    """Return what ruff says, in order of place.
+
+    Raises:
+        NotRun: if it is not installed or does not answer.
+        NotApplicable: if no Python file of the adapter parses.
+    """
+    with _copied(source) as (folder, names):
+        told = _answer("ruff", [*_RUFF, "--", *names], folder)
+        try:
+            return _sorted(_of_ruff(entry, folder) for entry in json.loads(told) if entry["code"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise NotRun(f"ruff answers in a form that is not known here: {error}") from None
+
+
+def mypy(source: Source) -> tuple[Remark, ...]:
+    """Return what mypy says, in order of place. Untyped functions are looked into; other packages count as untyped.
+
+    Raises:
+        NotRun: if it is not installed or does not answer.
+        NotApplicable: if no Python file of the adapter parses.
+    """
+    with _copied(source) as (folder, names):
+        package = folder.name  # relative imports need one
+        files = {f"{package}/{name}": name for name in names}
+        told = _answer("mypy", [*_MYPY, "--", *files], folder.parent)
+        try:
+            entries = [json.loads(line) for line in told.splitlines() if line.strip()]
+            known = (entry for entry in entries if entry["severity"] == "error" and entry["file"] in files)
+            return _sorted(_of_mypy(entry, files[entry["file"]]) for entry in known)
+        except (ValueError, KeyError, TypeError) as error:
+            raise NotRun(f"mypy answers in a form that is not known here: {error}") from None
+
+
+@contextmanager
+def _copied(source: Source) -> Iterator[tuple[Path, list[str]]]:
+    """Copy the boundary's Python files that parse; give the copy's folder and their names."""
+    names = [name for name in source.python_files if source.parses(name)]
+    if not names:
+        raise NotApplicable("no Python file of the adapter parses")
+    with tempfile.TemporaryDirectory(prefix="xpl-advice-") as made:
+        folder = Path(made).resolve() / "boundary"
+        for name in names:
+            file = folder / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(source.text(name), encoding="utf-8", errors="replace", newline="\n")
+        yield folder, names
+
+
+def _answer(tool: str, arguments: list[str], folder: Path) -> str:
+    """Run a tool and return its output.
+
+    Raises:
+        NotRun: if it is not there, crashes, or takes too long.
+    """
+    program = shutil.which(tool, path=str(Path(sys.executable).parent)) or shutil.which(tool)
+    if program is None:
+        raise NotRun(f"{tool} is not installed: {Path(sys.executable).name} -m pip install {tool}")
+    variables = {name: value for name, value in os.environ.items() if not name.startswith(("RUFF_", "MYPY"))}
+    if tool == "mypy":
+        variables["MYPYPATH"] = str(_sdk(folder / "sdk"))
+    try:
+        done = subprocess.run(
+            [program, *arguments],
+            cwd=folder,
+            env=variables,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=_PATIENCE,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise NotRun(f"{tool} has not ended after {_PATIENCE:.0f} s") from None
+    except OSError as error:
+        raise NotRun(f"{tool} cannot be started: {error}") from None
+    if done.returncode not in {0, 1}:
+        said = (done.stderr or done.stdout).strip().splitlines()
+        raise NotRun(f"{tool} fails: {said[-1] if said else f'exit code {done.returncode}'}")
+    return done.stdout
+
+
+def _sdk(folder: Path) -> Path:
+    """Return a folder in which the SDK, which has types, is all that can be imported."""
+    import xpl
+
+    folder.mkdir()
+    (folder / _SDK).symlink_to(Path(xpl.__file__).parent, target_is_directory=True)
+    return folder
+
+
+def _sorted(remarks: Iterator[Remark]) -> tuple[Remark, ...]:
+    return tuple(sorted(remarks, key=lambda one: (one.path, one.line, one.column, one.rule)))
+
+
+def _of_ruff(entry: dict[str, Any], folder: Path) -> Remark:
+    path = Path(entry["filename"]).resolve().relative_to(folder).as_posix()
+    begin, end = entry["location"], entry["end_location"]
+    place = begin["row"], begin["column"], end["row"], end["column"]
+    return Remark("ruff", entry["code"], entry["message"], path, *place, _fix(entry["fix"], entry["code"], path))
+
+
+def _fix(offered: dict[str, Any] | None, rule: str, path: str) -> Fix:
+    """Return ruff's own edit, as far as it calls it safe or unsafe, and not for display only."""
+    kind = {"safe": "safe_edit", "unsafe": "unsafe_edit"}.get(offered["applicability"]) if offered else None
+    if offered is None or kind is None:
+        return Fix("advice", f"`ruff rule {rule}` explains it")
+    edits = tuple(
+        Edit(
+            path,
+            edit["location"]["row"],
+            edit["location"]["column"],
+            edit["end_location"]["row"],
+            edit["end_location"]["column"],
+            edit["content"],
+        )
+        for edit in offered["edits"]
+    )
+    return Fix(kind, offered["message"] or f"what ruff offers for {rule}", edits)
+
+
+def _of_mypy(entry: dict[str, Any], path: str) -> Remark:
+    line, column = int(entry["line"]), int(entry["column"]) + 1
+    hint = entry.get("hint") or "say what the value is by an annotation or a check, or correct it"
+    return Remark(
+        tool="mypy",
+        rule=str(entry["code"] or "error"),
+        message=str(entry["message"]),
+        path=path,
+        line=max(line, 1),
+        column=max(column, 1),
+        end_line=max(line, 1),
+        end_column=max(column, 1),
+        fix=Fix("advice", " ".join(str(hint).split())),
+    )

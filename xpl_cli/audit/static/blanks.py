@@ -1,0 +1,154 @@
+"""Where code puts zeros in place of something that is missing."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.audit.static.syntax import always_raises, called, constant, dotted, last, names, texts
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.adapter import Function
+
+_MAKERS: Final = frozenset(("zeros", "zeros_like", "full", "ones", "new"))
+
+
+@dataclass(frozen=True)
+class Blank:
+    """Zeros that stand in for a missing value.
+
+    Attributes:
+        node: the expression that makes them.
+        missing: what is missing, as it is written.
+        read: name of the map that it was read from, with () where a function read it, "" where that is not known.
+        is_image: whether they have the shape or the type of an image.
+        is_masked: whether the same branch tells a mask that the value is missing.
+    """
+
+    function: Function
+    node: ast.Call
+    missing: str
+    read: str
+    is_image: bool
+    is_masked: bool = False
+
+
+def blanks(function: Function) -> Iterator[Blank]:
+    """Yield the zeros that a function puts where a look-up in a map found nothing."""
+    looked_up = _looked_up(function)
+    for node in function.nodes:
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in {"get", "pop"}:
+            if len(node.args) > 1 and (made := _made(node.args[1])) is not None:
+                yield Blank(function, made, ast.unparse(node.args[0]), dotted(node.func.value), _is_image(made))
+        elif isinstance(node, ast.If):
+            yield from _branches(function, node.test, node.body, node.orelse, looked_up)
+        elif isinstance(node, ast.IfExp):
+            yield from _branches(function, node.test, [node.body], [node.orelse], looked_up)
+        elif isinstance(node, ast.Try):
+            for handler in node.handlers:
+                if handler.type is not None and last(dotted(handler.type)) in {"KeyError", "Exception"}:
+                    for made in _put(handler.body):
+                        read = next((dotted(child.value) for entry in node.body for child in ast.walk(entry)
+                                     if isinstance(child, ast.Subscript) and dotted(child.value)), "")  # fmt: skip
+                        yield Blank(function, made, ast.unparse(node.body[0]).split("\n")[0], read, _is_image(made))
+
+
+def _branches(
+    function: Function, test: ast.expr, body: Sequence[ast.AST], orelse: Sequence[ast.AST], looked_up: dict[str, str]
+) -> Iterator[Blank]:
+    """Yield zeros in the branch of a test that is taken where something is missing."""
+    for what, read, is_missing in _asked(test, looked_up):
+        branch = body if is_missing else orelse
+        is_masked = any("mask" in word or "pad" in word for entry in branch for word in _words(entry))
+        for made in _put(branch):
+            yield Blank(function, made, what, read, _is_image(made), is_masked)
+
+
+def _words(node: ast.AST) -> set[str]:
+    attributes = {child.attr for child in ast.walk(node) if isinstance(child, ast.Attribute)}
+    return {word.lower() for word in names(node) | texts(node) | attributes}
+
+
+def _asked(test: ast.expr, looked_up: dict[str, str]) -> Iterator[tuple[str, str, bool]]:
+    """Yield what a test asks for, the map it comes from, and whether the test is true where it is missing."""
+    if isinstance(test, ast.BoolOp):
+        for value in test.values:
+            yield from _asked(value, looked_up)
+    elif isinstance(test, ast.Compare) and len(test.ops) == 1:
+        operator, left, right = test.ops[0], test.left, test.comparators[0]
+        if isinstance(operator, (ast.Is, ast.IsNot)) and constant(right) is None and isinstance(left, ast.Name):
+            if left.id in looked_up:
+                yield left.id, looked_up[left.id], isinstance(operator, ast.Is)
+        elif isinstance(operator, (ast.In, ast.NotIn)) and dotted(right):
+            yield ast.unparse(left), dotted(right), isinstance(operator, ast.NotIn)
+
+
+def _looked_up(function: Function) -> dict[str, str]:
+    """Return the names that hold what a look-up found, or a function made of one, with the map they come from."""
+    found: dict[str, str] = {}
+    for node in function.nodes:
+        value = getattr(node, "value", None)
+        if isinstance(node, (ast.Assign, ast.AnnAssign)) and isinstance(value, ast.expr):
+            read = _map_of(value)
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            for target in targets if read else []:
+                if isinstance(target, ast.Name):
+                    found.setdefault(target.id, read)
+    return found
+
+
+def _map_of(value: ast.expr) -> str:
+    if isinstance(value, ast.Call) and isinstance(value.func, ast.Attribute) and value.func.attr in {"get", "pop"}:
+        return dotted(value.func.value)
+    if isinstance(value, ast.Call):  # extract(observation, key): a function that may find nothing
+        return next((f"{argument.id}()" for argument in value.args if isinstance(argument, ast.Name)), "")
+    if isinstance(value, ast.IfExp):
+        return _map_of(value.body) or _map_of(value.orelse)
+    return ""
+
+
+def _put(body: Sequence[ast.AST]) -> Iterator[ast.Call]:
+    """Yield the zeros that a branch returns or assigns."""
+    if any(isinstance(entry, ast.stmt) for entry in body) and always_raises(
+        [e for e in body if isinstance(e, ast.stmt)]
+    ):
+        return
+    for entry in body:
+        value = entry if isinstance(entry, ast.expr) else getattr(entry, "value", None)
+        if isinstance(entry, (ast.Return, ast.Assign, ast.AnnAssign, ast.expr)) and isinstance(value, ast.expr):
+            made = _made(value)
+            if made is not None:
+                yield made
+
+
+def _made(value: ast.expr) -> ast.Call | None:
+    """Return the call that makes zeros, if a value is nothing else, possibly converted."""
+    while isinstance(value, ast.Call):
+        name = called(value)
+        if last(name) in _MAKERS and name.partition(".")[0] in {"np", "numpy", "torch", "jnp", "Image"}:
+            is_zero = last(name) in {"zeros", "zeros_like", "new"} or (
+                last(name) == "full" and bool(value.args) and constant(value.args[-1]) == 0
+            )
+            return value if is_zero else None
+        if isinstance(value.func, ast.Attribute) and isinstance(value.func.value, ast.Call):
+            value = value.func.value  # np.zeros(...).astype(...)
+        elif len(value.args) >= 1 and isinstance(value.args[0], ast.Call):
+            value = value.args[0]  # torch.from_numpy(np.zeros(...))
+        else:
+            return None
+    return None
+
+
+def _is_image(made: ast.Call) -> bool:
+    """Tell whether zeros have the shape (H, W, 3) or (3, H, W), or are bytes."""
+    if called(made).startswith("Image."):
+        return True
+    shape = made.args[0] if made.args else None
+    sizes = shape.elts if isinstance(shape, (ast.Tuple, ast.List)) else []
+    has_channels = len(sizes) >= 3 and 3 in (constant(sizes[-1]), constant(sizes[-3]))
+    is_bytes = any(
+        "uint8" in ast.unparse(value) for value in (*made.args[1:], *(entry.value for entry in made.keywords))
+    )
+    return has_channels or (is_bytes and (len(sizes) >= 2 or bool(shape is not None and names(shape))))

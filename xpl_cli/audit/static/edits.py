@@ -1,0 +1,36 @@
+"""Edits that rules make of syntax trees: what a fix puts in the place of an expression."""
+
+from __future__ import annotations
+
+import ast
+from typing import TYPE_CHECKING
+
+from xpl_cli.audit.rules.model import Edit
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.source import Source
+
+
+def replaced(source: Source, file: str, node: ast.AST, text: str) -> Edit:
+    """Return the edit that puts a text in the place of a node."""
+    at = source.at(file, node)
+    return Edit(file, at["line"], at["column"], at["end_line"], at["end_column"], text)
+
+
+def exchanged(source: Source, file: str, one: ast.expr, other: ast.expr) -> tuple[Edit, Edit]:
+    """Return the edits by which two expressions change places, as they are written."""
+    return (
+        replaced(source, file, one, written(source, file, other)),
+        replaced(source, file, other, written(source, file, one)),
+    )
+
+
+def written(source: Source, file: str, node: ast.AST) -> str:
+    """Return a node as it is written in its file."""
+    return ast.get_source_segment(source.text(file), node) or ast.unparse(node)
+
+
+def same_quotes(source: Source, file: str, node: ast.AST, text: str) -> str:
+    """Return a string literal in the quotes that a literal of the file has."""
+    quote = "'" if written(source, file, node).endswith("'") else '"'
+    return f"{quote}{text}{quote}"

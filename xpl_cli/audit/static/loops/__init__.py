@@ -1,0 +1,1 @@
+"""Evaluation loops, followed on their syntax trees beside the reference."""

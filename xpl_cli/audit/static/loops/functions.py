@@ -1,0 +1,120 @@
+"""The evaluation loop of deploy.py: its functions, what they do to the environment, what they ask of the policy."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from typing import TYPE_CHECKING, Final
+
+from xpl import _spec as sdk
+from xpl_cli.audit.static.adapter import ACT, ACT_BATCH, UPDATE, UPDATE_BATCH, Function, symbols
+from xpl_cli.audit.static.syntax import called, constant, enclosing, parameters, targets
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.source import Source
+
+_TASK_ENV: Final = spec.data("package")["task_env"]
+EXECUTES: Final = tuple(_TASK_ENV["executes"])
+ENDS: Final = tuple(_TASK_ENV["ends"])
+UPDATES: Final = (UPDATE, UPDATE_BATCH)
+
+
+@cache
+def wanted() -> tuple[str, ...]:
+    """Return the names of the functions that deploy.py offers."""
+    return tuple(spec.data("package")["loop"]["functions"])
+
+
+def loops(source: Source) -> list[Function]:
+    """Return the evaluation functions that deploy.py defines or takes from another file of the adapter.
+
+    Raises:
+        NotRun: if deploy.py does not parse.
+    """
+    source.tree(sdk.File.DEPLOY_PY)
+    functions = symbols(source, sdk.File.DEPLOY_PY).functions
+    return [functions[name] for name in wanted() if name in functions]
+
+
+def asked(function: Function) -> Iterator[tuple[ast.Call, str | None]]:
+    """Yield what a function asks of the policy, `call(func_name="reset")`; None for a name made at run time."""
+    client = _client(function)
+    for node in function.nodes:
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and _is(node.func.value, client):
+            if node.func.attr == sdk.Message.CALL:
+                given = [entry.value for entry in node.keywords if entry.arg == sdk.Payload.FUNC_NAME] or node.args[:1]
+                name = constant(given[0]) if given else None
+                yield node, name if isinstance(name, str) else None
+            else:
+                yield node, node.func.attr
+
+
+def does(node: ast.AST, function: Function, names: tuple[str, ...]) -> Iterator[ast.Call]:
+    """Yield calls of these methods of the environment below a node."""
+    environment = _environment(function)
+    for child in function.nodes if node is function.node else ast.walk(node):
+        if not isinstance(child, ast.Call) or not isinstance(child.func, ast.Attribute):
+            continue
+        if child.func.attr in names and _is(child.func.value, environment):
+            yield child
+
+
+def updates(node: ast.AST, function: Function) -> bool:
+    """Tell whether the policy is shown an observation below a node."""
+    inside = set(map(id, ast.walk(node)))
+    return any(id(call) in inside and name in UPDATES for call, name in asked(function))
+
+
+def hands_on(node: ast.AST, function: Function, source: Source, parameter: int, names: tuple[str, ...] = ()) -> bool:
+    """Tell whether the environment or the client is given, below a node, to a function that may do something there.
+
+    Args:
+        node: where to look.
+        function: the evaluation function.
+        source: the adapter, to look the function up in.
+        parameter: 0 for the environment, 1 for the client.
+        names: methods of it; a function of the boundary that calls none of them does not count.
+    """
+    wanted_name = _environment(function) if parameter == 0 else _client(function)
+    functions = symbols(source, function.file).functions
+    for child in ast.walk(node):
+        if isinstance(child, ast.Call) and any(_is(value, wanted_name) for value in child.args):
+            other = functions.get(child.func.id) if isinstance(child.func, ast.Name) else None
+            if other is None or not names:
+                return True
+            if any(isinstance(entry, ast.Attribute) and entry.attr in names for entry in other.nodes):
+                return True
+    return False
+
+
+def around(node: ast.AST, function: Function) -> ast.For | ast.While | None:
+    """Return the innermost loop around a node of a function."""
+    return next((entry for entry in enclosing(node, function.up) if isinstance(entry, (ast.For, ast.While))), None)
+
+
+def chunks(function: Function) -> set[str]:
+    """Return the names that hold what the policy answered, as it came."""
+    calls = {id(node) for node, name in asked(function) if name in {ACT, ACT_BATCH}}
+    found: set[str] = set()
+    for node in function.nodes:
+        if isinstance(node, (ast.Assign, ast.AnnAssign, ast.NamedExpr)) and node.value is not None:
+            value = node.value
+            if isinstance(value, ast.Call) and called(value) == "list" and value.args:
+                value = value.args[0]
+            if id(value) in calls:
+                found |= {target.id for target in targets(node) if isinstance(target, ast.Name)}
+    return found
+
+
+def _environment(function: Function) -> str:
+    return (parameters(function.node) or [""])[0]
+
+
+def _client(function: Function) -> str:
+    return ([*parameters(function.node), "", ""])[1]
+
+
+def _is(node: ast.AST, name: str) -> bool:
+    return isinstance(node, ast.Name) and node.id == name

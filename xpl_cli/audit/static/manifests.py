@@ -1,0 +1,164 @@
+"""What the rules about YAML manifests share: problems of the schema as findings, and the line of a key."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from xpl import _spec as sdk
+from xpl_cli.audit.rules.model import Edit, Finding, Fix
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import yaml
+
+    from xpl_cli.audit.static.source import Source
+
+
+def schema_findings(source: Source, name: str, schema: str, consequence: str) -> Iterator[Finding]:
+    """Yield a finding for every way in which a YAML file differs from its schema.
+
+    Args:
+        source: the package.
+        name: the file.
+        schema: name of the schema.
+        consequence: what a problem means, with `{}` for the key or file it lies in.
+    """
+    from xpl_cli.standard.problems import path_text
+    from xpl_cli.standard.validate import validate_yaml_file
+
+    for problem in validate_yaml_file(source.path / name, schema, source.version):
+        yield Finding(
+            f"{consequence.format(path_text(problem.path) or name)}: {problem.told}",
+            path=name,
+            line=problem.line,
+            column=problem.column,
+            expected=problem.expected,
+            got=problem.got,
+            fix=Fix("command", f"xpl spec show {schema}"),
+        )
+
+
+def key_line(source: Source, name: str, key: str) -> int:
+    """Return the 1-based line on which a top-level key of a YAML file stands, 1 if it is not found."""
+    lines = source.text(name).split("\n")
+    return next((number for number, text in enumerate(lines, start=1) if re.match(rf"{re.escape(key)}\s*:", text)), 1)
+
+
+def renamed(source: Source, name: str, key: str) -> Fix:
+    """Return the fix that gives a top-level key of a YAML file the name of the package's folder."""
+    import json
+
+    import yaml
+
+    wanted = source.path.name
+    text = (
+        wanted
+        if re.fullmatch(r"[A-Za-z_]\w*", wanted) and isinstance(spec.parse_yaml(wanted), str)
+        else json.dumps(wanted)
+    )
+    values = [value for _, value in _pairs(_root(source, name), key) if isinstance(value, yaml.ScalarNode)]
+    edits = tuple(
+        Edit(name, start.line + 1, start.column + 1, end.line + 1, end.column + 1, text)
+        for start, end in ((value.start_mark, value.end_mark) for value in values)
+    )
+    return Fix("safe_edit", f"{key}: {text}", edits)
+
+
+def deleted(source: Source, name: str, key: str) -> Iterator[Edit]:
+    """Yield the edit that deletes a top-level key of a YAML file, with the whole lines that it and its value take."""
+    lines = len(source.text(name).split("\n"))
+    for given, value in _pairs(_root(source, name), key):
+        last = max(_lines(value))
+        if last + 2 <= lines:
+            yield Edit(name, given.start_mark.line + 1, 1, last + 2, 1, "")
+        else:  # the last line of a file that does not end in a line break
+            end = value.end_mark
+            yield Edit(name, given.start_mark.line + 1, 1, end.line + 1, end.column + 1, "")
+
+
+def required_input(source: Source, entry: str) -> Fix:
+    """Return the fix that lists an input of policy.yml as required, and as nothing else.
+
+    A camera gets an entry where the manifest has those: any image will do, until its author says otherwise.
+    """
+    import yaml
+
+    name, group = sdk.File.POLICY_YML, "required"
+    text = f"inputs.{group}: [..., {entry}]"
+    edits = []
+    for _, inputs in _pairs(_root(source, name), "inputs"):
+        for kind, value in inputs.value if isinstance(inputs, yaml.MappingNode) else ():
+            listed = [str(item.value) for item in value.value] if isinstance(value, yaml.SequenceNode) else []
+            wanted = [item for item in listed if item != entry] + [entry] * (kind.value == group)
+            if wanted == listed:
+                continue
+            if not value.flow_style or value.start_mark.line != value.end_mark.line:
+                return Fix("advice", text)
+            start, end = value.start_mark, value.end_mark
+            new = f"[{', '.join(wanted)}]"
+            edits.append(Edit(name, start.line + 1, start.column + 1, end.line + 1, end.column + 1, new))
+    sized = _sized(source, entry) if edits else ()
+    return Fix("safe_edit" if edits else "advice", text, (*edits, *sized))
+
+
+def _sized(source: Source, entry: str) -> Iterator[Edit]:
+    """Yield the edit that declares a camera, if the input is one and the manifest has a map for them."""
+    import yaml
+
+    name, (group, _, camera) = sdk.File.POLICY_YML, entry.partition(".")
+    for _, cameras in _pairs(_root(source, name), "cameras"):
+        if group != sdk.Obs.VISION or not isinstance(cameras, yaml.MappingNode):
+            continue
+        known = [key.value for key, _ in cameras.value]
+        if camera in known:
+            continue
+        new = f"{camera}: {{width: null, height: null}}"
+        if not cameras.flow_style:
+            place = cameras.value[0][0].start_mark
+            yield Edit(name, place.line + 1, 1, place.line + 1, 1, f"{' ' * place.column}{new}\n")
+        elif known:
+            place = cameras.value[-1][1].end_mark
+            yield Edit(name, place.line + 1, place.column + 1, place.line + 1, place.column + 1, f", {new}")
+        else:
+            place = cameras.end_mark
+            yield Edit(name, place.line + 1, place.column, place.line + 1, place.column, new)
+
+
+def _root(source: Source, name: str) -> yaml.Node | None:
+    import yaml
+
+    return yaml.compose(source.text(name), Loader=yaml.SafeLoader)
+
+
+def _pairs(root: yaml.Node | None, key: str) -> list[tuple[yaml.Node, yaml.Node]]:
+    """Return the entries of a map that have a key."""
+    import yaml
+
+    pairs = root.value if isinstance(root, yaml.MappingNode) else []
+    return [(given, value) for given, value in pairs if given.value == key]
+
+
+def _lines(node: yaml.Node) -> Iterator[int]:
+    """Yield the last lines of the values below a node of block style, which itself ends where the next one begins."""
+    import yaml
+
+    yield node.start_mark.line
+    if isinstance(node, yaml.MappingNode):
+        for pair in node.value:
+            for child in pair:
+                yield from _lines(child)
+    elif isinstance(node, yaml.SequenceNode) and not node.flow_style:
+        for child in node.value:
+            yield from _lines(child)
+    elif not isinstance(node, yaml.ScalarNode) or node.style not in ("|", ">"):
+        yield node.end_mark.line
+    else:
+        yield node.end_mark.line - 1
+
+
+def robots() -> frozenset[str]:
+    """Return every name that stands for an embodiment of the standard, aliases included."""
+    return frozenset(name for key, entry in sdk.EMBODIMENTS.items() for name in (key, *entry.get("aliases", ())))

@@ -1,0 +1,83 @@
+"""Reads one file of a package that may hold anything: a pipe, a link that leads away, bytes in no encoding."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import os
+import stat
+import tokenize
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.audit.rules.model import NotRun
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SIZE_LIMIT: Final = 2 * 1024 * 1024
+"""Files beyond this many bytes are data, not source."""
+
+
+def read(package: Path, name: str) -> bytes:
+    """Return what a file of a package holds.
+
+    Args:
+        package: the package's folder, resolved.
+        name: the file, relative to the folder.
+
+    Raises:
+        NotRun: if there is no such file or it may not be read, if it is too large, or lies outside of the package.
+    """
+    try:
+        if inside(package, name) is None and (package / name).is_file():
+            raise NotRun(f"{name} is a link that leads out of the package, and is not followed")
+        # A pipe that took the file's place meanwhile is opened without waiting for its writer.
+        handle = os.open(package / name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
+    except PermissionError as error:
+        raise NotRun(f"{name} may not be read: {error.strerror}") from None
+    except (OSError, ValueError):  # gone, a loop of links, or a name that no file can have
+        raise NotRun(f"there is no {name}") from None
+    try:
+        with os.fdopen(handle, "rb") as stream:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise NotRun(f"there is no {name}")
+            data = stream.read(SIZE_LIMIT + 1)
+    except OSError as error:
+        raise NotRun(f"{name} cannot be read: {error.strerror or error}") from None
+    if len(data) > SIZE_LIMIT:
+        raise NotRun(f"{name} is larger than {SIZE_LIMIT} bytes")
+    return data
+
+
+def inside(package: Path, name: str) -> str | None:
+    """Return a file's name in its package with all links followed; None if it is no file, or lies elsewhere.
+
+    Two names of one file give one answer, so that a folder that links to itself has no more files than it holds.
+    """
+    try:
+        file = (package / name).resolve()
+        return file.relative_to(package).as_posix() if file.is_relative_to(package) and file.is_file() else None
+    except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
+        return None
+
+
+def decoded(data: bytes, *, python: bool) -> tuple[str, str | None]:
+    """Return the text of a file, and why Python would refuse it; undecodable bytes are replaced.
+
+    Args:
+        data: what the file holds.
+        python: whether the encoding that a Python file declares counts.
+    """
+    encoding, problem = "utf-8", None
+    if python:
+        try:
+            encoding, _ = tokenize.detect_encoding(io.BytesIO(data).readline)
+            text_codec = codecs.lookup(encoding).name
+            data.decode(text_codec)
+        except (SyntaxError, LookupError) as error:
+            encoding, problem = "utf-8", str(error)
+        except UnicodeDecodeError as error:
+            place = data.count(b"\n", 0, error.start) + 1
+            problem = f"byte {error.object[error.start]:#04x} in line {place} is not {error.encoding}"
+    text = data.decode(encoding, errors="replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n").removeprefix("\ufeff"), problem

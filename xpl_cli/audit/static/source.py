@@ -1,0 +1,384 @@
+"""The static fact: an adapter's files as text, syntax trees and YAML, each read once; nothing is executed."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import os
+import re
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.static import reading
+from xpl_cli.audit.static.reading import SIZE_LIMIT
+from xpl_cli.audit.static.shell import Command, parse
+from xpl_cli.packages.package import ENV
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.adapter import Adapter, Function, Symbols
+    from xpl_cli.audit.static.syntax import FunctionNode
+
+_SOURCE_SUFFIXES = frozenset((".py", ".sh", ".yml", ".yaml", ".md", ".toml", ".txt", ".cfg", ".json"))
+
+
+@dataclass
+class Source:
+    """The boundary of one adapter: what a reader of the adapter reads.
+
+    That is the files directly in its folder, the local modules that model.py, deploy.py and process_data.py reach (into
+    a subfolder only one step, so that vendored trees are not looked at), and the Python files that process_data.sh
+    calls. Paths are relative to the
+    folder, with forward slashes.
+    """
+
+    path: Path
+    _contents: dict[str, bytes] = field(default_factory=dict)
+    _texts: dict[str, str] = field(default_factory=dict)
+    _encoding_errors: dict[str, str | None] = field(default_factory=dict)
+    _yaml: dict[str, tuple[Any, tuple[str, int, int] | None]] = field(default_factory=dict)
+    _trees: dict[str, ast.Module] = field(default_factory=dict)
+    _errors: dict[str, Exception] = field(default_factory=dict)
+    _nodes: dict[str, tuple[ast.AST, ...]] = field(default_factory=dict)
+    _lines: dict[str, list[str]] = field(default_factory=dict)
+    _commands: dict[str, list[Command]] = field(default_factory=dict)
+    _imports: dict[str, dict[str, str]] = field(default_factory=dict)
+    _functions: dict[int, Function] = field(default_factory=dict)
+    _defined: dict[str, tuple[Function, ...]] = field(default_factory=dict)
+    memory: dict[str, Symbols] = field(default_factory=dict)
+
+    @cached_property
+    def files(self) -> tuple[str, ...]:
+        """Names of the boundary's files, sorted.
+
+        Raises:
+            NotRun: if the folder cannot be read.
+        """
+        named = (sdk.File.MODEL_PY, sdk.File.DEPLOY_PY)
+        try:
+            with os.scandir(self.path) as entries:
+                names = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}
+        except OSError as error:
+            raise NotRun(f"the folder {self.path} cannot be read: {error.strerror or error}") from None
+        names |= {name for name in named if self.has(name)}
+        roots = [*named, f"{Path(sdk.File.PROCESS_DATA_SH).stem}.py"]
+        imported = {file for root in roots for file in self.reached(root)}
+        return tuple(sorted(names | imported | self._called_by(sdk.File.PROCESS_DATA_SH)))
+
+    @cached_property
+    def python_files(self) -> tuple[str, ...]:
+        """The boundary's Python files."""
+        return tuple(name for name in self.files if name.endswith(".py"))
+
+    @cached_property
+    def text_files(self) -> tuple[str, ...]:
+        """The boundary's files that are text by their suffix and not too large."""
+        return tuple(
+            name for name in self.files if Path(name).suffix in _SOURCE_SUFFIXES and self._size(name) <= SIZE_LIMIT
+        )
+
+    @property
+    def seen(self) -> tuple[str, ...]:
+        """Names of the files that were read so far."""
+        return tuple(self._texts)
+
+    def has(self, name: str) -> bool:
+        """Tell whether the folder holds a file of this name."""
+        return os.path.isfile(self.path / name)  # noqa: PTH113 - Path.is_file raises where nobody may look
+
+    def text(self, name: str) -> str:
+        """Return a file's text; undecodable bytes are replaced.
+
+        Raises:
+            NotRun: if there is no such file, or it cannot be read or is too large.
+        """
+        if name not in self._texts:
+            self._contents[name] = reading.read(self._folder, name)
+            self._texts[name], self._encoding_errors[name] = reading.decoded(
+                self._contents[name], python=name.endswith(".py")
+            )
+        return self._texts[name]
+
+    def encoding_error(self, name: str) -> str | None:
+        """Return why Python refuses the bytes of a file, which is read all the same; None if it takes them.
+
+        Raises:
+            NotRun: if there is no such file, or it cannot be read or is too large.
+        """
+        self.text(name)
+        return self._encoding_errors[name]
+
+    def tree(self, name: str) -> ast.Module:
+        """Return the syntax tree of a Python file.
+
+        Raises:
+            NotRun: if there is no such file, or it does not parse; the rule `parses` reports where.
+        """
+        error = self.syntax_error(name)
+        if error is not None:
+            raise NotRun(f"{name} does not parse: {error}")
+        return self._trees[name]
+
+    def syntax_error(self, name: str) -> Exception | None:
+        """Return why a Python file does not parse, or None if it does.
+
+        Raises:
+            NotRun: if there is no such file, or it is too large.
+        """
+        if name not in self._trees and name not in self._errors:
+            text = self.text(name)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # an invalid escape is not ours to print
+                    self._trees[name] = ast.parse(text, filename=name)
+            except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+                self._errors[name] = error
+        return self._errors.get(name)
+
+    def nodes(self, name: str) -> tuple[ast.AST, ...]:
+        """Return everything in a Python file.
+
+        Raises:
+            NotRun: if there is no such file, or it does not parse.
+        """
+        if name not in self._nodes:
+            self._nodes[name] = tuple(ast.walk(self.tree(name)))
+        return self._nodes[name]
+
+    def function(self, name: str, node: FunctionNode, owner: ast.ClassDef | None = None) -> Function:
+        """Return a function of a Python file; whoever asks for it shares what it computes once."""
+        from xpl_cli.audit.static.adapter import Function
+
+        if id(node) not in self._functions:
+            self._functions[id(node)] = Function(name, node, owner)
+        return self._functions[id(node)]
+
+    def functions(self, name: str) -> tuple[Function, ...]:
+        """Return every function and method that a Python file defines, nested ones too; none if it does not parse."""
+        if name not in self._defined:
+            nodes = self.nodes(name) if self.parses(name) else ()
+            owners = {id(child): node for node in nodes if isinstance(node, ast.ClassDef) for child in node.body}
+            self._defined[name] = tuple(
+                self.function(name, node, owners.get(id(node)))
+                for node in nodes
+                if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+            )
+        return self._defined[name]
+
+    def record(self) -> str:
+        """Return a hash of the boundary's files, for the gate's digest."""
+        state = hashlib.sha256()
+        names: tuple[str, ...] = ()
+        with suppress(NotRun):
+            names = self.text_files
+        for name in names:
+            with suppress(NotRun):
+                state.update(f"{name}\0{self.text(name)}\0".encode(errors="replace"))
+        return state.hexdigest()[:16]
+
+    def yaml(self, name: str) -> Any:
+        """Return what a YAML file holds.
+
+        Raises:
+            NotRun: if there is no such file, or it does not parse; the rule `parses` reports where.
+        """
+        problem = self.yaml_problem(name)
+        if problem is not None:
+            raise NotRun(f"{name} does not parse: {problem[0]}")
+        return self._yaml[name][0]
+
+    def yaml_problem(self, name: str) -> tuple[str, int, int] | None:
+        """Return why a YAML file does not parse, with line and column, or None if it does.
+
+        Raises:
+            NotRun: if there is no such file, or it cannot be read or is too large.
+        """
+        if name not in self._yaml:
+            self.text(name)
+            self._yaml[name] = _parsed_yaml(self._contents[name])
+        return self._yaml[name][1]
+
+    @cached_property
+    def deploy(self) -> dict[str, Any]:
+        """The map in deploy.yml; empty if it is missing or no map, which other rules report."""
+        return self.manifest_of(sdk.File.DEPLOY_YML)
+
+    @cached_property
+    def manifest(self) -> dict[str, Any]:
+        """The map in policy.yml; empty for an adapter of the ecosystem, which has none."""
+        return self.manifest_of(sdk.File.POLICY_YML)
+
+    @cached_property
+    def version(self) -> str:
+        """The version of the standard that the package is held to."""
+        return spec.declared(self.manifest or self.manifest_of(f"{ENV}.yml"))
+
+    @property
+    def is_ecosystem(self) -> bool:
+        """Whether the adapter follows the field's layout, without a manifest of ours."""
+        return not self.has(sdk.File.POLICY_YML)
+
+    def manifest_of(self, name: str) -> dict[str, Any]:
+        """Return the map in a YAML file; empty if it is missing, does not parse, or holds something else."""
+        try:
+            value = self.yaml(name)
+        except NotRun:
+            return {}
+        return value if isinstance(value, dict) else {}
+
+    def parses(self, name: str) -> bool:
+        """Tell whether a Python file parses."""
+        try:
+            self.tree(name)
+        except NotRun:
+            return False
+        return True
+
+    def reached(self, name: str) -> list[str]:
+        """Return a Python file and the adapter's own files that it imports, those in subfolders only one step deep."""
+        found = [name] if self.has(name) else []
+        for file in found:
+            if "/" not in file:
+                found += [other for other in dict.fromkeys(self.imports(file).values()) if other not in found]
+        return found
+
+    def imports(self, name: str) -> dict[str, str]:
+        """Return the boundary's modules that a Python file imports: dotted name as written, to file."""
+        if name not in self._imports:
+            self._imports[name] = self._read_imports(name)
+        return self._imports[name]
+
+    def _read_imports(self, name: str) -> dict[str, str]:
+        found: dict[str, str] = {}
+        try:
+            nodes = self.nodes(name)
+        except NotRun:
+            return found
+        here = name.rpartition("/")[0]
+        for node in nodes:
+            wanted: list[tuple[str, int]] = []
+            if isinstance(node, ast.Import):
+                wanted = [(alias.name, 0) for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                dot = "." if node.module else ""
+                wanted = [(node.module or "", node.level)]
+                wanted += [(f"{node.module or ''}{dot}{alias.name}", node.level) for alias in node.names]
+            for module, level in wanted:
+                file = self._module_file(module, level, here)
+                if file is not None and file != name:
+                    found["." * level + module] = file
+        return found
+
+    def at(self, name: str, node: ast.AST) -> dict[str, Any]:
+        """Return a node's place for a `Finding`: file, and 1-based lines and columns counted in characters."""
+        line, end = getattr(node, "lineno", 1), getattr(node, "end_lineno", None)
+        place = {"path": name, "line": line, "column": self._column(name, line, getattr(node, "col_offset", 0))}
+        if end is not None:
+            place |= {"end_line": end, "end_column": self._column(name, end, getattr(node, "end_col_offset", 0))}
+        return place
+
+    def start(self, name: str, node: ast.AST) -> dict[str, Any]:
+        """Return where a node begins, for a `Finding` about something larger than a line."""
+        return {key: value for key, value in self.at(name, node).items() if not key.startswith("end")}
+
+    def commands(self, name: str) -> list[Command]:
+        """Return the commands of a shell script.
+
+        Raises:
+            NotRun: if there is no such file, or it is too large.
+        """
+        if name not in self._commands:
+            self._commands[name] = parse(self.text(name))
+        return self._commands[name]
+
+    @cached_property
+    def adapter(self) -> Adapter:
+        """The class `Model` and what it reaches.
+
+        Raises:
+            NotRun: if model.py does not parse or does not define it.
+        """
+        from xpl_cli.audit.static.adapter import Adapter
+
+        return Adapter.of(self)
+
+    @cached_property
+    def conversion_files(self) -> tuple[str, ...]:
+        """The boundary's Python files that turn trajectories into training data."""
+        stem = Path(sdk.File.PROCESS_DATA_SH).stem
+        named = {name for name in self.python_files if Path(name).stem.startswith((stem, "convert"))}
+        return tuple(sorted(named | self._called_by(sdk.File.PROCESS_DATA_SH)))
+
+    def _column(self, name: str, line: int, offset: int) -> int:
+        """Turn an offset in UTF-8 bytes, as syntax trees have it, into a column."""
+        lines = self._lines.setdefault(name, self.text(name).split("\n"))
+        text = lines[line - 1] if line <= len(lines) else ""
+        return len(text.encode()[:offset].decode(errors="ignore")) + 1
+
+    def _module_file(self, module: str, level: int, here: str) -> str | None:
+        """Return the file of a module that an import names, if it is the adapter's own."""
+        base = Path(here)
+        for _ in range(level - 1):
+            if base == Path():
+                return None
+            base = base.parent
+        bases = [base] if level else [base, Path()]
+        for folder in bases if module else []:
+            candidate = (folder / module.replace(".", "/")).with_suffix(".py").as_posix()
+            file = reading.inside(self._folder, candidate)
+            if file is not None:
+                return file
+        return None
+
+    def _called_by(self, script: str) -> set[str]:
+        """Return the adapter's Python files that a script calls, by any prefix that ends in its own folder."""
+        values: dict[str, str] = {}
+        found: set[str] = set()
+        try:
+            commands = self.commands(script)
+        except NotRun:
+            return found
+        for command in commands:
+            values.update({variable: _expanded(word.text, values) for variable, word in command.assignments})
+            for word in command.words:
+                for text in re.findall(r"[^\s\"'()=]+\.py\b", _expanded(word.raw, values)):
+                    parts = [part for part in text.split("/") if part not in {"", "."}]
+                    tails = ("/".join(parts[place:]) for place in range(len(parts)))
+                    ours = (reading.inside(self._folder, tail) for tail in tails)
+                    found.update({next(filter(None, ours), "")} - {""})
+        return found
+
+    @cached_property
+    def _folder(self) -> Path:
+        return self.path.resolve()
+
+    def _size(self, name: str) -> int:
+        try:
+            return (self.path / name).stat().st_size
+        except OSError:  # it went away, which whoever reads it is told
+            return 0
+
+
+def _parsed_yaml(content: bytes) -> tuple[Any, tuple[str, int, int] | None]:
+    """Return what YAML holds, and why it does not parse, with line and column."""
+    import yaml
+
+    try:
+        return spec.parse_yaml(content), None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        return None, (str(error.problem or error), (mark.line + 1 if mark else 1), (mark.column + 1 if mark else 1))
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        return None, (" ".join(str(error).split()), 1, 1)
+
+
+def _expanded(text: str, values: dict[str, str]) -> str:
+    """Put the values of known variables into a word; substitutions and the unknown become a folder of no name."""
+    text = re.sub(r"\$\((?:[^()]|\([^()]*\))*\)", "", text)
+    return re.sub(r"\$\{?(\w+)(?::?[-=][^}]*)?\}?", lambda found: values.get(found.group(1), ""), text)

@@ -1,0 +1,1 @@
+"""Text, files and console: what every other room may use, and which uses none of them."""

@@ -1,0 +1,27 @@
+"""Where the content rooms are, and how a package inside them is loaded.
+
+The engine (`xpl`, `xpl_cli`) is installed; everything a contributor adds (spec, templates, rules, environments,
+policies, skills) is content: found by path and loaded under a module name of its own, so that no generic import name
+(`envs`, `policy`) ever shadows a package of a simulator or of a model.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from xpl.process.modules import load_module
+
+__all__ = ["load_module", "room"]
+
+_INSTALLED = Path(__file__).parents[1] / "_content"
+_CHECKOUT = Path(__file__).parents[2]
+_HIDDEN = {"skills": ".agents/skills"}
+"""Rooms that a checkout keeps where others look for them."""
+
+
+@cache
+def room(name: str) -> Path:
+    """Return the folder of the content room `name` (``"spec"``, ``"envs"``, ...): a checkout's own, or the wheel's."""
+    shipped = _INSTALLED / name
+    return shipped if shipped.is_dir() else _CHECKOUT / _HIDDEN.get(name, name)

@@ -1,0 +1,1 @@
+"""Git repositories, read; nothing is written, and nothing of theirs is run."""

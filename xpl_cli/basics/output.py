@@ -1,0 +1,40 @@
+"""The file that `--output` names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from xpl_cli.basics.errors import NotFoundError, UserError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def check(path: Path) -> None:
+    """Stop before the work, which may take minutes, where no file can be written.
+
+    Raises:
+        UserError: if it is a folder.
+        NotFoundError: if there is no folder that it could lie in.
+    """
+    if path.is_dir():
+        raise UserError(f"--output takes a file, got the folder {path}", hint=f"--output {path / 'answer.json'}")
+    if not path.parent.is_dir():
+        raise NotFoundError(f"there is no folder {path.parent} for --output {path}", hint=f"mkdir -p {path.parent}")
+
+
+def write(path: Path, text: str) -> None:
+    """Write the file, whole or not at all.
+
+    Raises:
+        UserError: if it cannot be written.
+    """
+    from xpl_cli.basics import atomic
+
+    try:
+        if path.exists() and not path.is_file():
+            path.write_text(text, encoding="utf-8")  # a pipe or a device cannot be replaced
+        else:
+            atomic.write_file(path.resolve(), text.encode(errors="replace"))
+    except OSError as error:
+        raise UserError(f"--output {path} cannot be written: {error.strerror or error}") from error

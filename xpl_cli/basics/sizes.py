@@ -1,0 +1,28 @@
+"""Sizes as people write them."""
+
+from __future__ import annotations
+
+import re
+
+from xpl_cli.basics.errors import UserError
+
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?", re.IGNORECASE)
+_POWERS = {"": 0, "K": 1, "M": 2, "G": 3, "T": 4}
+
+
+def parse_size(text: str, option: str) -> int:
+    """Return the number of bytes that `500MB`, `20GiB` or `4096` stands for.
+
+    Args:
+        text: what was written.
+        option: where, for the error.
+
+    Raises:
+        UserError: if it is no size.
+    """
+    found = _SIZE.fullmatch(text.strip())
+    if found is None:
+        raise UserError(f"{option} takes a size such as 500MB, 20GiB or a number of bytes, got {text!r}")
+    number, unit, binary = found.groups()
+    base = 1024 if binary else 1000
+    return int(float(number) * float(base ** _POWERS[unit.upper()]))

@@ -1,0 +1,35 @@
+"""`xpl mcp`: the command line for agents that speak the Model Context Protocol."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+
+def mcp(
+    project: Path = typer.Option(
+        Path(), "--dir", metavar="DIR", help="Project that the tools work in; this folder by default."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print the tools as a JSON object, and serve nothing."),
+) -> None:
+    """Serve scaffolding, audit, explanations, status and summaries as tools, over standard input and output.
+
+    Ends when the client does. Needs the extra `mcp`; --json does not.
+    """
+    from xpl_cli.agents.mcp.tools import tools
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import NotFoundError
+
+    if not project.is_dir():
+        raise NotFoundError(f"--dir {project} is no folder")
+    if as_json:
+        offered = [
+            {"name": tool.name, "command": f"xpl {tool.offer.command}", "description": tool.description}
+            for tool in tools()
+        ]
+        console.data_json({"schema": "xpl.mcp/1", "tools": offered, "next": []})
+        return
+    from xpl_cli.agents.mcp.server import serve
+
+    serve(project.resolve())

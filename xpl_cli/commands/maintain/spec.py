@@ -1,0 +1,256 @@
+"""`xpl spec`: show the standard, check documents and the standard itself, compile it for the SDK."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from xpl_cli.basics.errors import ExitCode, UserError, no_such, one_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from xpl_cli.standard.problems import Problem
+
+app = typer.Typer(help="Show, check and compile the standard.", no_args_is_help=True)
+
+_SPEC = typer.Option(None, "--spec", metavar="VERSION", help="Version of the standard; the newest by default.")
+_JSON = typer.Option(False, "--json", help="Print a JSON object.")
+
+
+@app.command()
+def show(
+    name: str | None = typer.Argument(
+        None, metavar="[NAME]", help="A schema, embodiment, requirement, or part of the standard."
+    ),
+    version: str | None = _SPEC,
+    as_json: bool = _JSON,
+) -> None:
+    """Show a part of the standard; without NAME, list what there is."""
+    from xpl_cli.basics import console
+    from xpl_cli.standard import view
+
+    answer = view.view(name, _known(version))
+    if as_json:
+        following = ["xpl spec show policy"] if name is None else []
+        console.answer("xpl.spec-show/1", {"version": _known(version), "name": name, "value": answer.value}, following)
+    else:
+        console.data(answer.text())
+
+
+@app.command()
+def validate(
+    files: list[Path] | None = typer.Argument(
+        None, metavar="[FILE]...", help="YAML or JSON files; none: the standard itself."
+    ),
+    schema: str | None = typer.Option(
+        None, metavar="NAME", help="Schema to validate by; the file's name decides by default."
+    ),
+    version: str | None = typer.Option(
+        None, "--spec", metavar="VERSION", help="Version to validate by; the one that a file declares by default."
+    ),
+    as_json: bool = _JSON,
+) -> None:
+    """Check files against the standard, or the standard against itself: all versions, none of the frozen changed."""
+    from xpl_cli.basics import console
+    from xpl_cli.standard import check as spec_check
+    from xpl_cli.standard.problems import problem_json
+
+    problems = list(_file_problems(files, schema, version) if files else spec_check.check_all())
+    if as_json:
+        told = {"problems": [problem_json(problem) for problem in problems]}
+        keys = dict.fromkeys(f"xpl spec show {_schema_of(file, schema, version)}" for file in files or ())
+        console.answer("xpl.spec-validate/1", told, list(keys) if problems else [])
+    elif problems:
+        console.data("\n".join(map(str, problems)))
+    else:
+        console.data(f"{', '.join(map(str, files)) if files else 'the standard'}: valid")
+    if problems:
+        raise typer.Exit(ExitCode.FINDINGS)
+
+
+@app.command()
+def check(as_json: bool = _JSON) -> None:
+    """Check the standard against itself: every version, and that the frozen ones are as they were."""
+    validate(None, schema=None, version=None, as_json=as_json)
+
+
+@app.command("compile")
+def compile_(
+    check: bool = typer.Option(False, "--check", help="Write nothing; fail if something is out of date."),
+    as_json: bool = _JSON,
+) -> None:
+    """Write what is generated: the SDK's constants, and pages on standard, rules and commands (in a checkout only)."""
+    from xpl_cli.basics import atomic, console
+    from xpl_cli.derived import compiler
+
+    root = _checkout()
+    files = compiler.derived()
+    old = [name for name, content in files.items() if not _holds(root / name, content)]
+    left_over = compiler.left_over(root)
+    for name in old if not check else ():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        atomic.write_file(root / name, files[name])
+    for name in left_over if not check else ():
+        (root / name).unlink()
+    states = {
+        name: "out of date" if check else "removed" if name in left_over else "written" for name in [*old, *left_over]
+    }
+    if as_json:
+        entries = [{"name": name, "state": state} for name, state in states.items()]
+        following = ["xpl spec compile"] if check and states else []
+        console.answer("xpl.spec-compile/1", {"derived": len(files), "files": entries}, following)
+    elif states:
+        renews = "; `xpl spec compile` renews it" if check else ""
+        console.data("\n".join(f"{name}: {state}{renews}" for name, state in states.items()))
+    else:
+        console.data(f"{len(files)} files: up to date")
+    if check and states:
+        raise typer.Exit(ExitCode.FINDINGS)
+
+
+@app.command()
+def freeze(
+    version: str = typer.Argument(..., metavar="VERSION", help="Version of the standard."),
+    again: bool = typer.Option(False, "--again", help="Also if it was frozen otherwise: only before its release."),
+    as_json: bool = _JSON,
+) -> None:
+    """Freeze a version: record the digests of its files, which must not change from then on (in a checkout only)."""
+    from xpl_cli.basics import console
+    from xpl_cli.standard import freeze as spec_freeze
+
+    root = _checkout()
+    written = spec_freeze.freeze(_known(version), again=again)
+    name = spec_freeze.record(version).relative_to(root)
+    if as_json:
+        told = {"version": version, "file": str(name), "state": "written" if written else "unchanged"}
+        console.answer("xpl.spec-freeze/1", told, ["xpl spec check"])
+    else:
+        console.data(f"{name}: {'written' if written else 'frozen already, unchanged'}")
+
+
+@app.command()
+def changelog(
+    version: str | None = typer.Argument(None, metavar="[VERSION]", help="One version; all by default."),
+    as_json: bool = _JSON,
+) -> None:
+    """Tell what a version changed, and what that asks of an adapter."""
+    from xpl_cli.basics import console
+    from xpl_cli.derived import reference
+    from xpl_cli.standard import spec
+
+    versions = spec.versions() if version is None else (_known(version),)
+    if as_json:
+        told = [{"version": one, "frozen": spec.is_frozen(one), **spec.about(one)} for one in versions]
+        console.answer("xpl.changelog/1", {"versions": [_plain(entry) for entry in told]})
+    else:
+        console.data(reference.changelog(versions))
+
+
+@app.command()
+def schemas(
+    folders: list[Path] | None = typer.Argument(
+        None, metavar="[FOLDER]...", help="Packages whose manifests editors shall complete; none: print one schema."
+    ),
+    name: str = typer.Option("policy", "--schema", metavar="NAME", help="Schema to print."),
+    version: str | None = _SPEC,
+    as_json: bool = _JSON,
+) -> None:
+    """Write JSON Schemas into packages, by which editors complete and check deploy.yml, policy.yml and env.yml."""
+    import json
+
+    from xpl_cli.basics import console
+    from xpl_cli.standard import schemas as spec_schemas
+    from xpl_cli.standard import spec
+
+    document: bytes | None = None
+    written: list[str] = []
+    if not folders:
+        one_of("--schema", name, spec.schema_names(_known(version)))
+        document = spec_schemas.render(name, _known(version))
+    for folder in folders or ():
+        written += [str(folder / file) for file in spec_schemas.write(folder, version and _known(version))]
+    if as_json:
+        told = {"written": written, "document": None if document is None else json.loads(document)}
+        console.answer("xpl.spec-schemas/1", told)
+    elif document is not None:
+        console.data(document.decode())
+    elif written:
+        console.data("\n".join(f"{file}: written" for file in written))
+
+
+def _checkout() -> Path:
+    """Return the folder of the checkout that this tool runs from.
+
+    Raises:
+        UserError: if it is an installed one.
+    """
+    import xpl
+    from xpl_cli.basics.content import room
+
+    package = Path(xpl.__file__).resolve().parent
+    if room("spec").resolve().parent != package.parent:
+        raise UserError("the standard is changed in a checkout of xpl, and this xpl is an installed one")
+    return package.parent
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    return path.is_file() and path.read_bytes() == content
+
+
+def _plain(entry: Any) -> Any:
+    """Return a value of a YAML document as JSON has it: a date as text."""
+    if isinstance(entry, dict):
+        return {key: _plain(value) for key, value in entry.items()}
+    if isinstance(entry, list):
+        return [_plain(value) for value in entry]
+    return entry if isinstance(entry, (str, int, float, bool, type(None))) else str(entry)
+
+
+def _known(version: str | None) -> str:
+    """Return a version of the standard that was asked for, or the newest.
+
+    Raises:
+        UserError: if there is no such version.
+    """
+    from xpl_cli.standard import spec
+
+    if version is not None and version not in spec.versions():
+        raise no_such(f"there is no version {version!r} of the standard", version, spec.versions())
+    return version or spec.CURRENT
+
+
+def _file_problems(files: list[Path], schema: str | None, version: str | None) -> Iterator[Problem]:
+    """Yield the problems of each file by its schema."""
+    from xpl_cli.basics.errors import NotFoundError
+    from xpl_cli.standard.validate import validate_yaml_file
+
+    for file in files:
+        chosen = _schema_of(file, schema, version)
+        if not file.is_file():
+            raise NotFoundError(f"there is no file {file}")
+        try:
+            yield from validate_yaml_file(file, chosen, version and _known(version))
+        except OSError as error:
+            raise UserError(f"{file} cannot be read: {error.strerror}") from None
+
+
+def _schema_of(file: Path, schema: str | None, version: str | None) -> str:
+    """Return the name of the schema that was asked for, or that a file's name tells.
+
+    Raises:
+        UserError: if there is none of that name, or the name tells none.
+    """
+    from xpl_cli.standard import spec
+
+    known = spec.schema_names(_known(version))
+    if schema is not None:
+        if schema not in known:
+            raise no_such(f"there is no schema {schema!r}", schema, known)
+        return schema
+    told = "embodiment" if file.parent.name == "embodiments" else file.stem
+    if told not in known:
+        raise UserError(f"{file}: its name does not tell its schema", hint=f"--schema {'|'.join(known)}")
+    return told

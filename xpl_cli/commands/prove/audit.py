@@ -1,0 +1,261 @@
+"""`xpl audit` and `xpl explain`."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.formats.listing import Context
+    from xpl_cli.audit.rules.model import TargetReport
+    from xpl_cli.packages.targets import Target
+
+_GATES = ("static", "offline", "mujoco")
+_FAIL_ON = ("fail", "warn")
+_PROFILES = ("full", "shadow")
+
+
+def audit(
+    paths: list[Path] = typer.Argument(None, metavar="PATH...", help="Folders of adapters or environments."),
+    every: bool = typer.Option(False, "--all", help="Every package below policy/ and envs/ of this folder."),
+    gate: list[str] = typer.Option([], "--gate", help="Run only this gate; may be repeated. static, offline, mujoco."),
+    selected: list[str] = typer.Option(
+        [], "--select", help="Run only these rules: codes, code prefixes, slugs, `advice`."
+    ),
+    ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
+    report_format: str = typer.Option(
+        "human", "--format", help="human, concise, json, jsonl, sarif, github, gitlab, rdjson, junit or markdown."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="The same as --format json."),
+    output: list[str] = typer.Option(
+        [],
+        "--output",
+        metavar="FILE",
+        help="Write the report to a file instead of stdout. FORMAT=FILE writes one more report; may be repeated.",
+    ),
+    fix: bool = typer.Option(False, "--fix", help="Do the edits of the static gate that are safe, then audit."),
+    unsafe_fixes: bool = typer.Option(
+        False, "--unsafe-fixes", help="With --fix or --diff: also edits that may change behaviour that is right."
+    ),
+    diff: bool = typer.Option(
+        False, "--diff", help="Print what --fix would do, and do nothing; 1 if there is anything."
+    ),
+    changed_since: str | None = typer.Option(
+        None, metavar="REF", help="Only packages whose files changed since they parted from this commit, tag or branch."
+    ),
+    keep_going: bool = typer.Option(False, "--keep-going", help="Run a gate although an earlier one failed."),
+    fail_on: str = typer.Option("fail", help="Mildest outcome that is an error for the exit code: fail or warn."),
+    exit_zero: bool = typer.Option(False, "--exit-zero", help="Exit with 0 whatever is found; 5 if a rule crashed."),
+    no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
+    profile: str | None = typer.Option(
+        None, metavar="PROFILE", help="full demands the real model, shadow does without; full where it can be had."
+    ),
+    shadow: bool = typer.Option(False, "--shadow", help="The same as --profile shadow: neither weights nor a GPU."),
+    stub_missing: bool = typer.Option(
+        False, "--stub-missing", help="Stub modules that are not installed, where nothing else makes an adapter run."
+    ),
+    task: list[str] = typer.Option([], metavar="NAME", help="Drive it in this task in physics; may be repeated."),
+    episodes: int | None = typer.Option(
+        None, min=1, metavar="N", help="Whole episodes over which the MuJoCo gate measures success."
+    ),
+    video: Path | None = typer.Option(None, metavar="DIR", help="Film every episode of the MuJoCo gate."),
+    trace: Path | None = typer.Option(
+        None, metavar="DIR", help="Keep what is asked and answered in a new folder, for `xpl replay`."
+    ),
+    memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
+    settings: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml."),
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    policy_env: str | None = typer.Option(None, "--policy-env", "--env", help="conda:NAME, uv:DIR, venv:DIR or none."),
+) -> None:
+    """Carry adapters through the static, the offline and the MuJoCo gate."""
+    from xpl_cli.audit.engine import cache
+    from xpl_cli.audit.engine.engine import audit_all
+    from xpl_cli.audit.formats.delivery import Delivery
+    from xpl_cli.audit.formats.listing import Context
+    from xpl_cli.audit.rules.model import Gate, Outcome, Profile, exit_code
+    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode, UserError, one_of
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.isolation import sandbox
+    from xpl_cli.packages import package
+    from xpl_cli.packages.targets import asked
+
+    delivery = Delivery.asked("json" if as_json else report_format, output)
+    profile = _profile(profile, shadow=shadow)
+    for name in gate:
+        one_of("--gate", name, _GATES)
+    one_of("--fail-on", fail_on, _FAIL_ON)
+    one_of("--profile", profile or _PROFILES[0], _PROFILES)
+    if unsafe_fixes and not (fix or diff):
+        raise UserError("--unsafe-fixes says which edits, and goes with --fix or --diff", hint="--fix --unsafe-fixes")
+    if task:
+        from xpl_cli.audit.physics.simulation import check_tasks
+
+        check_tasks(task)
+    targets = asked(paths or (), every=every, changed_since=changed_since)
+    sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
+    with progress() as say, _new_folder(trace):
+        options = Options(
+            gates=tuple(Gate(name) for name in _GATES if not gate or name in gate),
+            names=tuple(selected),
+            ignore=tuple(ignored),
+            keep_going=keep_going,
+            overrides=package.parse_overrides(settings),
+            python=python,
+            env=policy_env,
+            profile=Profile(profile) if profile else None,
+            stub_missing=stub_missing,
+            memory_limit=memory_limit,
+            isolate=isolate,
+            tasks=tuple(task),
+            episodes=episodes,
+            video=video,
+            trace=trace,
+            cache=None if no_cache else cache.default_folder(),
+            progress=say,
+        )
+        plan = None
+        if fix or diff:
+            from xpl_cli.audit.engine.fixes import plan_all
+
+            plan = plan_all(targets, options, unsafe=unsafe_fixes)
+        if plan is not None and not diff:
+            plan.apply()
+        reports = [] if diff else audit_all(targets, options)
+    if plan is not None:
+        console.note(plan.told(done=not diff))
+    if plan is not None and diff:
+        if plan.changes:
+            console.data(plan.diff())
+        raise typer.Exit(int(bool(plan.changes) and not exit_zero))
+    context = Context(
+        fail_on=Outcome(fail_on),
+        choice=(
+            *_repeated("--select", selected),
+            *_repeated("--ignore", ignored),
+            *(("--keep-going",) if keep_going else ()),
+            *(() if fail_on == Outcome.FAIL else ("--fail-on", fail_on)),
+            *(("--profile", profile) if profile else ()),
+            *(("--stub-missing",) if stub_missing else ()),
+            *(("--isolate",) if isolate else ()),
+            *_repeated("--task", task),
+            *_repeated("--episodes", [str(episodes)] if episodes else []),
+        ),
+        running=(
+            *_repeated("--set", settings),
+            *_repeated("--python", [python] if python else []),
+            *_repeated("--policy-env", [policy_env] if policy_env else []),
+        ),
+    )
+    if not (selected or ignored or no_cache):
+        _remember(targets, reports, context)
+    delivery.deliver(reports, context)
+    crashed = any(result.outcome is Outcome.ERROR for report in reports for result in report.results)
+    forgiving = ExitCode.INTERNAL if crashed else ExitCode.CLEAN
+    raise typer.Exit(int(forgiving if exit_zero else exit_code(reports, Outcome(fail_on))))
+
+
+def _remember(targets: list[Target], reports: list[TargetReport], context: Context) -> None:
+    """Keep what whole gates found, for `xpl status`."""
+    from xpl_cli.agents.status.memory import remember
+    from xpl_cli.agents.status.standing import memory_folder
+
+    folder = memory_folder()
+    if folder is None:
+        return
+    for target, report in zip(targets, reports, strict=True):
+        remember(folder, target.path, report, (*context.choice, *context.running))
+
+
+def _profile(name: str | None, *, shadow: bool) -> str | None:
+    """Return the profile that two options ask for, None where neither does."""
+    from xpl_cli.basics.errors import UserError
+
+    if not shadow:
+        return name
+    if name not in {None, _PROFILES[1]}:
+        raise UserError(f"--shadow and --profile {name} contradict each other: give one of them")
+    return _PROFILES[1]
+
+
+def _new_folder(trace: Path | None) -> contextlib.AbstractContextManager[None]:
+    if trace is None:
+        return contextlib.nullcontext()
+    from xpl_cli.audit.served.recording import new_folder  # which needs numpy, and most audits need neither
+
+    return new_folder(trace)
+
+
+def _repeated(option: str, values: list[str]) -> tuple[str, ...]:
+    """Return an option as a command repeats it."""
+    return tuple(part for value in values for part in (option, value))
+
+
+def explain(
+    name: str = typer.Argument(..., metavar="RULE", help="Code or slug of a rule, such as XPL101."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Explain a rule: what it checks, why it matters, and what to do instead."""
+    from xpl_cli.audit.rules.registry import find
+    from xpl_cli.basics import console
+    from xpl_cli.standard import spec
+
+    rule = find(name)
+    requirement = spec.requirements()[rule.requirement]
+    if as_json:
+        console.answer(
+            "xpl.explain/1",
+            {
+                "code": rule.code,
+                "slug": rule.slug,
+                "gate": rule.gate.value,
+                "requirement": {"id": requirement.id, "level": requirement.level, "text": requirement.text},
+                "severity": rule.severity,
+                "documentation": rule.documentation,
+            },
+            [f"xpl spec show {requirement.id}"],
+        )
+        return
+    from rich.markdown import Markdown
+
+    proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
+    head = f"# {rule.code} {rule.slug}\n\n{proves}"
+    console.rich(Markdown(f"{head}\n\n{rule.documentation}"))
+
+
+def rules(as_json: bool = typer.Option(False, "--json", help="Print a JSON object.")) -> None:
+    """List every rule with its code, gate, requirement and summary."""
+    from xpl_cli.audit.rules.registry import rules as all_rules
+    from xpl_cli.basics import console
+
+    found = all_rules()
+    if as_json:
+        entries = [
+            {
+                "code": rule.code,
+                "slug": rule.slug,
+                "gate": rule.gate.value,
+                "target": rule.target,
+                "requirement": rule.requirement,
+                "severity": rule.severity,
+                "summary": rule.summary,
+            }
+            for rule in found
+        ]
+        console.answer("xpl.rules/1", {"rules": entries}, [f"xpl explain {found[0].code}"])
+        return
+    width = max(len(rule.slug) for rule in found)
+    by_gate: dict[str, list[str]] = {}
+    for rule in found:
+        of_environments = " of environments" if rule.target == "env" else ""
+        line = f"  {rule.code}  {rule.slug:<{width}}  {rule.severity:<6}  {rule.summary}"
+        by_gate.setdefault(f"{rule.gate} gate{of_environments}", []).append(line)
+    blocks = ["\n".join([gate, *lines]) for gate, lines in by_gate.items()]
+    console.data("\n\n".join([*blocks, f"next\n  xpl explain {found[0].code}"]))

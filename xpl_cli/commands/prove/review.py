@@ -1,0 +1,120 @@
+"""`xpl review`: what a bot says of a pull request."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from xpl_cli.commands.command import ends
+from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP
+
+_STATIC_AND_OFFLINE = ("static", "offline")
+
+
+@ends(clean="nothing to mend")
+def review(
+    base: str = typer.Option(..., "--base", metavar="REV", help="What the change is to be merged into."),
+    description: str | None = typer.Option(
+        None, metavar="FILE", help="Text of the pull request, to be held against the form for policies; - reads stdin."
+    ),
+    gate: list[str] = typer.Option(
+        [], "--gate", help="Run only this gate; may be repeated. By default static and offline; static runs nothing."
+    ),
+    selected: list[str] = typer.Option([], "--select", help="Run only these rules, as for xpl audit."),
+    ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
+    fail_on: str = typer.Option("fail", help="Mildest outcome that is an error for the exit code: fail or warn."),
+    shadow: bool = typer.Option(False, "--shadow", help="Do not try the model, which runs where it can be had."),
+    stub_missing: bool = typer.Option(False, "--stub-missing", help="As for xpl audit."),
+    output: list[str] = typer.Option(
+        [],
+        "--output",
+        metavar="FILE",
+        help="Write the review to a file instead of stdout. FORMAT=FILE writes the whole audit in one of its formats.",
+    ),
+    no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
+    memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Review a change: audit what it touches, and print one comment with the ten worst findings.
+
+    Compares the work tree with where it left REV. The offline gate runs the packages' code: where that is not to be
+    trusted, --gate static reads only.
+    """
+    import json
+
+    from xpl_cli.agents.review import document, page
+    from xpl_cli.agents.review.review import review as reviewed
+    from xpl_cli.audit.engine import cache
+    from xpl_cli.audit.formats import FORMATS, Context
+    from xpl_cli.audit.formats.delivery import Delivery
+    from xpl_cli.audit.rules.model import Gate, Outcome, Profile
+    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.basics import console
+    from xpl_cli.basics import output as output_file
+    from xpl_cli.basics.errors import one_of
+    from xpl_cli.basics.git.history import Repository
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.isolation import sandbox
+
+    for name in gate:
+        one_of("--gate", name, Gate)
+    one_of("--fail-on", fail_on, (Outcome.FAIL, Outcome.WARN))
+    formats = [wanted for wanted in output if wanted.partition("=")[0] in FORMATS and "=" in wanted]
+    files = [Path(wanted) for wanted in output if wanted not in formats]
+    audits = Delivery(None, Delivery.asked("markdown", formats).files)
+    for file in files:
+        output_file.check(file)
+    text = None if description is None else _text(description)
+    repository = Repository.of(Path.cwd())
+    sandbox.check([repository.root], memory_limit=memory_limit, isolate=isolate)
+    with progress() as say:
+        options = Options(
+            gates=tuple(name for name in Gate if name in (gate or _STATIC_AND_OFFLINE)),
+            names=tuple(selected),
+            ignore=tuple(ignored),
+            profile=Profile.SHADOW if shadow else None,
+            stub_missing=stub_missing,
+            memory_limit=memory_limit,
+            isolate=isolate,
+            cache=None if no_cache else cache.default_folder(),
+            progress=say,
+        )
+        context = Context(
+            fail_on=Outcome(fail_on),
+            choice=(
+                *(part for name in selected for part in ("--select", name)),
+                *(part for name in ignored for part in ("--ignore", name)),
+                *(() if fail_on == Outcome.FAIL else ("--fail-on", fail_on)),
+                *(("--shadow",) if shadow else ()),
+                *(("--stub-missing",) if stub_missing else ()),
+                *(("--isolate",) if isolate else ()),
+            ),
+        )
+        found = reviewed(base, repository, options, context=context, description=text)
+    audits.deliver(found.reports, context)
+    told = json.dumps(document.as_json(found), indent=2, ensure_ascii=False) if as_json else page.render(found)
+    told = told.encode(errors="replace").decode()  # a file name may hold bytes that are no text
+    for file in files:
+        output_file.write(file, told)
+        console.note(f"wrote {file}")
+    if not files:
+        console.data(told)
+    raise typer.Exit(int(found.code))
+
+
+def _text(file: str) -> str:
+    """Return the text of a description."""
+    import sys
+
+    from xpl_cli.basics.errors import NotFoundError, UserError
+
+    if file == "-":
+        return sys.stdin.buffer.read().decode(errors="replace")
+    try:
+        return Path(file).read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        raise NotFoundError(f"there is no file {file} for --description") from None
+    except OSError as error:
+        raise UserError(f"--description {file} cannot be read: {error.strerror or error}") from error

@@ -1,0 +1,33 @@
+"""`xpl compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from xpl_cli.commands.command import ends
+
+
+@ends(clean="compared", not_found="no such run", not_run="not comparable")
+def compare(
+    first: Path = typer.Argument(..., metavar="A", help="Folder of a run, such as runs/foo."),
+    second: Path = typer.Argument(..., metavar="B", help="Folder of another run."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Tell whether one of two recorded runs is better, on the episodes that both played, and how sure that is."""
+    import shlex
+
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.evaluation.records import records
+    from xpl_cli.evaluation.statistics import comparison, verdicts
+
+    runs = [records.read(path) for path in (first, second)]
+    if runs[0].folder.resolve() == runs[1].folder.resolve():
+        raise UserError(f"{first} and {second} are the same run", hint="name two runs")
+    result = comparison.compare(*runs)
+    if as_json:
+        console.data_json({**result, "next": [shlex.join(["xpl", "report", str(first), str(second)])]})
+    else:
+        console.data(verdicts.text(result))

@@ -1,0 +1,58 @@
+"""`xpl report`: the page of a recorded run, and the same as Markdown, CSV and JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from xpl_cli.commands.command import ends
+
+
+@ends(clean="written", not_found="no run there", not_run="a record is damaged, or the folder cannot be written")
+def report(
+    runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Folders of runs, as `xpl eval --out` fills them."),
+    out: Path | None = typer.Option(None, metavar="DIR", help="Folder of the report; RUN/report by default."),
+    embed: float = typer.Option(
+        16.0, min=0.0, metavar="MB", help="Films and curves that the page itself holds; the rest is linked."
+    ),
+    serve: bool = typer.Option(
+        False, "--serve", help="Show the page of one run, which may still grow, on this machine."
+    ),
+    port: int = typer.Option(0, min=0, max=65535, help="Port for --serve; 0: any that is free."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object for each run, one a line."),
+) -> None:
+    """Write a run's report: index.html in one file, report.md, report.json, table.csv and episodes.csv."""
+    import json
+
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.evaluation.records import records
+    from xpl_cli.evaluation.report import written
+
+    if (serve or out is not None) and len(runs) > 1:
+        raise UserError(f"{'--serve' if serve else '--out'} takes one run, got {len(runs)}")
+    if serve:
+        _serve(runs[0], port)
+        return
+    for run in [records.read(path) for path in runs]:
+        folder = out or run.folder / written.FOLDER
+        document = written.write(run, folder, int(embed * 1e6))
+        if as_json:
+            console.data(json.dumps({**document, "next": []}, ensure_ascii=False))
+        else:
+            console.data(str(folder / written.PAGE))
+
+
+def _serve(folder: Path, port: int) -> None:
+    import contextlib
+
+    from xpl_cli.basics import console
+    from xpl_cli.evaluation.report import live
+
+    with live.server(folder, port) as server:
+        console.data(live.address(server))
+        console.note("Ctrl-C ends it")
+        # Ctrl-C is how this is meant to end.
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()

@@ -1,0 +1,187 @@
+"""`xpl submit` and `xpl verify`: a run as a bundle that somebody else can check."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from xpl_cli.commands.command import ends
+from xpl_cli.commands.run.checkpoint import CACHE
+from xpl_cli.commands.run.serve import POLICY, POLICY_ENV
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from xpl_cli.submission.prepare import Answer
+    from xpl_cli.submission.verify import Report
+
+SCHEMA = "xpl.submit/1"
+_EVAL_ENV = typer.Option(None, help="Python of the environment, as for --policy-env; env.yml's if unsaid.")
+_PYTHON = typer.Option(None, help="Interpreter that runs the adapter.")
+_SHOWN = 20
+
+
+@ends(
+    clean="written",
+    findings="something is to be mended first",
+    not_found="no such adapter or run",
+    not_run="the audit could not run",
+)
+def submit(
+    policy: str = POLICY,
+    runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Folders that `xpl eval --out` wrote."),
+    check: bool = typer.Option(False, "--check", help="Check what a submission needs, and write the bundle."),
+    out: Path | None = typer.Option(None, metavar="FILE", help="The bundle; POLICY.xpl.zip here by default."),
+    extras: list[str] = typer.Option([], "--with", metavar="KIND", help="Pack these, too: trace, film."),
+    python: str | None = _PYTHON,
+    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
+    eval_env: str | None = _EVAL_ENV,
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Make a bundle of runs that others can check: records, adapter, audit, checkpoint, environment, digests.
+
+    Nothing is written unless the exit code is 0, and nothing is sent anywhere.
+    """
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import UserError, one_of
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.packages import package
+    from xpl_cli.submission import prepare
+
+    if not check:
+        raise UserError(
+            "there is no place yet that submissions are sent to: --check makes the bundle, which you hand over",
+            hint=f"`{shlex.join(['xpl', 'submit', '--check', policy, *map(str, runs)])}`",
+        )
+    for kind in extras:
+        one_of("--with", kind, prepare.EXTRAS)
+    adapter = package.load(policy)
+    path = out or Path(f"{adapter.name}.xpl.zip")
+    with progress() as say:
+        answer = prepare.submit(
+            prepare.Request(adapter, tuple(runs), path, frozenset(extras), python, policy_env, eval_env, say)
+        )
+    if as_json:
+        console.data_json(_answer_json(answer, adapter.name, path))
+    elif answer.problems:
+        console.data("\n".join([f"{adapter.name}: no bundle was written", *_listed(answer.problems)]))
+    else:
+        console.data(_answer_text(answer, path))
+    raise typer.Exit(int(answer.code))
+
+
+@ends(
+    clean="it agrees",
+    findings="it does not",
+    usage="no bundle",
+    not_found="not there",
+    not_run="nothing could be played, or the sample does not tell",
+)
+def verify(
+    bundle: Path = typer.Argument(..., metavar="BUNDLE", help="What `xpl submit --check` wrote."),
+    sample: int = typer.Option(5, min=0, help="Episodes to play again; 0 runs nothing of the bundle."),
+    seed: int | None = typer.Option(None, min=0, help="Which ones; drawn anew by default."),
+    policy: Path | None = typer.Option(None, metavar="DIR", help="Play this adapter, whose files must be the same."),
+    unpack: Path | None = typer.Option(None, metavar="DIR", help="New folder to unpack into, and leave there."),
+    max_size: str = typer.Option("10GB", metavar="SIZE", help="Most bytes that are unpacked."),
+    python: str | None = _PYTHON,
+    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
+    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
+    eval_env: str | None = _EVAL_ENV,
+    cache: CACHE = None,
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Check a bundle, and play a sample of its episodes again.
+
+    Playing runs the adapter of the bundle, as any evaluation would; --sample 0 does not.
+    """
+    from xpl_cli.basics import console
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.basics.sizes import parse_size
+    from xpl_cli.submission import verify as verification
+
+    with progress() as say:
+        report = verification.verify(
+            verification.Request(
+                path=bundle,
+                sample=sample,
+                seed=seed,
+                policy=policy,
+                folder=unpack,
+                limit=parse_size(max_size, "--max-size"),
+                python=python,
+                env=policy_env,
+                gpu=policy_gpu,
+                eval_env=eval_env,
+                cache=cache,
+                progress=say,
+            )
+        )
+    if as_json:
+        console.data_json({**report.as_json(), "next": []})
+    else:
+        console.data(_report_text(report))
+    raise typer.Exit(int(report.code))
+
+
+def _answer_json(answer: Answer, policy: str, path: Path) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "policy": policy,
+        "path": None if answer.digest is None else str(path),
+        "bundle": answer.digest,
+        "sha256": answer.sha256,
+        "problems": list(answer.problems),
+        "notes": list(answer.notes),
+        "runs": [] if answer.manifest is None else answer.manifest["runs"],
+        "exit_code": int(answer.code),
+        "next": [] if answer.digest is None else [shlex.join(["xpl", "verify", str(path)])],
+    }
+
+
+def _answer_text(answer: Answer, path: Path) -> str:
+    assert answer.manifest is not None  # noqa: S101 - for the type checker: a bundle without problems has one
+    cells = [cell for run in answer.manifest["runs"] for cell in run["cells"]]
+    won, judged = (sum(cell[key] for cell in cells) for key in ("successes", "judged"))
+    lines = [
+        f"{path}: {len(answer.manifest['runs'])} runs, {len(cells)} tasks and settings, {won} of {judged} succeeded",
+        f"bundle {answer.digest}",
+        *(f"note: {note}" for note in answer.notes),
+        f"next: xpl verify {path}",
+    ]
+    return "\n".join(lines)
+
+
+def _report_text(report: Report) -> str:
+    from xpl_cli.submission import replay
+
+    lines = [f"{report.policy}, bundle {report.digest[:12]}", *map(_run_text, report.runs)]
+    for check in report.checks:
+        lines += [f"  {check.name}: {'not in order' if check.problems else 'ok'}", *_listed(check.problems)]
+    if report.finding is not None:
+        lines.append(f"  replay: {report.finding.verdict}: {report.finding.sentence}")
+        lines += _listed(replay.disagreements(pair for _, pair in report.pairs))
+        lines.append(f"  sample drawn with --seed {report.seed}")
+    elif report.unplayed is not None:
+        lines.append(f"  replay: not played: {report.unplayed}")
+    return "\n".join(lines)
+
+
+def _run_text(run: Mapping[str, Any]) -> str:
+    """Return what a bundle claims of a run."""
+    from xpl import _spec as spec
+
+    planned, played, judged, won = (
+        sum(cell[key] for cell in run["cells"]) for key in ("planned", "played", "judged", "successes")
+    )
+    spoilt = f", {played - judged} not judged" if played > judged else ""
+    where = f"{run['environment']}, {run['embodiment']}, {run[spec.Deploy.ACTION_TYPE]} control"
+    return f"  run {run['run'][:12]}: {where}: {won} of {judged} succeeded, {played} of {planned} played{spoilt}"
+
+
+def _listed(sentences: tuple[str, ...] | list[str]) -> list[str]:
+    more = [f"    ... and {len(sentences) - _SHOWN} more; --json lists all"] if len(sentences) > _SHOWN else []
+    return [*(f"    {sentence}" for sentence in sentences[:_SHOWN]), *more]

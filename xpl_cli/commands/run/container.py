@@ -1,0 +1,31 @@
+"""`xpl container`: a Dockerfile for the policy server of an adapter."""
+
+from __future__ import annotations
+
+import typer
+
+from xpl_cli.commands.run.serve import POLICY
+
+
+def container(
+    policy: str = POLICY,
+    write: bool = typer.Option(False, "--write", help="Put Dockerfile and .dockerignore into the adapter's folder."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Print a Dockerfile that builds a policy server, or put it into the adapter's folder."""
+    import shlex
+
+    from xpl_cli.basics import console
+    from xpl_cli.lifecycle import container as recipes
+    from xpl_cli.packages import package
+
+    adapter = package.load(policy)
+    files = recipes.recipe(adapter)
+    new = recipes.write(adapter, files) if write else []
+    if as_json:
+        told = {"policy": adapter.name, "files": files, "written": new}
+        console.answer("xpl.container/1", told, [] if write else [shlex.join(["xpl", "container", policy, "--write"])])
+    elif write:
+        console.data("\n".join(str(adapter.path / name) for name in files))
+    else:
+        console.data(files[recipes.DOCKERFILE])

@@ -1,0 +1,151 @@
+"""`xpl env`: what environments offer, whether their tasks hold, a picture, a film."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import typer
+
+from xpl_cli.commands.command import ends
+
+app = typer.Typer(help="List, check and look at environments.", no_args_is_help=True)
+
+_NAME = typer.Argument(..., metavar="NAME", help="Environment package, or its folder.")
+_TASK = typer.Option(None, help="Task; the first by default.")
+_EMBODIMENT = typer.Option(None, help="Embodiment; the first by default.")
+_SETTING = typer.Option(None, help="Setting; the first by default.")
+_SEED = typer.Option(0, min=0, help="Seed of the episode.")
+_CAMERA = typer.Option(None, help="Camera of env.yml; the view for people by default.")
+_RENDERER = typer.Option(None, help="Renderer; that of the environment by default.")
+_JSON = typer.Option(False, "--json", help="Print a JSON object.")
+
+
+@app.command("list")
+def list_(
+    name: str | None = typer.Argument(None, metavar="[NAME]", help="One environment; all by default."),
+    as_json: bool = _JSON,
+    as_markdown: bool = typer.Option(False, "--markdown", help="Print the tasks as a table in Markdown."),
+) -> None:
+    """List environments with their tasks, embodiments and settings."""
+    from xpl_cli.basics import console
+    from xpl_cli.environments import listing
+
+    offers = listing.offers(name)
+    if as_json:
+        following = [] if name else [shlex.join(["xpl", "env", "list", offer["name"]]) for offer in offers[:1]]
+        console.answer("xpl.env-list/1", {"environments": offers}, following)
+    elif as_markdown:
+        console.data(listing.markdown(offers))
+    else:
+        console.data(listing.text(offers))
+
+
+@app.command()
+@ends(
+    clean="it holds", findings="it does not", not_found="environment, task or seeds not found", not_run="a process died"
+)
+def check(
+    name: str = _NAME,
+    task: list[str] = typer.Option([], help="Task; all by default. May be repeated."),
+    embodiment: list[str] = typer.Option([], help="Embodiment; all by default. May be repeated."),
+    setting: list[str] = typer.Option([], help="Setting; all by default. May be repeated."),
+    episodes: int | None = typer.Option(None, min=1, help="Seeds of each task; all frozen ones by default."),
+    action_type: str = typer.Option("joint", help="Control in which the expert plays."),
+    workers: int | None = typer.Option(None, min=1, help="Processes; as many as there are cores by default."),
+    as_json: bool = _JSON,
+) -> None:
+    """Play the frozen evaluation seeds: the expert must solve all, random actions none. Seeds are never replaced."""
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.environments import check as env_check
+
+    with progress() as say:
+        choice = env_check.Choice(task, embodiment, setting, episodes, action_type)
+        report = env_check.check(name, choice, say, workers)
+    if as_json:
+        console.answer("xpl.env-check/1", report, [] if report["ok"] else [shlex.join(["xpl", "audit", name])])
+    else:
+        console.data(env_check.text(report))
+    if not report["ok"]:
+        raise typer.Exit(ExitCode.FINDINGS)
+
+
+@app.command()
+def render(
+    name: str = _NAME,
+    out: Path = typer.Argument(..., metavar="FILE.png", help="Picture to write."),
+    task: str | None = _TASK,
+    embodiment: str | None = _EMBODIMENT,
+    setting: str | None = _SETTING,
+    seed: int = _SEED,
+    camera: str | None = _CAMERA,
+    renderer: str | None = _RENDERER,
+    as_json: bool = _JSON,
+) -> None:
+    """Write what a camera sees when an episode begins."""
+    from xpl_cli.basics import console
+    from xpl_cli.environments import film
+    from xpl_cli.environments import play as env_play
+
+    what = env_play.scenario(name, renderer, task=task, embodiment=embodiment, setting=setting)
+    shown = film.render(what, seed, camera, out)
+    if as_json:
+        console.answer("xpl.env-render/1", shown)
+    else:
+        console.note(f"{out}: {what.task} with {what.embodiment} ({what.setting}, seed {seed}), from {shown['camera']}")
+
+
+@app.command()
+def sheet(
+    name: str = _NAME,
+    out: Path = typer.Argument(..., metavar="FILE.png", help="Picture to write."),
+    embodiment: str | None = _EMBODIMENT,
+    setting: str | None = _SETTING,
+    seed: int = _SEED,
+    camera: str | None = _CAMERA,
+    renderer: str | None = _RENDERER,
+    as_json: bool = _JSON,
+) -> None:
+    """Write one picture of how an episode of every task begins."""
+    from xpl_cli.basics import console
+    from xpl_cli.environments import play as env_play
+    from xpl_cli.environments import sheet as env_sheet
+
+    what = env_play.scenario(name, renderer, embodiment=embodiment, setting=setting)
+    shown = env_sheet.sheet(what, seed, camera, out)
+    if as_json:
+        console.answer("xpl.env-sheet/1", shown)
+    else:
+        console.note(f"{out}: {len(shown['task'])} tasks with {what.embodiment} ({what.setting}, seed {seed})")
+
+
+@app.command()
+@ends(clean="a film was written, whoever won", not_found="a name was not found", not_run="this machine cannot draw")
+def play(
+    name: str = _NAME,
+    out: Path = typer.Argument(..., metavar="FILE", help="Film to write: .webp, .gif or .png (animated)."),
+    task: str | None = _TASK,
+    embodiment: str | None = _EMBODIMENT,
+    setting: str | None = _SETTING,
+    action_type: str | None = typer.Option(None, help="Control in which the expert plays; the first by default."),
+    by: str = typer.Option("expert", help="Who plays: the environment's expert, or random joint angles (random)."),
+    seed: int = _SEED,
+    camera: str | None = _CAMERA,
+    renderer: str | None = _RENDERER,
+    as_json: bool = _JSON,
+) -> None:
+    """Write a film of an episode, and say how it ended."""
+    from xpl_cli.basics import console
+    from xpl_cli.environments import film
+    from xpl_cli.environments import play as env_play
+
+    what = env_play.scenario(name, renderer, action_type, task=task, embodiment=embodiment, setting=setting)
+    shown = film.film(what, by, seed, camera, out)
+    if as_json:
+        console.answer("xpl.env-play/1", shown)
+        return
+    result = shown["episode"]
+    console.data(f"{what.task}: {result['end_reason']} after {result['steps']} steps, score {result['score']:.2f}")
+    console.note(f"{out}: written")

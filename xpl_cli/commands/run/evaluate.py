@@ -1,0 +1,182 @@
+"""`xpl eval`: run episodes of one adapter in one environment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from xpl_cli.commands.run.serve import POLICY, POLICY_ENV, SETTINGS
+
+if TYPE_CHECKING:
+    from xpl_cli.evaluation import play
+    from xpl_cli.evaluation.runs import evaluate as suite
+
+
+def evaluate(
+    policy: str = POLICY,
+    env: str | None = typer.Option(None, "--env", help="Environment package; EVAL_ENV_TYPE decides by default."),
+    task: str | None = typer.Option(
+        None, help="Task of the environment; deploy.yml's or the first by default. With --out also A,B or all."
+    ),
+    setting: str | None = typer.Option(None, help="Setting of the environment; the first by default. As for --task."),
+    episodes: int | None = typer.Option(
+        None, min=1, help="Number of episodes, of each task and setting; 1 by default."
+    ),
+    num_envs: int | None = typer.Option(
+        None, min=1, help="Environments at once, in one batch; by default one a worker."
+    ),
+    workers: str = typer.Option(
+        "1",
+        metavar="N|auto",
+        help="Processes that share them; 0: none, auto: one a core. With --out: episodes at once.",
+    ),
+    horizon: int | None = typer.Option(
+        None, min=1, help="Actions of a chunk to execute, by our own loop; without it deploy.py's loop runs."
+    ),
+    seed: int | None = typer.Option(
+        None,
+        min=0,
+        help="Seed of the first episode; deploy.yml's by default. With --out its place among the evaluation seeds.",
+    ),
+    out: Path | None = typer.Option(None, metavar="DIR", help="Record the run there, episode by episode."),
+    serve: bool = typer.Option(False, "--serve", help="Show the growing report of --out on a page of this machine."),
+    resume: bool = typer.Option(False, "--resume", help="Go on with the run in --out."),
+    until_width: float | None = typer.Option(
+        None, metavar="W", help="End a task once the 95 % interval of its success rate is no wider than W, such as 0.2."
+    ),
+    servers: int | None = typer.Option(
+        None, min=1, help="Policy servers; one for each episode at a time by default, one in all with --policy-gpu."
+    ),
+    film: int = typer.Option(1, min=0, metavar="N", help="Film the first N episodes of each task and setting."),
+    backend: str = typer.Option("local", metavar="NAME", help="Who plays a recorded run: local, or ray (a cluster)."),
+    policy_gpus: float = typer.Option(0.0, min=0.0, help="GPUs of the cluster for each policy server."),
+    connect: str | None = typer.Option(None, metavar="URL", help="Use a server that already runs at ws://host:port."),
+    token_file: Path | None = typer.Option(None, metavar="FILE", help="Bearer token for --connect."),
+    ca_file: Path | None = typer.Option(None, metavar="FILE", help="Certificate authority for --connect wss://..."),
+    settings: list[str] = SETTINGS,
+    info: str | None = typer.Option(None, metavar="K=V,...", help="Further overrides in the launchers' form."),
+    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
+    eval_env: str | None = typer.Option(
+        None, help="Python of the environment, as for --policy-env; env.yml's if unsaid."
+    ),
+    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
+    env_gpu: str | None = typer.Option(None, help="Device of the simulator; ours need none."),
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Serve a policy, run episodes in an environment, and report success and score; with --out record all of it."""
+    from xpl import _spec as spec
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.evaluation import play
+    from xpl_cli.packages import package
+    from xpl_cli.serving.secrets import client_tls_context, read_token
+
+    if env_gpu is not None:
+        console.note(f"--env-gpu {env_gpu} is for launchers that start a simulator; the environments here need none")
+    overrides = package.parse_overrides([*(part for part in (info or "").split(",") if part), *settings])
+    if seed is not None:
+        overrides[spec.Deploy.SEED] = seed
+    adapter = package.load(policy)
+    if out is not None:
+        from xpl_cli.evaluation.lanes import backends
+        from xpl_cli.evaluation.runs import evaluate as suite
+        from xpl_cli.evaluation.runs import plan
+
+        if connect is not None or num_envs is not None:
+            raise UserError("--out plays each episode alone and serves the policy itself: no --connect, no --num-envs")
+        first = int(adapter.config(overrides)[spec.Deploy.SEED])
+        is_silent = not overrides and {task, setting, episodes, horizon, until_width} == {None}
+        _recorded(
+            suite.Request(
+                package=adapter,
+                environment=env,
+                out=out,
+                wishes=None if is_silent else plan.Wishes(task, setting, episodes, first, horizon, until_width),
+                resume=resume,
+                serve=serve,
+                room=backends.Room(backend, backends.lanes_of(workers), servers, policy_gpus),
+                films=film,
+                overrides=overrides,
+                python=python,
+                env=policy_env,
+                gpu=policy_gpu,
+                eval_env=eval_env,
+            ),
+            as_json=as_json,
+        )
+        return
+    if resume or until_width is not None or backend != "local":
+        raise UserError(
+            "--resume, --until-width and --backend are for a run that is recorded: name its folder with --out"
+        )
+    environments, processes = play.places(num_envs, workers)
+    _told(
+        play.Request(
+            package=adapter,
+            environment=env or play.environment_for(),
+            task=task,
+            setting=setting,
+            episodes=episodes or 1,
+            num_envs=environments,
+            workers=processes,
+            horizon=horizon,
+            overrides=overrides,
+            connect=connect,
+            token=None if token_file is None else read_token(token_file),
+            ssl_context=None if ca_file is None else client_tls_context(ca_file),
+            python=python,
+            env=policy_env,
+            gpu=policy_gpu,
+            eval_env=eval_env,
+        ),
+        policy,
+        as_json=as_json,
+    )
+
+
+def _recorded(request: suite.Request, *, as_json: bool) -> None:
+    """Play what a recorded run lacks, and tell what all of it comes to."""
+    import shlex
+
+    from xpl_cli.basics import console
+    from xpl_cli.evaluation.runs import evaluate as suite
+    from xpl_cli.evaluation.statistics import summary, wording
+    from xpl_cli.standard import spec as standard
+
+    run = suite.evaluate(request)
+    found = summary.summarise(run)
+    if as_json:
+        console.data_json({**found, "next": [shlex.join(["xpl", "report", str(request.out)])]})
+    else:
+        console.data(wording.text(found))
+    suite.check(run)
+    if not as_json:
+        console.data(standard.data("package")["eval_finish_line"])
+
+
+def _told(request: play.Request, policy: str, *, as_json: bool) -> None:
+    """Evaluate, and tell what came of it; `policy` is the adapter as it was named."""
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode, UserError
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.evaluation import outcome, play
+    from xpl_cli.standard import spec as standard
+
+    with progress() as say:
+        report = play.evaluate(request, say)
+    if as_json:
+        console.data_json({**report, "next": outcome.following(report, policy)})
+        if report["infrastructure_failures"]:
+            raise typer.Exit(ExitCode.NOT_RUN)
+        return
+    console.data(outcome.text(report))
+    failed = report["infrastructure_failures"]
+    if failed:
+        count = len(report["episodes"])
+        raise UserError(
+            f"{failed} of {count} trials were spoilt by the infrastructure and count neither way", code=ExitCode.NOT_RUN
+        )
+    console.data(standard.data("package")["eval_finish_line"])

@@ -1,0 +1,93 @@
+"""`xpl install`, `xpl prepare` and `xpl train`: what the scripts of an adapter call."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from xpl_cli.commands.command import ends
+from xpl_cli.commands.run.serve import POLICY, SETTINGS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_GPU = typer.Option(None, help="Device made visible to the script.")
+_JSON = typer.Option(False, "--json", help="Print a JSON object; what the script prints goes to stderr.")
+_INSTALL = "xpl.install/1"
+
+
+@ends(findings="with --check: not as declared")
+def install(
+    name: str = typer.Argument(..., metavar="PACKAGE", help="Adapter or environment, or its folder."),
+    check: bool = typer.Option(False, "--check", help="Install nothing; say whether all is as declared."),
+    force: bool = typer.Option(False, "--force", help="Make the environment anew although it is there."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Make the Python environment that the manifest of an adapter or environment declares; prints its interpreter."""
+    import shlex
+
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode
+    from xpl_cli.lifecycle import scripts
+
+    folder, manifest = _declaring(name)
+    if check:
+        state = scripts.condition(folder, manifest)
+        is_ready = state in ("current", "given")
+        following = [shlex.join(["xpl", "audit" if is_ready else "install", name])]
+        if as_json:
+            told = {"package": folder.name, "state": state, "python": None, "environment": None}
+            console.answer(_INSTALL, told, following)
+        else:
+            console.data(f"{folder.name}: {state}")
+        if not is_ready:
+            raise typer.Exit(ExitCode.FINDINGS)
+        return
+    done = scripts.install(folder, manifest, again=force)
+    if as_json:
+        told = {"package": folder.name, "state": done.state, "python": done.python}
+        following = [shlex.join(["xpl", "audit", name])]
+        console.answer(_INSTALL, {**told, "environment": dict(done.record) or None}, following)
+        return
+    if done.state == "given":
+        console.note(f"{folder.name} runs in an interpreter that exists already: nothing to install")
+    console.data(done.python)
+
+
+def _declaring(name: str) -> tuple[Path, dict[str, Any]]:
+    """Return the folder of an adapter or environment, and its manifest."""
+    from pathlib import Path
+
+    from xpl_cli.packages import environments, package
+    from xpl_cli.packages.targets import find_target
+
+    target = find_target(Path(name))
+    if target.kind == package.ENV:
+        return target.path, environments.manifest(target.path)
+    return target.path, dict(package.load(target.path).manifest)
+
+
+def prepare(policy: str = POLICY, settings: list[str] = SETTINGS, as_json: bool = _JSON) -> None:
+    """Run an adapter's process_data.py with the configuration of a run."""
+    _run(policy, "process_data.py", settings, None, as_json=as_json)
+
+
+def train(policy: str = POLICY, settings: list[str] = SETTINGS, gpu: str | None = _GPU, as_json: bool = _JSON) -> None:
+    """Run an adapter's train.py with the configuration of a run."""
+    _run(policy, "train.py", settings, gpu, as_json=as_json)
+
+
+def _run(policy: str, script: str, settings: list[str], gpu: str | None, *, as_json: bool) -> None:
+    import shlex
+
+    from xpl_cli.basics import console
+    from xpl_cli.lifecycle import scripts
+    from xpl_cli.packages import package
+
+    adapter = package.load(policy)
+    overrides = {**scripts.gpu_setting(gpu), **package.parse_overrides(settings)}
+    seconds = scripts.run_script(adapter, script, overrides, gpu, aside=as_json)
+    if as_json:
+        told = {"policy": adapter.name, "script": script, "seconds": round(seconds, 3)}
+        console.answer("xpl.script/1", told, [shlex.join(["xpl", "status", policy])])

@@ -1,0 +1,82 @@
+"""`xpl serve`: run the policy server of one adapter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+POLICY = typer.Argument(..., metavar="POLICY", help="Folder of the adapter, or its name below policy/.")
+SETTINGS = typer.Option([], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml; the value is YAML.")
+POLICY_ENV = typer.Option(
+    None, "--policy-env", "--env", metavar="ENV", help="conda:NAME, uv:DIR, venv:DIR or none (this interpreter)."
+)
+
+MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
+ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
+
+
+def serve(
+    policy: str = POLICY,
+    settings: list[str] = SETTINGS,
+    host: str | None = typer.Option(None, help="Address to listen on; deploy.yml's by default."),
+    port: int | None = typer.Option(None, help="TCP port; 0 lets the system choose."),
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    policy_env: str | None = POLICY_ENV,
+    gpu: list[str] = typer.Option([], metavar="ID", help="Device made visible; workers take several in turn."),
+    workers: int = typer.Option(1, metavar="N", help="Copies of the model: N clients are served at once."),
+    token_file: Path | None = typer.Option(None, metavar="FILE", help="Ask clients for the bearer token in FILE."),
+    tls_cert: Path | None = typer.Option(None, metavar="FILE", help="Serve wss:// with this certificate (PEM)."),
+    tls_key: Path | None = typer.Option(None, metavar="FILE", help="Key of the certificate, if it is in another file."),
+    insecure: bool = typer.Option(False, "--insecure", help="Listen elsewhere than on loopback without a token."),
+    debug: bool = typer.Option(False, "--debug", help="Send tracebacks to clients."),
+    metrics: bool = typer.Option(False, "--metrics", help="Offer /metrics in Prometheus' format on the same port."),
+    trace: Path | None = typer.Option(None, metavar="FILE", help="Append one JSON line for each request to FILE."),
+    shadow: bool = typer.Option(
+        False, "--shadow", help="Do not load the model: a function of its inputs answers, for trying all the rest."
+    ),
+    stub_missing: bool = typer.Option(
+        False, "--stub-missing", help="Stub third-party modules that are not installed, for trying what needs none."
+    ),
+    until_stdin_ends: bool = typer.Option(
+        False, "--until-stdin-ends", help="End when standard input ends, for whoever starts servers."
+    ),
+    unset: list[str] = typer.Option([], "--unset", metavar="KEY", help="Leave a key of deploy.yml out."),
+    chdir: Path | None = typer.Option(None, metavar="DIR", help="The adapter's working directory; its own by default."),
+    memory_limit: str = typer.Option("none", metavar="SIZE", help=MEMORY_HELP),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
+    renew: bool = typer.Option(False, "--renew", help="Build the model anew for every client, as if served afresh."),
+    _as_json: bool = typer.Option(False, "--json", help="Changes nothing: what is printed is JSON either way."),
+) -> None:
+    """Serve a policy until interrupted; prints one JSON line on stdout when it is ready."""
+    from xpl import _spec as spec
+    from xpl_cli.isolation.sandbox import MemoryLimit
+    from xpl_cli.packages import package
+    from xpl_cli.serving.run import Options, run_server
+    from xpl_cli.serving.stand_in import StandIn
+
+    overrides = package.parse_overrides(settings)
+    if host is not None:
+        overrides[spec.Deploy.HOST] = host
+    if port is not None:
+        overrides[spec.Deploy.PORT] = port
+    options = Options(
+        python=python,
+        env=policy_env,
+        gpu=gpu,
+        workers=workers,
+        token_file=token_file,
+        tls_cert=tls_cert,
+        tls_key=tls_key,
+        insecure=insecure,
+        debug=debug,
+        metrics=metrics,
+        trace=trace,
+        until_stdin_ends=until_stdin_ends,
+        stand_in=StandIn(shadow=shadow, stub_missing=stub_missing),
+        working_directory=chdir,
+        memory_limit=MemoryLimit.parse(memory_limit),
+        isolate=isolate,
+        renew=renew,
+    )
+    run_server(package.load(policy).without(unset), overrides, options)

@@ -1,0 +1,105 @@
+"""`xpl adopt`: a manifest for an adapter that was written without one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from xpl_cli.adopt.package import Adoption
+
+_SCHEMA = "xpl.adopt/1"
+
+
+def adopt(
+    path: Path = typer.Argument(..., metavar="PATH", help="Folder of an adapter of the ecosystem."),
+    settings: list[str] = typer.Option(
+        [], "--set", metavar="KEY=VALUE", help="A value of your own: temporal.chunk=50."
+    ),
+    scripts: bool = typer.Option(False, "--scripts", help="Also write the scripts that are missing."),
+    merge: bool = typer.Option(False, "--merge", help="Append to a policy.yml that is there the keys that it lacks."),
+    dry_run: bool = typer.Option(False, "--dry-run", help="Print what would be written, and write nothing."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Write the manifest that an adapter lacks, read from its code and documents; nothing else is changed."""
+    from xpl_cli.adopt.package import adoption
+    from xpl_cli.basics import console
+    from xpl_cli.packages import package
+
+    chosen = adoption(path, package.parse_overrides(settings), merge=merge, scripts=scripts)
+    if not dry_run:
+        chosen.write()
+    summary = None if dry_run else _audited(chosen.folder)
+    following = _next(path, written=not dry_run)
+    if as_json:
+        console.data_json(
+            {
+                "schema": _SCHEMA,
+                "path": str(path),
+                "state": chosen.state if not dry_run else "would be written",
+                "files": {name: content.decode() for name, content in chosen.files.items()},
+                "facts": [fact.as_json() for fact in chosen.draft.facts.values()],
+                "open": [question.as_json() for question in chosen.draft.questions.values()],
+                "notes": list(chosen.draft.notes),
+                "audit": summary,
+                "next": following,
+            }
+        )
+        return
+    for note in chosen.draft.notes:
+        console.note(f"note: {note}")
+    if dry_run:
+        for name, content in chosen.files.items():
+            console.note(f"+ {path / name}")
+            console.data(content.decode())
+        return
+    _tell(path, chosen, summary or {})
+    for command in following:
+        console.data(f"next: {command}")
+
+
+def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
+    from xpl_cli.basics import console
+
+    counts = ", ".join(f"{count} {name}" for name, count in chosen.counts.items())
+    console.data(f"{path}: {chosen.state} ({', '.join(chosen.files) or 'nothing to write'}): {counts}")
+    for question in chosen.draft.questions.values():
+        console.data(f"  open  {question.key}: {question.text}")
+    console.data(f"static audit: {summary['verdict']}, {summary['counts']}")
+    for line in summary["findings"]:
+        console.data(f"  {line}")
+
+
+def _audited(folder: Path) -> dict[str, Any]:
+    """Return what the static gate, which runs nothing of the adapter, says of it now."""
+    from xpl_cli.audit.engine.engine import audit
+    from xpl_cli.audit.rules.model import Gate, Outcome
+    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.packages import package
+
+    report = audit(folder, package.POLICY, Options(gates=(Gate.STATIC,)))
+    results = [result for gate in report.gates for result in gate.results]
+    bad = [result for result in results if result.outcome in (Outcome.FAIL, Outcome.WARN, Outcome.ERROR)]
+    count = {outcome: sum(result.outcome is outcome for result in results) for outcome in Outcome}
+    return {
+        "verdict": "RED" if any(result.outcome is not Outcome.WARN for result in bad) else "GREEN",
+        "counts": ", ".join(f"{number} {outcome.value}" for outcome, number in count.items() if number),
+        "findings": [
+            f"{result.outcome.value}  {result.code} {result.slug}: {result.findings[0].message}"
+            + (f" (and {len(result.findings) - 1} more)" if len(result.findings) > 1 else "")
+            for result in bad
+            if result.findings
+        ],
+    }
+
+
+def _next(path: Path, *, written: bool) -> list[str]:
+    """Return the commands that follow, ready to be pasted."""
+    import shlex
+
+    shown = shlex.quote(str(path))
+    if not written:
+        return [f"xpl adopt {shown}"]
+    return [f"xpl audit {shown}"]

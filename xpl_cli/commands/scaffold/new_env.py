@@ -1,0 +1,39 @@
+"""`xpl new-env`: an environment package that runs at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from xpl_cli.commands.scaffold import new_package
+
+_SCHEMA = "xpl.new-env/1"
+
+
+def new_env(
+    name: str = typer.Argument(..., metavar="NAME", help="Name of the environment, and of its folder."),
+    parent: Path = typer.Option(Path("envs"), "--dir", metavar="DIR", help="Folder that the package goes into."),
+    embodiment: str | None = typer.Option(None, help="Robot in it; `xpl spec show` lists them."),
+    task: str | None = typer.Option(None, help="Name of its first task."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that differ; files of your own are kept."),
+    dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Scaffold an environment from the standard: a toy that passes its audit, until your simulator is in."""
+    import shlex
+
+    from xpl_cli.scaffold import environment
+
+    chosen = {
+        question: answer for question, answer in {"embodiment": embodiment, "task": task}.items() if answer is not None
+    }
+    answers = environment.EnvAnswers(name=name, **{**environment.env_defaults(), **chosen})
+    environment.check_env(answers)
+
+    files = environment.render_env(answers)
+    target = parent / name
+    state = new_package.put(files, target, overwrite=overwrite, dry_run=dry_run)
+    path = shlex.quote(str(target))
+    following = [f"xpl audit {path}", f"pytest {path}"]
+    new_package.report(files, target, state, following, schema=_SCHEMA, as_json=as_json)

@@ -1,0 +1,58 @@
+"""What the commands that scaffold a package share: writing it, or saying what would be written, and the report."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl_cli.scaffold.template import Files
+
+_SENTENCE = {
+    "written": "{count} files written",
+    "replaced": "replaced by {count} files of the template",
+    "unchanged": "already there, unchanged",
+    "would be written": "{count} files would be written",
+    "would be replaced": "{count} files would replace what is there (needs --overwrite)",
+    "would be unchanged": "already there, would stay unchanged",
+}
+
+
+def put(files: Files, target: Path, *, overwrite: bool, dry_run: bool) -> str:
+    """Put a render in place, or only tell what that would do; return what happened."""
+    from xpl_cli.scaffold import adapter
+
+    return _preview(files, target) if dry_run else adapter.write(files, target, overwrite=overwrite)
+
+
+def report(files: Files, target: Path, state: str, following: list[str], *, schema: str, as_json: bool) -> None:
+    """Print what was done and which commands follow, ready to be pasted."""
+    from xpl_cli.basics import console
+    from xpl_cli.scaffold import adapter
+
+    open_places = adapter.placeholders(files)
+    if as_json:
+        told = {
+            "path": str(target),
+            "state": state,
+            "files": list(files),
+            "placeholders": [vars(place) for place in open_places],
+        }
+        console.answer(schema, told, following)
+        return
+    console.data(f"{target}: {_SENTENCE[state].format(count=len(files))}, {len(open_places)} places to fill in")
+    for command in following:
+        console.data(f"next: {command}")
+
+
+def _preview(files: Files, target: Path) -> str:
+    from xpl_cli.basics import console
+    from xpl_cli.scaffold import adapter
+
+    changed = adapter.differences(files, target)
+    for file in changed:
+        console.note(f"{'~' if (target / file).exists() else '+'} {target / file}")
+    if not changed:
+        return "would be unchanged"
+    return "would be replaced" if target.exists() and any(target.iterdir()) else "would be written"

@@ -1,0 +1,112 @@
+"""`xpl new-policy`: an adapter package that runs at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from xpl_cli.commands.scaffold import new_package
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_SCHEMA = "xpl.new-policy/1"
+
+
+def new_policy(
+    name: str = typer.Argument(..., metavar="NAME", help="Name of the policy, and of its folder."),
+    parent: Path = typer.Option(Path("policy"), "--dir", metavar="DIR", help="Folder that the package goes into."),
+    embodiment: str | None = typer.Option(None, help="Robot; `xpl spec show` lists them."),
+    action_type: str | None = typer.Option(None, metavar="joint|ee", help="Joint or end-effector control."),
+    chunk: int | None = typer.Option(None, help="Action steps that one call returns."),
+    family: str | None = typer.Option(None, help="Kind of policy: vla, diffusion, act, ..."),
+    eval_only: bool = typer.Option(False, "--eval-only", help="Leave out data processing and training."),
+    kind: str | None = typer.Option(
+        None,
+        metavar="KIND",
+        help="What it is built on: minimal (numpy alone), torch, lerobot or remote.  [default: minimal]",
+    ),
+    history: int | None = typer.Option(None, metavar="N", help="Observations that are kept per environment."),
+    ensembling: float | None = typer.Option(
+        None, metavar="DECAY", help="Average overlapping chunks, as ACT does with 0.01; 0 weighs all alike."
+    ),
+    cameras: str | None = typer.Option(
+        None, metavar="NAME,...", help="Cameras that it reads, with the smallest image: cam_head:640x480, or any size."
+    ),
+    python: str | None = typer.Option(None, help="The policy's own Python: a version, or the path of an interpreter."),
+    version: str | None = typer.Option(
+        None, "--spec", metavar="VERSION", help="Version of the standard; the newest by default."
+    ),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that differ; files of your own are kept."),
+    dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Scaffold an adapter from the standard. It runs at once; `xpl audit` lists what is yours to fill in."""
+    from xpl_cli.scaffold import adapter
+
+    adapter.check_name(name)
+    template = adapter.policy_template(version)
+    chosen = _given(
+        embodiment=embodiment,
+        action_type=action_type,
+        chunk=chunk,
+        family=family,
+        eval_only=eval_only or None,
+        python=python,
+        kind=kind,
+        history=history,
+        ensembling=ensembling,
+        cameras=[name.strip() for name in cameras.split(",")] if cameras else None,
+    )
+    if not as_json and not dry_run:
+        chosen.update(_ask(chosen))
+    answers = adapter.answers_of(name=name, **{**adapter.defaults(template), **chosen})
+    adapter.check(answers, template)
+
+    files = adapter.render(answers, template)
+    target = parent / name
+    state = new_package.put(files, target, overwrite=overwrite, dry_run=dry_run)
+    following = _next(target, install=adapter.needs_environment(answers, template))
+    new_package.report(files, target, state, following, schema=_SCHEMA, as_json=as_json)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {question: answer for question, answer in options.items() if answer is not None}
+
+
+def _next(target: Path, *, install: bool) -> list[str]:
+    """Return the commands that follow, ready to be pasted."""
+    import shlex
+
+    path = shlex.quote(str(target))
+    return [*([f"xpl install {path}"] if install else []), f"xpl audit {path}"]
+
+
+def _ask(given: dict[str, Any]) -> dict[str, Any]:
+    """Ask a person at a terminal for what was not given; anything that is no terminal is never asked."""
+    import os
+    import sys
+
+    from xpl_cli.scaffold import adapter
+
+    if not (sys.stdin.isatty() and sys.stdout.isatty()) or os.environ.get("CI"):
+        return {}
+    suggested, allowed = adapter.defaults(), adapter.choices()
+    return {
+        question: typer.prompt(
+            f"{question} ({', '.join(names)})", default=suggested[question], value_proc=_one_of(names), err=True
+        )
+        for question, names in allowed.items()
+        if question not in given
+    }
+
+
+def _one_of(names: list[str]) -> Callable[[str], str]:
+    def read(answer: str) -> str:
+        if answer not in names:
+            raise typer.BadParameter(f"expected one of {', '.join(names)}, got {answer!r}")
+        return answer
+
+    return read

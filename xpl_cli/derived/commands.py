@@ -1,0 +1,90 @@
+"""The page of all commands, written from the command line itself; a test writes it again and compares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.commands.command import endings, own_meanings
+from xpl_cli.derived.reference import NOTE, table
+from xpl_cli.standard import answers
+
+PAGE = "docs/commands.md"
+"""Where the page is, in a checkout."""
+
+_INTRODUCTION = """\
+Every command, as `--help` tells it. Data goes to standard output, or with `--output FILE` to a file, and everything
+else to standard error, where lines that begin with `Hint:` say what to do. `--json` prints an object whose `schema`
+names its format and whose `next` lists exact commands that are worth running; `xpl answers NAME` prints its JSON
+Schema. What a command cannot do, it tells as `xpl.error/1`.
+"""
+
+
+def page() -> str:
+    """Return the page, in the order of `xpl --help`, without commands that are hidden there."""
+    import typer
+
+    from xpl_cli.main import app
+
+    root: Any = typer.main.get_command(app)
+    context = root.make_context(app.info.name, [], resilient_parsing=True)
+    codes = table(("exit code", "of every command"), [(str(int(code)), code.meaning) for code in ExitCode])
+    return "\n".join([NOTE, "# Commands", "", _INTRODUCTION, *codes, "", *_members(root, context)]).rstrip() + "\n"
+
+
+def _members(group: Any, parent: Any) -> Iterator[str]:
+    """Yield the lines of the commands of a group."""
+    for name, command in group.commands.items():
+        if command.hidden:
+            continue
+        context = command.make_context(name, [], parent=parent, resilient_parsing=True)
+        yield from (f"## {context.command_path}", "", *_paragraphs(command.help), "")
+        if hasattr(command, "commands"):
+            yield from _members(command, context)
+            continue
+        parameters = command.get_params(context)
+        taken = [_argument(parameter) for parameter in parameters if parameter.param_type_name == "argument"]
+        yield from ("```text", " ".join([context.command_path, "[OPTION]...", *taken]), "```", "")
+        rows = [(f"`{_name(parameter)}`", _meaning(parameter, context)) for parameter in parameters]
+        yield from (*table(("argument or option", "meaning"), rows), "")
+        yield from _ends(command, context)
+
+
+def _ends(command: Any, context: Any) -> Iterator[str]:
+    """Yield what a command answers with --json, and its exit codes where it says more of them than all commands do."""
+    names = answers.of_command(context.command_path)
+    if names:
+        yield from (f"With `--json`: {' or '.join(f'`{name}`' for name in names)}.", "")
+    if own_meanings(command.callback):
+        yield from (endings(command.callback), "")
+
+
+def _paragraphs(text: str) -> Iterator[str]:
+    """Yield the lines of a help text as Markdown, without the marks that keep line breaks in a terminal."""
+    yield from (line for line in text.splitlines() if line != "\b")
+
+
+def _argument(parameter: Any) -> str:
+    """Return how an argument stands in a command: `POLICY`, `[NAME]`, `[PATH]...`."""
+    name = _word(parameter)
+    return (name if parameter.required else f"[{name}]") + ("..." if parameter.nargs == -1 else "")
+
+
+def _name(parameter: Any) -> str:
+    if parameter.param_type_name == "argument":
+        return _argument(parameter)
+    # Short names first; typer gives those of --help in any order.
+    names = ", ".join(sorted([*parameter.opts, *parameter.secondary_opts], key=lambda name: name.startswith("--")))
+    return names if parameter.is_flag else f"{names} {_word(parameter)}"
+
+
+def _word(parameter: Any) -> str:
+    """Return what stands for a value: what the command calls it, or the parameter's name."""
+    return str(parameter.metavar or parameter.opts[0].lstrip("-").replace("-", "_").upper()).strip("[].")
+
+
+def _meaning(parameter: Any, context: Any) -> str:
+    """Return the help of a parameter, with its default; angle brackets would be tags in Markdown."""
+    _, told = parameter.get_help_record(context)
+    return str(told).replace("<", "&lt;")

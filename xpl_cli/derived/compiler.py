@@ -1,0 +1,158 @@
+"""Compile `spec/` into what follows from it: `xpl/_spec.py`, the constants of the SDK, and pages of documentation.
+
+The SDK runs where only numpy is installed: it can read neither YAML nor JSON Schema at a reasonable price. So the facts
+it needs are written once as Python literals. The file is committed and a test compiles it again and compares.
+"""
+
+from __future__ import annotations
+
+import pprint
+import re
+from pathlib import Path
+from typing import Any
+
+from xpl_cli.standard import spec
+
+_HEADER = '''"""Constants of the standard, generated from version {version} of spec/ by `xpl spec compile`. Do not edit.
+
+A key name is reached as an attribute (`Obs.ENV_IDX`), so that a misspelt name fails where it is written.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+'''
+
+
+REFERENCE = "docs/reference"
+"""Where the reference pages are, in a checkout."""
+
+
+def derived() -> dict[str, bytes]:
+    """Return every file that is generated, relative to the checkout: the SDK's constants and pages of documentation."""
+    from xpl_cli.derived import commands, reference, rules
+
+    pages = {
+        **{f"{REFERENCE}/{name}": text for name, text in reference.pages().items()},
+        **{f"{rules.FOLDER}/{name}": text for name, text in rules.pages().items()},
+        commands.PAGE: commands.page(),
+    }
+    return {"xpl/_spec.py": compile_source().encode(), **{name: text.encode() for name, text in pages.items()}}
+
+
+def left_over(root: Path) -> list[str]:
+    """Return the pages of a checkout, relative to it, that were generated once and follow from nothing any more."""
+    from xpl_cli.derived import rules
+
+    folders = (REFERENCE, rules.FOLDER)
+    found = [f"{folder}/{path.name}" for folder in folders for path in (root / folder).glob("*.md")]
+    return sorted(set(found) - set(derived()))
+
+
+def compile_source(version: str = spec.CURRENT) -> str:
+    """Return the source text of `xpl/_spec.py` for one spec version."""
+    conventions, wire, package = (spec.data(name, version) for name in ("conventions", "wire", "package"))
+    common = spec.schema("common", version)["$defs"]
+    observation, deploy = spec.schema("observation", version), spec.schema("deploy", version)
+    camera = observation["$defs"]["camera"]["properties"]
+    state = observation["$defs"]["state"]["properties"]
+    mobile = observation["$defs"]["mobile"]["properties"]
+    prefixes = {int(count): tuple(names) for count, names in conventions["arms"]["prefixes"].items()}
+    paired = tuple(prefix for prefix in prefixes[2] if prefix)
+    leaves = [name for name in state if not name.startswith(paired)]
+    additional = observation["properties"]["additional_info"]["properties"]
+
+    classes = {
+        "Obs": [*observation["properties"], *additional],
+        "Camera": list(camera),
+        "State": [*leaves, *mobile],
+        "Deploy": list(deploy["properties"]),
+        "File": [*package["files"]["required"], *package["files"]["training"], package["files"]["manifest"]],
+        "Frame": list(spec.schema("frame", version)["properties"]),
+        "Message": [*wire["answers"], *filter(None, wire["answers"].values()), wire["error_answer"]],
+        "Payload": sorted(
+            {key for entry in spec.schema("payload", version)["$defs"].values() for key in entry["properties"]}
+        ),
+        "ErrorCode": list(wire["error_codes"]),
+        "ErrorReason": list(wire["error_reasons"]),
+        "Capability": list(wire["capabilities"]),
+        "ServerState": list(wire["states"]),
+        "Method": [
+            *wire["methods"]["contract"],
+            *wire["methods"]["hooks"],
+            wire["methods"]["single_call"],
+            wire["methods"]["partial_reset"],
+        ],
+    }
+    values: dict[str, Any] = {
+        "SPEC_VERSION": version,
+        "DATA_FORMAT_VERSION": conventions["data_format_version"],
+        "WIRE_VERSION": wire["wire_version"],
+        "ARM_PREFIXES": prefixes,
+        "ACTION_TYPES": tuple(conventions["action"]["types"]),
+        "ACTION_KEYS": {name: tuple(keys) for name, keys in conventions["action"]["types"].items()},
+        "POSE_DIM": common["pose"]["x-array"]["shape"][0],
+        "POSITION_DIM": conventions["pose"]["order"].index("qw"),
+        "TWIST_DIM": common["twist"]["x-array"]["shape"][0],
+        "COLOR_CHANNELS": common["image"]["x-array"]["shape"][-1],
+        "QUATERNION_TOLERANCE": float(conventions["pose"]["quaternion_tolerance"]),
+        "QUATERNION_REPAIR": float(conventions["pose"]["quaternion_repair"]),
+        "GRIPPER_OVERSHOOT": float(conventions["gripper"]["overshoot"]),
+        "GRIPPER_CLOSED": float(conventions["gripper"]["closed"]),
+        "GRIPPER_OPEN": float(conventions["gripper"]["open"]),
+        "CAMERAS": {int(count): tuple(names) for count, names in conventions["cameras"]["by_arms"].items()},
+        "OPTIONAL_CAMERAS": tuple(conventions["cameras"]["optional"]),
+        "READ_ALIASES": {name: tuple(others) for name, others in conventions["readers"].items()},
+        "JPEG_MARKER": conventions["images"]["jpeg_marker"].encode(),
+        "JOINT_TOLERANCE": float(conventions["continuity"]["joint_tolerance"]),
+        "POSITION_TOLERANCE": float(conventions["continuity"]["position_tolerance"]),
+        "JOINT_SPEED": float(conventions["continuity"]["joint_speed"]),
+        "POSITION_SPEED": float(conventions["continuity"]["position_speed"]),
+        "ROTATION_SPEED": float(conventions["continuity"]["rotation_speed"]),
+        "CHECKPOINT_DIRECTORY": conventions["checkpoint"]["directory"],
+        "CHECKPOINT_RUN_NAME": tuple(conventions["checkpoint"]["run_name"]),
+        "CHECKPOINT_KEYS": tuple(conventions["checkpoint"]["explicit_keys"]),
+        "CONFIG_ALIASES": {name: tuple(others) for name, others in conventions["checkpoint"]["aliases"].items()},
+        "DEPLOY_DEFAULTS": {key: entry["default"] for key, entry in deploy["properties"].items() if "default" in entry},
+        "MODEL_CLASS": package["model_class"],
+        "ANSWERS": dict(wire["answers"]),
+        "CONTRACT_METHODS": tuple(wire["methods"]["contract"]),
+        "HOOKS": tuple(wire["methods"]["hooks"]),
+        "ARRAY_KEYS": {name: key.encode() for name, key in wire["array"]["keys"].items()},
+        "STRUCTURED_KIND": wire["array"]["structured_kind"].encode(),
+        "LIMITS": dict(wire["limits"]),
+        "SHARED_MEMORY": dict(wire["shared_memory"]),
+        "CLOSE_CODES": dict(wire["close_codes"]),
+        "EMBODIMENTS": spec.embodiments(version),
+    }
+    parts = [_HEADER.format(version=version)]
+    parts += [_class(name, keys) for name, keys in classes.items()]
+    parts.append("\n".join(_assignment(name, value) for name, value in values.items()) + "\n")
+    return "\n\n".join(parts)
+
+
+def _class(name: str, keys: list[str]) -> str:
+    body = "\n".join(f'    {_constant(key)} = "{key}"' for key in dict.fromkeys(keys))
+    return f'class {name}:\n    """Names of the standard."""\n\n{body}\n'
+
+
+def _constant(name: str) -> str:
+    """Return the attribute under which a key or file name is reached: `env_idx` as ENV_IDX, `model.py` as MODEL_PY."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").upper()
+
+
+def _assignment(name: str, value: Any) -> str:
+    annotation = "dict[str, dict[str, Any]]" if name == "EMBODIMENTS" else _annotation(value)
+    return f"{name}: {annotation} = {pprint.pformat(value, width=116, compact=True, sort_dicts=False)}"
+
+
+def _annotation(value: Any) -> str:
+    """Return the type of a compiled value, precise enough for mypy strict."""
+    if isinstance(value, tuple):
+        return f"tuple[{_annotation(value[0])}, ...]"
+    if isinstance(value, dict):
+        kinds = sorted({_annotation(item) for item in value.values()})
+        keys = sorted({_annotation(item) for item in value})
+        item = kinds[0] if len(kinds) == 1 else "Any"
+        return f"dict[{keys[0]}, {item}]"
+    return "None" if value is None else type(value).__name__

@@ -1,0 +1,193 @@
+"""Reference pages of the standard, written from `spec/` as Markdown; a test writes them again and compares."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.standard import spec
+from xpl_cli.standard.view import PARTS, Section, sections
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.rules.registry import Rule
+
+NOTE = "<!-- Written by `xpl spec compile`. Do not edit. -->\n"
+"""How every page that is written begins."""
+
+_UNKNOWN = "not known"
+
+
+def pages(version: str = spec.CURRENT) -> dict[str, str]:
+    """Return every page of a version, file name to text."""
+    written = {
+        "README": _index(version),
+        "changelog": changelog(),
+        "embodiments": _embodiments(version),
+        "requirements": _requirements(version),
+        **{name: _part(name, version) for name in PARTS if name != "requirements"},
+        **{name: _schema(name, version) for name in spec.schema_names(version)},
+    }
+    return {f"{name}.md": f"{NOTE}\n{text.strip()}\n" for name, text in sorted(written.items())}
+
+
+def changelog(versions: Sequence[str] | None = None) -> str:
+    """Return what versions changed and what that asks of an adapter, the newest first; all versions by default."""
+    lines = ["# What each version changed", "", "`xpl update` brings an adapter to a newer version."]
+    for version in sorted(versions or spec.versions(), key=spec.order, reverse=True):
+        about = spec.about(version)
+        frozen = "" if spec.is_frozen(version) else ", still being written"
+        lines += ["", f"## {version}{frozen}", ""]
+        if not about:
+            lines.append("The first version.")
+            continue
+        lines += [f"{about['date']}, after {about['extends']}. {about['summary']}"]
+        for change in about["changes"]:
+            lines += ["", *_change(change, version)]
+    return "\n".join(lines)
+
+
+def _change(change: Mapping[str, Any], version: str) -> Iterator[str]:
+    yield f"### {change['title']}"
+    yield ""
+    proven = spec.requirements(version)
+    names = ", ".join(f"{name} ({proven[name].level})" for name in change["requirements"])
+    keys = ", ".join(f"`{key}` in policy.yml" for key in change["keys"])
+    for heading, text in (
+        ("Why", change["why"]),
+        ("What an adapter must do", change["adapters"]),
+        ("What `xpl update` does", f"It {change['update']}."),
+        ("Requirements", names and f"{names}."),
+        ("New keys", keys and f"{keys}."),
+    ):
+        if text:
+            yield f"- **{heading}**: {text}"
+
+
+def _index(version: str) -> str:
+    manifests = ("policy", "deploy", "env")
+    others = [name for name in spec.schema_names(version) if name not in manifests]
+    groups = {
+        "Manifests": manifests,
+        "Rules of behaviour": ("requirements", *(name for name in PARTS if name != "requirements"), "embodiments"),
+        "Documents and messages": others,
+        "History": ("changelog",),
+    }
+    lines = [f"# Reference of the standard, {version}"]
+    for heading, names in groups.items():
+        lines += ["", f"## {heading}", "", *(f"- [{_title(name, version)}]({name}.md)" for name in names)]
+    return "\n".join(lines)
+
+
+def _title(name: str, version: str) -> str:
+    if name in spec.schema_names(version):
+        return str(spec.schema(name, version)["title"])
+    return f"{name.capitalize()}: {PARTS[name]}" if name in PARTS else name.capitalize()
+
+
+def _part(name: str, version: str) -> str:
+    text = spec.text(f"{name}.yml", version)
+    return f"# {name.capitalize()}\n\n{PARTS[name].capitalize()}.\n\n```yaml\n{text.rstrip()}\n```"
+
+
+def _schema(name: str, version: str) -> str:
+    schema = spec.schema(name, version)
+    lines = [f"# {schema['title']}", "", str(schema.get("description", ""))]
+    for section in sections(schema, version):
+        lines += ["", *([f"## {section.name}", ""] if section.name else []), *_keys(section)]
+    return "\n".join(lines)
+
+
+def _keys(section: Section) -> Iterator[str]:
+    if not section.rows:
+        yield section.summary.strip()
+        return
+    rows = [
+        (f"`{'.'.join(row.path)}`", "yes" if row.required else "", f"`{row.kind}`", row.meaning) for row in section.rows
+    ]
+    yield from table(("key", "required", "value", "meaning"), rows)
+
+
+def _requirements(version: str) -> str:
+    """Write every requirement with the rules that prove it."""
+    from xpl_cli.audit.rules.registry import rules
+
+    proofs: dict[str, list[Rule]] = {}
+    for rule in rules():
+        proofs.setdefault(rule.requirement, []).append(rule)
+    areas: dict[str, list[tuple[str, ...]]] = {}
+    for entry in spec.requirements(version).values():
+        told = ", ".join(f"{rule.code} {rule.slug}" for rule in proofs.get(entry.id, ()))
+        row = (entry.id, entry.level, _since(entry.id, version), entry.text, entry.source, told)
+        areas.setdefault(entry.id.split("-")[1], []).append(row)
+    lines = [
+        "# Requirements",
+        "",
+        "A MUST that does not hold fails an audit, a SHOULD warns. Source: contract of the field, its wire protocol, a",
+        "fault found in the field, or a decision of this standard (xpl). `xpl explain RULE` tells more.",
+    ]
+    for area, rows in areas.items():
+        lines += ["", f"## {area}", "", *table(("id", "level", "since", "requirement", "source", "rules"), rows)]
+    return "\n".join(lines)
+
+
+def _since(name: str, version: str) -> str:
+    """Return the version from which on a requirement is as it is now."""
+    lineage = spec.lineage(version)
+    now = spec.requirements(version)[name]
+    same = [one for one in lineage if spec.requirements(one).get(name) == now]
+    return same[0]
+
+
+def _embodiments(version: str) -> str:
+    known = spec.embodiments(version)
+    rows = [
+        (
+            f"`{name}`",
+            ", ".join(entry.get("aliases") or ()),
+            f"{len(entry['arms'])} x {entry['arm']['dof']}",
+            f"{entry['end_effector']['kind']}, {entry['end_effector']['dim']}",
+            _UNKNOWN if entry["arm"]["joints"] is None else "known",
+            entry.get("description", ""),
+        )
+        for name, entry in known.items()
+    ]
+    lines = ["# Embodiments", "", *table(("name", "aliases", "arms x joints", "end effector", "limits", ""), rows)]
+    for name, entry in known.items():
+        joints = entry["arm"]["joints"]
+        if joints is None:
+            continue
+        lines += ["", f"## {name}", ""]
+        lines += table(
+            ("joint", "from, rad", "to, rad", "speed, rad/s"),
+            [(joint["name"], *map(str, joint["limits"]), str(joint.get("velocity") or _UNKNOWN)) for joint in joints],
+        )
+        lines += ["", *(f"- {note}" for note in (*entry.get("sources", ()), *entry.get("caveats", ())))]
+    return "\n".join(lines)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield the lines of a table in Markdown."""
+    yield f"| {' | '.join(head)} |"
+    yield f"|{' --- |' * len(head)}"
+    for row in rows:
+        yield f"| {' | '.join(map(prose, row))} |"
+
+
+def prose(text: Any) -> str:
+    """Return a text as a line of Markdown, also in a table, that every renderer reads alike.
+
+    A stroke in code is written as HTML, because some show the backslash that others need there; `__init__` in prose is
+    a name, and no emphasis.
+    """
+    parts = re.split(r"(`[^`]*`)", " ".join(str(text).split()))
+    return "".join(
+        (_code(part) if part.startswith("`") else part.replace("|", "\\|").replace("__", "\\_\\_")) for part in parts
+    )
+
+
+def _code(span: str) -> str:
+    if "|" not in span:
+        return span
+    return f"<code>{html.escape(span.strip('`')).replace('|', '&#124;')}</code>"

@@ -1,0 +1,1 @@
+"""What environments offer: listed, played, checked, drawn."""

@@ -1,0 +1,206 @@
+"""Check an environment's tasks: its expert solves every frozen evaluation seed, random actions solve none."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.basics.parallel import in_processes
+from xpl_cli.environments import play
+from xpl_cli.environments.play import Scenario, unsupported
+from xpl_cli.packages import environments
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from xpl_cli.basics.progress import Progress
+
+    _Job = tuple[Scenario, Sequence[int]]
+    _Played = tuple[list[dict[str, Any]], list[dict[str, Any]]]
+
+__all__ = ["SEEDS", "Choice", "check", "seeds", "text", "unsupported"]
+
+SEEDS = "seeds"
+"""Folder of an environment package with the frozen evaluation seeds of its tasks."""
+
+_BATCH = 10  # episodes that one process plays at a time
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What to check; empty for everything that the environment offers.
+
+    Attributes:
+        tasks: names.
+        embodiments: names.
+        settings: names.
+        episodes: seeds of each task and setting, from the first; None for all that are frozen.
+        action_type: in which the expert plays.
+    """
+
+    tasks: Sequence[str] = ()
+    embodiments: Sequence[str] = ()
+    settings: Sequence[str] = ()
+    episodes: int | None = None
+    action_type: str = sdk.ACTION_TYPES[0]
+
+
+def seeds(folder: Path, task: str, setting: str) -> list[int]:
+    """Return the frozen evaluation seeds of a task in a setting.
+
+    Raises:
+        NotFoundError: there are none.
+    """
+    file = folder / SEEDS / f"{task}.json"
+    if not file.is_file():
+        raise NotFoundError(f"task {task} has no frozen seeds: {file} is missing")
+    known = json.loads(file.read_text(encoding="utf-8"))
+    if setting not in known:
+        raise NotFoundError(f"{file} has no seeds for the setting {setting!r}; it has {', '.join(known)}")
+    chosen: list[int] = known[setting]
+    return chosen
+
+
+def check(name: str, choice: Choice, say: Progress, workers: int | None = 1) -> dict[str, Any]:
+    """Play the frozen seeds and return the report; nothing is replaced or written.
+
+    Args:
+        name: the environment.
+        choice: what of it.
+        say: where to tell how far it is.
+        workers: processes; 1 plays in this one, None takes as many as there are cores. The report is the same.
+
+    Raises:
+        NotFoundError: the environment, a task, an embodiment, a setting or its seeds do not exist.
+        UserError: a process died.
+    """
+    folder = environments.find(name)
+    facts = environments.manifest(folder)
+    tasks = _chosen("task", choice.tasks, facts["tasks"])
+    robots = _chosen("embodiment", choice.embodiments, facts["embodiments"])
+    settings = _chosen("setting", choice.settings, play.settings(facts))
+    control = play.chosen("kind of control", choice.action_type, facts["action_types"])
+    rows: list[dict[str, Any]] = []
+    for task, robot, setting in product(tasks, robots, settings):
+        reason = play.unsupported(facts["tasks"][task], robot)
+        rows.append({"task": task, "embodiment": robot, "setting": setting, "unsupported": reason})
+    played = [row for row in rows if row["unsupported"] is None]
+    jobs = [
+        (Scenario(name, row["task"], row["embodiment"], row["setting"], control), batch)
+        for row in played
+        for batch in _batches(seeds(folder, row["task"], row["setting"])[: choice.episodes])
+    ]
+    found: dict[Scenario, list[_Played]] = {}
+    for place, ((what, _), answer) in enumerate(zip(jobs, _answers(jobs, workers), strict=True), start=1):
+        say.detail(f"{what.task}, {what.embodiment}, {what.setting} ({place} of {len(jobs)})")
+        if what not in found and all(other.task != what.task for other in found):
+            say.step(f"{what.task} ({place - 1} of {len(jobs)} parts are done)")
+        found.setdefault(what, []).append(answer)
+    for row, batches in zip(played, found.values(), strict=True):
+        row.update(_rates(batches))
+    return {
+        "environment": facts["name"],
+        sdk.Deploy.ACTION_TYPE: control,
+        "pairs": rows,
+        "ok": all(map(_is_sound, rows)),
+    }
+
+
+def text(report: Mapping[str, Any]) -> str:
+    """Return the report for people: a line for each task, embodiment and setting."""
+    lines = list(_lines(report["pairs"]))
+    widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]) - 1)]
+    table = [
+        "  ".join([*(cell.ljust(width) for cell, width in zip(line, widths, strict=False)), line[-1]]).rstrip()
+        for line in lines
+    ]
+    played = [row for row in report["pairs"] if row["unsupported"] is None]
+    sound = sum(map(_is_sound, played))
+    return "\n".join([*table, "", f"{sound} of {len(played)} hold: the expert solves every seed, random actions none"])
+
+
+def _batches(frozen: Sequence[int]) -> list[Sequence[int]]:
+    """Return the seeds in parts that are worth a process."""
+    return [frozen[start : start + _BATCH] for start in range(0, len(frozen), _BATCH)]
+
+
+def _answers(jobs: Sequence[_Job], workers: int | None) -> Iterator[_Played]:
+    """Yield what came of each job, in their order."""
+    if workers == 1 or len(jobs) <= 1:
+        yield from map(_play, jobs)
+        return
+    for (what, _), answer in zip(jobs, in_processes(_play, jobs, workers), strict=True):
+        if answer is None:
+            raise UserError(
+                f"the process that played {what.task} with {what.embodiment} ({what.setting}) died",
+                hint="Play it alone to see why: --task, --embodiment, --setting, --workers 1.",
+                code=ExitCode.NOT_RUN,
+            )
+        yield answer
+
+
+def _play(job: _Job) -> _Played:
+    """Return the results of the expert, and of random actions, which are always joint angles."""
+    what, numbers = job
+    with contextlib.closing(play.make(what)) as env:
+        solved = [play.play(env, play.expert(what), seed) for seed in numbers]
+    joint = replace(what, action_type=sdk.ACTION_TYPES[0])
+    with contextlib.closing(play.make(joint)) as env:
+        guessed = [play.play(env, play.at_random(joint, seed), seed) for seed in numbers]
+    return solved, guessed
+
+
+def _rates(batches: Sequence[_Played]) -> dict[str, Any]:
+    solved, guessed = ([result for part in parts for result in part] for parts in zip(*batches, strict=True))
+    return {"episodes": len(solved), "expert": _summary(solved), "random": _summary(guessed)}
+
+
+def _summary(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    count = max(1, len(results))
+    solved = [result for result in results if result["success"]]
+    return {
+        "solved": len(solved),
+        "mean_score": sum(result["score"] for result in results) / count,
+        "mean_steps": sum(result["steps"] for result in results) / count,
+        "corrected_episodes": sum(bool(result["corrections"]) for result in results),
+        "solved_seeds": [result[sdk.Deploy.SEED] for result in solved],
+        "failed_seeds": [result[sdk.Deploy.SEED] for result in results if not result["success"]],
+    }
+
+
+def _is_sound(row: Mapping[str, Any]) -> bool:
+    if row["unsupported"] is not None:
+        return True
+    return bool(row["expert"]["solved"] == row["episodes"] and row["random"]["solved"] == 0)
+
+
+def _lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+    yield ("task", "embodiment", "setting", "expert", "steps", "random", "score", "")
+    for row in rows:
+        place = (row["task"], row["embodiment"], row["setting"])
+        if row["unsupported"] is not None:
+            yield (*place, "-", "-", "-", "-", f"not offered: {row['unsupported']}")
+            continue
+        expert, guess = row["expert"], row["random"]
+        solved, guessed = (f"{part['solved']}/{row['episodes']}" for part in (expert, guess))
+        faults = [f"expert fails on {_some(expert['failed_seeds'])}"] if expert["failed_seeds"] else []
+        faults += [f"random solves {_some(guess['solved_seeds'])}"] if guess["solved"] else []
+        figures = (solved, f"{expert['mean_steps']:.0f}", guessed, f"{guess['mean_score']:.2f}")
+        yield (*place, *figures, "; ".join(faults))
+
+
+def _some(numbers: Sequence[int]) -> str:
+    shown = ", ".join(map(str, numbers[:5]))
+    return shown if len(numbers) <= 5 else f"{shown} and {len(numbers) - 5} more"
+
+
+def _chosen(what: str, wanted: Sequence[str], offered: Iterable[str]) -> Sequence[str]:
+    """Return all names that are wanted, each once, or all that are offered."""
+    names = list(offered)
+    return [play.chosen(what, name, names) for name in dict.fromkeys(wanted)] or names

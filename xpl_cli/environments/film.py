@@ -1,0 +1,174 @@
+"""A picture of an environment, and a film of its expert."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl import get_embodiment, images
+from xpl_cli.basics import atomic
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.environments import play
+from xpl_cli.packages import environments
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    import numpy as np
+
+    from xpl_cli.environments.play import Scenario
+
+FORMATS = (".webp", ".gif", ".png")
+"""Endings of a film; each format can be animated."""
+
+_EVERY = 2  # control steps to a frame: enough for the eye
+
+
+def render(what: Scenario, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
+    """Write what a camera sees when an episode begins; return what is in the picture.
+
+    Raises:
+        NotFoundError: there is no such camera.
+        UserError: the scenario is not offered, the renderer is missing, or another ending than .png.
+    """
+    check_ending(out, (".png",))
+    camera = camera_of(what, camera)
+    seen, wording = first_look(what, seed, camera)
+    atomic.write_file(out, images.encode_png(seen))
+    height, width = seen.shape[:2]
+    size = {"height": height, "width": width}
+    return {**shown(what, seed, camera, out), **size, sdk.Obs.INSTRUCTION: wording}
+
+
+def first_look(what: Scenario, seed: int, camera: str) -> tuple[np.ndarray, str]:
+    """Return what a camera sees when an episode begins, (H, W, 3) uint8, and the episode's instruction."""
+    with contextlib.closing(play.make(what)) as env, _drawing(what):
+        env.reset([seed])
+        return _look(env, camera), env.get_obs()[sdk.Obs.INSTRUCTION]
+
+
+def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) -> dict[str, Any]:
+    """Write a film of an episode; return what it shows, with the `episode`'s result.
+
+    Args:
+        what: is played.
+        player: one of `env_play.PLAYERS`.
+        seed: of the episode.
+        camera: from where; the camera for people by default.
+        out: file, whose ending is one of `FORMATS`.
+
+    Raises:
+        NotFoundError: there is no such camera or player.
+        UserError: the scenario is not offered, the renderer is missing, or another ending.
+    """
+    check_ending(out, FORMATS)
+    camera = camera_of(what, camera)
+    what, act = play.player(player, what, seed)
+    facts = environments.manifest(environments.find(what.environment))
+    with contextlib.closing(play.make(what)) as env, _drawing(what):
+        reel = Reel(environments.frequency(facts, what.task), camera)
+        result = play.play(env, act, seed, lambda: reel.look(env))
+    reel.save(out)
+    return {**shown(what, seed, camera, out), "player": player, "episode": result}
+
+
+class Reel:
+    """A film of one environment.
+
+    Args:
+        frequency: control rate, Hz.
+        camera: from where; the camera for people by default.
+
+    Attributes:
+        steps: moments that it was shown.
+    """
+
+    def __init__(self, frequency: float, camera: str | None = None) -> None:
+        self._pace = round(1000 * _EVERY / frequency)
+        self._camera = camera
+        self._frames: list[Any] = []
+        self.steps = 0
+
+    def look(self, env: Any, env_idx: int = 0) -> None:
+        """Take in the present moment; to be called once for every control step.
+
+        Raises:
+            UserError: if there is no such camera.
+        """
+        from PIL import Image
+
+        if self.steps % _EVERY == 0:
+            self._frames.append(Image.fromarray(_look(env, self._camera, env_idx)))
+        self.steps += 1
+
+    def save(self, out: Path) -> None:
+        """Write the film; nothing where nothing was seen.
+
+        Args:
+            out: file, whose ending is one of `FORMATS`.
+        """
+        content = self.encoded(_format(out))
+        if content is not None:
+            atomic.write_file(out, content)
+
+    def encoded(self, kind: str = FORMATS[0].lstrip(".")) -> bytes | None:
+        """Return the film as the content of a file, None where nothing was seen."""
+        import io
+
+        if not self._frames:
+            return None
+        buffer = io.BytesIO()
+        first, *others = self._frames
+        first.save(buffer, kind, save_all=True, append_images=others, duration=self._pace, loop=0)
+        return buffer.getvalue()
+
+
+def shown(what: Scenario, seed: int, camera: str, out: Path) -> dict[str, Any]:
+    """Return what a picture or film shows, and where it is."""
+    return {"file": str(out), **asdict(what), sdk.Deploy.SEED: seed, "camera": camera}
+
+
+def camera_of(what: Scenario, wanted: str | None) -> str:
+    """Return the name of a camera: the one for people, or the first, where none is wanted."""
+    mine, others = sdk.CAMERAS[len(get_embodiment(what.embodiment).arms)], set().union(*sdk.CAMERAS.values())
+    entries = environments.manifest(environments.find(what.environment))["cameras"]
+    known = [name for name in entries if name in mine or name not in others]
+    usual = next((name for name in sdk.OPTIONAL_CAMERAS if name in known), None)
+    return play.chosen("camera", wanted or usual, known)
+
+
+@contextlib.contextmanager
+def _drawing(what: Scenario) -> Iterator[None]:
+    """Say in one sentence that this machine cannot draw."""
+    try:
+        yield
+    except RuntimeError as error:
+        # An environment's own class: its package is loaded by path, and nobody can import from it.
+        if type(error).__name__ != "RendererMissingError":
+            raise
+        raise UserError(f"{what.environment}: {error}", code=ExitCode.NOT_RUN) from None
+
+
+def _look(env: Any, camera: str | None, env_idx: int = 0) -> np.ndarray:
+    if not hasattr(env, "render"):
+        raise UserError("this environment draws nothing: its client has no render(env_idx, camera)")
+    try:
+        seen: np.ndarray = env.render(env_idx, camera or sdk.OPTIONAL_CAMERAS[0])
+    except ValueError as error:
+        raise UserError(str(error)) from None
+    return seen
+
+
+def _format(out: Path) -> str:
+    return out.suffix.lower().lstrip(".")
+
+
+def check_ending(out: Path, known: tuple[str, ...]) -> None:
+    """Raise a UserError for a file that cannot be written, or whose ending is not known."""
+    if out.suffix.lower() not in known:
+        raise UserError(f"{out}: the name must end in {' or '.join(known)}")
+    if not out.resolve().parent.is_dir():
+        raise UserError(f"{out}: its folder does not exist")

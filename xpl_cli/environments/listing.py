@@ -1,0 +1,85 @@
+"""What environment packages offer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.environments.play import settings, unsupported
+from xpl_cli.packages import environments
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+
+def offers(name: str | None = None) -> list[dict[str, Any]]:
+    """Return what one environment, or each one, offers: tasks with the embodiments they can be played with.
+
+    Raises:
+        NotFoundError: there is no environment of this name.
+    """
+    if name is not None:
+        return [_offer(environments.find(name))]
+    return [_offer(environments.find(each)) for each in environments.names()]
+
+
+def text(found: Sequence[Mapping[str, Any]]) -> str:
+    """Return the list for people."""
+    return "\n\n".join("\n".join(_lines(offer)) for offer in found)
+
+
+def markdown(found: Sequence[Mapping[str, Any]]) -> str:
+    """Return the tasks as tables in Markdown: what each asks for, with how many arms, how it is scored, how long."""
+    return "\n\n".join("\n".join(_rows(offer["tasks"])) for offer in found)
+
+
+def _rows(tasks: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    yield "| task | asks for | arms | stages, with their share of the score | steps | instruction |"
+    yield "| --- | --- | --- | --- | --- | --- |"
+    for task, entry in tasks.items():
+        stages = ", ".join(f"{name} {weight:g}" for name, weight in entry["stages"].items())
+        arms = " or ".join(map(str, entry["arms"] or ["any"]))
+        cells = (f"`{task}`", entry["dimension"] or "", arms, stages, entry["max_steps"], entry[sdk.Obs.INSTRUCTION])
+        yield f"| {' | '.join(map(str, cells))} |"
+
+
+def _offer(folder: Path) -> dict[str, Any]:
+    facts = environments.manifest(folder)
+    tasks = {
+        task: {
+            sdk.Obs.INSTRUCTION: entry[sdk.Obs.INSTRUCTION],
+            "dimension": entry.get("dimension"),
+            "arms": entry.get("arms"),
+            "max_steps": entry["max_steps"],
+            "stages": entry.get("stages", {}),
+            "embodiments": [robot for robot in facts["embodiments"] if unsupported(entry, robot) is None],
+            "unsupported": {
+                robot: reason for robot in facts["embodiments"] if (reason := unsupported(entry, robot)) is not None
+            },
+        }
+        for task, entry in facts["tasks"].items()
+    }
+    return {
+        "name": facts["name"],
+        "title": facts["title"],
+        "action_types": facts["action_types"],
+        "settings": settings(facts),
+        "embodiments": facts["embodiments"],
+        "tasks": tasks,
+    }
+
+
+def _lines(offer: Mapping[str, Any]) -> list[str]:
+    width = max(map(len, offer["tasks"]))
+    every = offer["embodiments"]
+    lines = [
+        f"{offer['name']}: {offer['title']}",
+        f"  embodiments: {', '.join(every)}",
+        f"  control: {', '.join(offer['action_types'])}; settings: {', '.join(offer['settings'])}",
+    ]
+    for task, entry in offer["tasks"].items():
+        missing = [robot for robot in every if robot not in entry["embodiments"]]
+        note = f" (not {', '.join(missing)})" if missing else ""
+        lines.append(f"  {task.ljust(width)}  {entry[sdk.Obs.INSTRUCTION]}{note}")
+    return lines

@@ -1,0 +1,187 @@
+"""Episodes in this process, played by an environment's own expert or by random actions; no server, no cameras."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import get_embodiment
+from xpl_cli.basics import content
+from xpl_cli.basics.errors import NotFoundError, UnknownTargetError, UserError, no_such
+from xpl_cli.packages import environments, package
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+_JOINT = sdk.ACTION_TYPES[0]
+_EXPERT = "expert"
+PLAYERS = (_EXPERT, "random")
+"""Who can play without a policy: the environment's own expert, or random joint angles."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What is played.
+
+    Attributes:
+        environment: name of an environment package, or its folder.
+        task: a task of it.
+        embodiment: an embodiment of it.
+        setting: a setting of it.
+        action_type: "joint" or "ee".
+        renderer: one of the environment's; its own choice by default.
+    """
+
+    environment: str
+    task: str
+    embodiment: str
+    setting: str
+    action_type: str = _JOINT
+    renderer: str | None = None
+
+    def config(self) -> dict[str, Any]:
+        """Return the configuration with which the environment is made."""
+        return {
+            "task": self.task,
+            "embodiment": self.embodiment,
+            "setting": self.setting,
+            sdk.Deploy.ACTION_TYPE: self.action_type,
+            "cameras": False,
+            sdk.Obs.PRIVILEGED: True,
+            **({} if self.renderer is None else {"renderer": self.renderer}),
+        }
+
+
+def scenario(name: str, renderer: str | None = None, action_type: str | None = None, **wanted: str | None) -> Scenario:
+    """Return a scenario of an environment.
+
+    Args:
+        name: the package, or its folder.
+        renderer: one of the environment's.
+        action_type: one of the environment's; its first by default.
+        wanted: task, embodiment and setting; the first that there is by default. Without a wish, the embodiment is the
+            first that the task is offered with.
+
+    Raises:
+        NotFoundError: there is no environment, task, embodiment, setting, kind of control or renderer of that name.
+    """
+    facts = environments.manifest(environments.find(name))
+    task = chosen("task", wanted.get("task"), facts["tasks"])
+    robots = [robot for robot in facts["embodiments"] if unsupported(facts["tasks"][task], robot) is None]
+    robot = wanted.get("embodiment")
+    return Scenario(
+        environment=name,
+        task=task,
+        embodiment=chosen("embodiment", robot, facts["embodiments"]) if robot else robots[0],
+        setting=chosen("setting", wanted.get("setting"), settings(facts)),
+        action_type=chosen("kind of control", action_type, facts["action_types"]),
+        renderer=chosen("renderer", renderer, facts.get("renderers", ())) if renderer else None,
+    )
+
+
+def chosen(what: str, wanted: str | None, offered: Iterable[str]) -> str:
+    """Return the name that is wanted, or the first that is offered.
+
+    Raises:
+        UnknownTargetError: it is not offered; with the nearest name, and all of them.
+    """
+    names = list(offered)
+    if wanted is None:
+        return names[0]
+    if wanted in names:
+        return wanted
+    raise no_such(f"there is no {what} {wanted!r}", wanted, names, kind=UnknownTargetError)
+
+
+def settings(facts: Mapping[str, Any]) -> list[str]:
+    """Return the names of an environment's settings."""
+    names: list[str] = facts.get("settings", ["clean"])
+    return names
+
+
+def unsupported(entry: Mapping[str, Any], embodiment: str) -> str | None:
+    """Return why a task (its entry in the manifest) is not offered with an embodiment; None if it is."""
+    arms, count = entry.get("arms"), len(get_embodiment(embodiment).arms)
+    if arms is not None and count not in arms:
+        return f"for {' or '.join(map(str, arms))} arms"
+    reason: str | None = entry.get("unsupported", {}).get(embodiment)
+    return reason
+
+
+def make(what: Scenario) -> Any:
+    """Return the environment.
+
+    Raises:
+        UserError: the environment does not offer the scenario.
+    """
+    try:
+        return environments.make(what.environment, what.config())
+    except (ValueError, LookupError) as error:
+        raise UserError(f"{what.environment}: {error}") from None
+
+
+def expert(what: Scenario) -> Callable[[Mapping[str, Any]], Mapping[str, Any]]:
+    """Return a new player of the environment's own expert, which its manifest names.
+
+    Raises:
+        NotFoundError: the environment names none.
+    """
+    name = environments.manifest(environments.find(what.environment)).get("expert")
+    if name is None:
+        raise NotFoundError(f"{what.environment} names no expert", hint="expert: NAME in env.yml, a policy of policy/")
+    module = content.load_module(package.find_policy(name) / sdk.File.MODEL_PY)
+    adapter = getattr(module, sdk.MODEL_CLASS)
+    policy = adapter({sdk.Deploy.ENV_CFG_TYPE: what.embodiment, sdk.Deploy.ACTION_TYPE: what.action_type})
+
+    def act(obs: Mapping[str, Any]) -> Mapping[str, Any]:
+        policy.update_obs(obs)
+        action: Mapping[str, Any] = policy.get_action()[0]
+        return action
+
+    return act
+
+
+def at_random(what: Scenario, seed: int) -> Callable[[Mapping[str, Any]], Mapping[str, Any]]:
+    """Return a new player that draws every joint and gripper anew in each step, within its limits."""
+    robot, rng = get_embodiment(what.embodiment), np.random.default_rng(seed)
+    arm_key, gripper_key = sdk.ACTION_KEYS[_JOINT]
+
+    def act(_obs: Mapping[str, Any]) -> Mapping[str, Any]:
+        action = {}
+        for arm in robot.arms:
+            low, high = (-math.pi, math.pi) if arm.lower is None or arm.upper is None else (arm.lower, arm.upper)
+            action[arm.prefix + arm_key] = rng.uniform(low, high, arm.dof)
+            action[arm.prefix + gripper_key] = rng.uniform(sdk.GRIPPER_CLOSED, sdk.GRIPPER_OPEN, arm.ee_dim)
+        return action
+
+    return act
+
+
+def player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Callable[[Mapping[str, Any]], Mapping[str, Any]]]:
+    """Return a new player by its name, one of `PLAYERS`, and what it plays: random actions are joint angles.
+
+    Raises:
+        NotFoundError: there is no player of that name, or the environment names no expert.
+    """
+    if chosen("player", name, PLAYERS) == _EXPERT:
+        return what, expert(what)
+    return replace(what, action_type=_JOINT), at_random(what, seed)
+
+
+def play(
+    env: Any, act: Callable[[Mapping[str, Any]], Mapping[str, Any]], seed: int, watch: Callable[[], None] | None = None
+) -> dict[str, Any]:
+    """Play one episode and return its result; `watch` is called before every step and at the end."""
+    env.reset([seed])
+    while not env.is_episode_end():
+        if watch is not None:
+            watch()
+        env.take_action(act(env.get_obs()))
+    if watch is not None:
+        watch()
+    result: dict[str, Any] = env.results()[0]
+    return result

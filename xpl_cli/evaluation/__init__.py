@@ -1,0 +1,1 @@
+"""Episodes played, recorded, summed up, compared and reported."""

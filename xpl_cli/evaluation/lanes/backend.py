@@ -1,0 +1,80 @@
+"""What a run needs of whoever plays its episodes: jobs in, outcomes out, whatever machines are between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+from xpl_cli.evaluation.records.failures import spoilt
+from xpl_cli.evaluation.records.records import now
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from xpl_cli.evaluation.records.records import Line
+
+
+@dataclass(frozen=True)
+class Job:
+    """One attempt at one episode.
+
+    Attributes:
+        index: the episode's key in the plan.
+        attempt: which attempt this is, from 1 on.
+        task, setting, seed: what is played.
+        trace: whether curves are wanted.
+        film: whether a film is wanted.
+    """
+
+    index: int
+    attempt: int
+    task: str
+    setting: str
+    seed: int
+    trace: bool = True
+    film: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job.
+
+    Attributes:
+        job: the job.
+        line: what the episode's line says of how it went (`spec/v1.1/record.schema.json`): all but its key, its place
+            in the plan, whether it is final, its machine and its files.
+        facts: the machine on which it was played; empty where that is not known.
+        trace: an .npz with its curves, or None.
+        film: an animated WebP, or None.
+    """
+
+    job: Job
+    line: Line
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    trace: bytes | None = None
+    film: bytes | None = None
+
+
+class Backend(Protocol):
+    """Plays jobs. Whether a spoilt one is played again is not its business."""
+
+    def free(self) -> int:
+        """Return how many more jobs can be played at once now."""
+
+    def submit(self, job: Job) -> None:
+        """Take a job; returns at once."""
+
+    def wait(self) -> list[Outcome]:
+        """Wait for outcomes, at least one; each job has at most one.
+
+        Raises:
+            UserError: no job can be played: for example, policy and environment do not fit.
+        """
+
+    def close(self) -> None:
+        """End everything, also what is being played."""
+
+
+def lost(job: Job, reason: str, worker: str | None = None, facts: Mapping[str, Any] | None = None) -> Outcome:
+    """Return the outcome of a job whose player is gone."""
+    return Outcome(job, {**spoilt(reason), "started": now(), "wall_seconds": 0.0, "worker": worker}, facts or {})

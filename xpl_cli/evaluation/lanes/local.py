@@ -1,0 +1,231 @@
+"""The backend of this machine: lanes in processes of their own, policy servers beside them.
+
+A thread of this process looks after each lane: it sees to the server, gives the lane a job and waits. Lanes and servers
+notice when this process is gone, however it ended, and end too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
+
+from xpl.vector import INFRASTRUCTURE
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
+from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
+
+if TYPE_CHECKING:
+    from xpl_cli.evaluation.lanes.lane import Orders
+
+    _Done = queue.SimpleQueue[tuple["_LaneThread", Outcome | Exception]]
+
+_GRACE_S = 10.0
+
+
+class LocalBackend:
+    """Plays jobs on this machine (see `xpl_cli.evaluation.lanes.backend.Backend`).
+
+    Args:
+        orders: what lanes play.
+        server_orders: how the policy is served.
+        lanes: episodes that are played at a time.
+        servers: policy servers that they share, as evenly as may be.
+    """
+
+    def __init__(self, orders: Orders, server_orders: ServerOrders, lanes: int, servers: int) -> None:
+        shares = [lanes * (number + 1) // servers - lanes * number // servers for number in range(servers)]
+        self._servers = [Server(server_orders, share) for share in shares]
+        self._done: _Done = queue.SimpleQueue()
+        owners = [server for server, share in zip(self._servers, shares, strict=True) for _ in range(share)]
+        self._lanes = [_LaneThread(orders, number, server, self._done) for number, server in enumerate(owners)]
+        self._idle = list(self._lanes)
+        self._returned: list[Job] = []
+        for lane in self._lanes:
+            lane.start()
+
+    def free(self) -> int:
+        """Return how many lanes have nothing to do; none while a job waits that was given back."""
+        return 0 if self._returned else len(self._idle)
+
+    def submit(self, job: Job) -> None:
+        """Give a job to the lane that has waited longest."""
+        self._idle.pop(0).jobs.put(job)
+
+    def wait(self) -> list[Outcome]:
+        """Wait for the next outcome; none where a lane has given its job back.
+
+        Raises:
+            UserError: no job can be played.
+        """
+        lane, told = self._done.get()
+        if isinstance(told, Exception):
+            raise told
+        if lane.is_sound:
+            self._idle.append(lane)
+        else:
+            self._dismiss(lane, told)
+        while self._returned and self._idle:
+            self.submit(self._returned.pop(0))
+        return [told] if lane.is_sound else []
+
+    def _dismiss(self, lane: _LaneThread, told: Outcome) -> None:
+        """Do without a lane that can play no more: it would spoil job after job, and faster than others play them."""
+        self._lanes.remove(lane)
+        lane.end()
+        if not self._lanes:
+            reason = str(told.line["error"])
+            raise UserError(reason, hint="put that right, and go on with --resume", code=ExitCode.NOT_RUN)
+        self._returned.append(told.job)
+
+    def close(self) -> None:
+        """End lanes and servers; what is being played is broken off."""
+        for lane in self._lanes:
+            lane.end()
+        for lane in self._lanes:
+            lane.join(_GRACE_S)
+        for server in self._servers:
+            server.close()
+
+
+class _LaneThread(threading.Thread):
+    """Looks after one lane: its process, and the server that it talks to.
+
+    Attributes:
+        jobs: what it is to play; None lets it end.
+        is_sound: whether it can play; not if its server does not start any more.
+    """
+
+    def __init__(
+        self,
+        orders: Orders,
+        number: int,
+        server: Server,
+        done: _Done,
+    ) -> None:
+        # A daemon: it may wait for a model to load, and must not keep a run that was interrupted from ending.
+        super().__init__(daemon=True)
+        self.jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._worker = f"{platform.node()}/{number}"
+        self._process = _LaneProcess(orders, self._worker)
+        self._server = server
+        self._done = done
+        self._is_busy = False
+        self.is_sound = True
+
+    def run(self) -> None:
+        """Play jobs until there is none any more."""
+        while (job := self.jobs.get()) is not None:
+            self._is_busy = True
+            try:
+                told: Outcome | Exception = self._play(job)
+            except Exception as error:  # noqa: BLE001 - raised where the run is led
+                told = error
+            self._is_busy = False
+            self._done.put((self, told))
+        self._process.close()
+
+    def end(self) -> None:
+        """Break off what is being played, and let the thread end."""
+        self.jobs.put(None)
+        if self._is_busy:
+            self._process.kill()
+
+    def _play(self, job: Job) -> Outcome:
+        try:
+            url = self._server.url()
+        except ServerLostError as error:
+            self.is_sound = False
+            return lost(job, f"the policy server does not start any more: {error}", self._worker)
+        try:
+            outcome = self._process.play(job, url)
+        except LaneLostError as error:
+            outcome = lost(job, str(error), self._worker)
+        if outcome.line["failure"] == INFRASTRUCTURE:
+            self._server.drop()
+        return outcome
+
+
+class LaneLostError(RuntimeError):
+    """The process of a lane has ended."""
+
+
+class _LaneProcess:
+    """A lane in a process of its own (`xpl_cli.evaluation.lanes.process`), which is started when it is needed."""
+
+    def __init__(self, orders: Orders, worker: str) -> None:
+        self._given = orders, worker
+        self._process: subprocess.Popen[bytes] | None = None
+        self._channel: Connection[Any, Any] | None = None
+
+    def play(self, job: Job, url: str) -> Outcome:
+        """Play a job.
+
+        Raises:
+            UserError: no job can be played.
+            LaneLostError: the process ended.
+        """
+        try:
+            channel = self._channel or self._started()
+            channel.send((job, url))
+            told: Outcome | Exception = channel.recv()
+        except (EOFError, OSError):
+            raise LaneLostError(self._ended()) from None
+        if isinstance(told, Exception):
+            raise told
+        return told
+
+    def kill(self) -> None:
+        """End the process and its children at once."""
+        process = self._process
+        if process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+    def close(self) -> None:
+        """Let the process end, or end it where that takes too long."""
+        if self._channel is not None:
+            with contextlib.suppress(OSError):
+                self._channel.send(None)
+            self._ended()
+
+    def _started(self) -> Connection[Any, Any]:
+        # Not by `multiprocessing`, which would run the main module of whoever uses this once more in the lane.
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "xpl_cli.evaluation.lanes.process", str(theirs.fileno())],
+                stdin=subprocess.PIPE,  # ends with this process, and the lane with it
+                stdout=2,  # what an adapter's loop prints is no data
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+            )
+        self._channel = Connection(ours.detach())
+        self._channel.send(self._given)
+        return self._channel
+
+    def _ended(self) -> str:
+        """Clear up after a process that has ended, or is to, and return how it did."""
+        process, channel = self._process, self._channel
+        self._process = self._channel = None
+        if channel is not None:
+            channel.close()
+        if process is None:
+            return "the process that plays episodes cannot be started"
+        try:
+            code = process.wait(_GRACE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            code = process.wait()
+        assert process.stdin is not None  # noqa: S101 - for the type checker: PIPE was asked for
+        process.stdin.close()
+        how = f"ended with exit code {code}" if code >= 0 else f"was ended by signal {signal.Signals(-code).name}"
+        return f"the process that played it {how}"

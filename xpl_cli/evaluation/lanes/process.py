@@ -1,0 +1,43 @@
+"""The process of a lane: plays what comes through a channel, and ends with whoever holds the other end.
+
+Messages are pickled, as between processes of one program: orders and name first, then pairs of a job and the address of
+a policy server, each answered by an outcome or by what ends the run; None ends the process.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from multiprocessing.connection import Connection
+from typing import Any
+
+from xpl_cli.basics.errors import UserError
+from xpl_cli.evaluation.lanes.lane import Lane
+
+
+def main(descriptor: int) -> None:
+    """Play jobs until there is none any more."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    channel: Connection[Any, Any] = Connection(descriptor)
+    lane = Lane(*channel.recv())
+    try:
+        while (asked := channel.recv()) is not None:
+            try:
+                channel.send(lane.play(*asked))
+            except UserError as error:
+                channel.send(error)
+    except EOFError:
+        pass
+    finally:
+        lane.close()
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of standard input, which whoever started this holds open and never writes to."""
+    os.read(sys.stdin.fileno(), 1)
+    os._exit(1)  # also in the middle of an episode, of which nobody would hear any more
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -1,0 +1,215 @@
+"""What a Ray cluster runs for a suite: lanes and policy servers, as plain classes that `ray_backend` makes actors of.
+
+They refuse by an answer and not by an exception: what an actor raises reaches the other side as an error of Ray's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import secrets
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import xpl_cli
+from xpl.vector import INFRASTRUCTURE
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.lanes.lane import Lane, Orders
+from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
+from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts, package_digest
+from xpl_cli.packages import package
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from xpl_cli.evaluation.lanes.backend import Job, Outcome
+
+_SAME_PLACE = "the same files must lie at the same place on every machine: a shared folder, or the same image"
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why nothing can be played: a UserError that travels."""
+
+    message: str
+    hint: str | None
+    code: int
+
+    @classmethod
+    def of(cls, error: UserError) -> Refusal:
+        """Return the refusal that an error stands for."""
+        return cls(str(error), error.hint, error.code)
+
+    def error(self) -> UserError:
+        """Return the error that it stands for."""
+        return UserError(self.message, hint=self.hint, code=ExitCode(self.code))
+
+
+@dataclass(frozen=True)
+class Unfit:
+    """Why an actor can play no more, although it could; what it was asked to play has not begun."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Post:
+    """Where a lane is.
+
+    Attributes:
+        worker: its name in records.
+        facts: its machine.
+    """
+
+    worker: str
+    facts: Mapping[str, Any]
+
+
+class PolicyServer:
+    """A policy server: for lanes on other machines, or for one in the same process.
+
+    Args:
+        version: of xpl on the machine that leads the run.
+        orders: how it is started.
+        clients: lanes that use it.
+        token: what it asks of lanes on other machines; None keeps it to this machine.
+    """
+
+    def __init__(self, version: str, orders: ServerOrders, clients: int, token: str | None) -> None:
+        self._version = version
+        self._orders = orders
+        self._token = token
+        self._secret = Path(tempfile.gettempdir()) / f"xpl-{secrets.token_hex(16)}"
+        options = () if token is None else ("--host", _address(), "--token-file", str(self._secret))
+        self._server = Server(orders, clients, options)
+        self._is_checked = False
+
+    def url(self) -> str | Refusal | Unfit:
+        """Return where it answers; starts it where it does not run (any more)."""
+        try:
+            self._check()
+            with self._told():
+                return self._server.url()
+        except UserError as error:
+            return Refusal.of(error)
+        except ServerLostError as error:
+            return Unfit(f"the policy server does not start any more: {error}")
+
+    def url_after_failure(self) -> str | Refusal | Unfit:
+        """Return where it answers, after an attempt that it may have spoilt."""
+        self.suspect()
+        return self.url()
+
+    def suspect(self) -> None:
+        """End it after an attempt that it may have spoilt, unless others use it, and it is well."""
+        self._server.drop()
+
+    def _check(self) -> None:
+        """Raise a UserError unless this machine has what the run is about; looks at it once."""
+        if not self._is_checked:
+            _check_version(self._version)
+            _check_files("adapter", self._orders.policy, self._orders.policy_digest)
+            _check_checkpoint(self._orders)
+            self._is_checked = True
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        """Have the token in a file for as long as a server may read it, which is while it starts."""
+        if self._token is None:
+            yield
+            return
+        descriptor = os.open(self._secret, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode=0o600)
+        try:
+            with os.fdopen(descriptor, "w", encoding="ascii") as stream:
+                stream.write(self._token)
+            yield
+        finally:
+            self._secret.unlink()
+
+
+class Player:
+    """A lane and, where it has one of its own, the policy server that it talks to.
+
+    Args:
+        version: of xpl on the machine that leads the run.
+        orders: what is played.
+        own_server: how its own server is started; None where servers are apart.
+        number: of the lane.
+        token: what servers apart ask for.
+    """
+
+    def __init__(
+        self, version: str, orders: Orders, own_server: ServerOrders | None, number: int, token: str | None
+    ) -> None:
+        self._version = version
+        self._orders = orders
+        self._worker = f"{platform.node()}/{number}"
+        self._token = token
+        self._server = None if own_server is None else PolicyServer(version, own_server, 1, None)
+        self._lane: Lane | None = None
+
+    def ready(self) -> Post | Refusal | Unfit:
+        """Prepare for playing and return where that is; doing so again changes nothing."""
+        try:
+            _check_version(self._version)
+            _check_files("adapter", self._orders.policy, self._orders.policy_digest)
+            _check_files("environment", self._orders.environment, self._orders.environment_digest)
+            if self._lane is None:
+                self._lane = Lane(self._orders, self._worker, self._token)
+        except UserError as error:
+            return Refusal.of(error)
+        url = None if self._server is None else self._server.url()
+        return url if isinstance(url, (Refusal, Unfit)) else Post(self._worker, machine_facts())
+
+    def play(self, job: Job, url: str | None) -> Outcome | Refusal | Unfit:
+        """Play an attempt at an episode, with the policy server at an address, or with its own."""
+        assert self._lane is not None  # noqa: S101 - for the type checker: nobody plays who is not ready
+        asked = url if self._server is None else self._server.url()
+        if not isinstance(asked, str):
+            return asked or Unfit("the lane has no policy server")
+        try:
+            outcome = self._lane.play(job, asked)
+        except UserError as error:
+            return Refusal.of(error)
+        if self._server is not None and outcome.line["failure"] == INFRASTRUCTURE:
+            self._server.suspect()
+        return outcome
+
+
+def _check_version(expected: str) -> None:
+    if xpl_cli.__version__ != expected:
+        raise UserError(
+            f"{platform.node()} has xpl {xpl_cli.__version__}, this machine {expected}: all need the same",
+            code=ExitCode.NOT_RUN,
+        )
+
+
+def _check_files(what: str, folder: str, digest: str) -> None:
+    if package_digest(Path(folder)) != digest:
+        raise UserError(
+            f"{platform.node()}: {folder} is not the {what} of this run: it has other files, or is not there",
+            hint=_SAME_PLACE,
+            code=ExitCode.NOT_RUN,
+        )
+
+
+def _check_checkpoint(orders: ServerOrders) -> None:
+    found = checkpoint_of(package.load(orders.policy), orders.overrides)
+    if (None if found is None else found["digest"]) != orders.checkpoint_digest:
+        raise UserError(
+            f"{platform.node()}: the checkpoint of {orders.policy} is not the run's: "
+            f"{'there is none' if found is None else found['path']}",
+            hint=_SAME_PLACE,
+            code=ExitCode.NOT_RUN,
+        )
+
+
+def _address() -> str:
+    """Return the address of this machine in the cluster."""
+    import ray
+
+    address: str = ray.util.get_node_ip_address()
+    return address

@@ -1,0 +1,123 @@
+"""Result files as two benchmarks in the field write them, in the folders in which their own tools look for them.
+
+RoboDojo, read by its `summarize`: one `_result.json` for each task, robot and seed; the tasks of its randomized setting
+have names of their own. Source: RoboDojo-Benchmark/RoboDojo, src/eval_client/eval_env.py and
+scripts/internal/summarize_result.py at 36bfcb7.
+
+RoboTwin: one `_result.txt` for each task and setting. Source: RoboTwin-Platform/RoboTwin, script/eval_policy.py at
+0c3f24c, which writes two lines before the rate (the time, the kind of instructions) that readers of a plain number
+would trip over; the rate is the last line there and the only one here.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.basics import atomic
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.records.cells import cells, outcome, score
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from xpl_cli.evaluation.records.cells import Cell
+    from xpl_cli.evaluation.records.records import Run
+
+_PLAIN, _RANDOMIZED = "clean", "randomized"
+_UNFIT = re.compile(r"[^\w.+-]+")
+_DIGITS = 12
+
+
+def robodojo(run: Run) -> Iterator[tuple[Path, str]]:
+    """Yield path and text of each file of a run, below RoboDojo's folder of results."""
+    plan, config = run.plan, run.plan["policy"]["config"]
+    began = _began(run).strftime("%Y-%m-%d_%H-%M-%S")
+    settings = (
+        f"{config.get(sdk.Deploy.SEED, 0)}_ckpt_name={_checkpoint(run)},action_type={plan[sdk.Deploy.ACTION_TYPE]}"
+    )
+    for cell in _told(run):
+        task = {_PLAIN: cell.task, _RANDOMIZED: f"{cell.task}_random"}.get(cell.setting, f"{cell.task}_{cell.setting}")
+        place = _place(task, plan["policy"]["name"], plan["embodiment"]) / settings / began / "_result.json"
+        yield place, json.dumps(_details(cell), indent=2, ensure_ascii=False) + "\n"
+
+
+def robotwin(run: Run) -> Iterator[tuple[Path, str]]:
+    """Yield path and text of each file of a run, below RoboTwin's folder of results."""
+    began = _began(run).strftime("%Y-%m-%d %H:%M:%S")
+    for cell in _told(run):
+        place = _place(cell.task, run.plan["policy"]["name"], cell.setting, _checkpoint(run)) / began / "_result.txt"
+        yield place, f"{sum(cell.outcomes) / len(cell.outcomes)}\n"
+
+
+FORMATS: dict[str, Callable[[Run], Iterable[tuple[Path, str]]]] = {"robodojo": robodojo, "robotwin": robotwin}
+"""Formats by name."""
+
+
+def write(name: str, runs: Iterable[Run], folder: Path) -> int:
+    """Write the files of some runs; return how many.
+
+    Raises:
+        UserError: there is no such format, two runs would write the same file, or it cannot be written.
+    """
+    if name not in FORMATS:
+        raise UserError(f"there is no format {name!r}; there are {', '.join(FORMATS)}")
+    texts: dict[Path, str] = {}
+    for run in runs:
+        for place, text in FORMATS[name](run):
+            if place in texts:
+                raise UserError(
+                    f"{run.folder} and another run would both write {place}: their results are of equal name"
+                )
+            texts[place] = text
+    try:
+        for place, text in texts.items():
+            (folder / place).parent.mkdir(parents=True, exist_ok=True)
+            atomic.write_file(folder / place, text.encode())
+    except OSError as error:
+        raise UserError(f"{folder} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
+    return len(texts)
+
+
+def _details(cell: Cell) -> dict[str, Any]:
+    """Return RoboDojo's result of one task; an episode that the infrastructure spoilt is none there, either."""
+    judged = [line for line in cell.counted if outcome(line) is not None]
+    details = {
+        str(number): {
+            "layout_id": line[sdk.Deploy.SEED],
+            "success": bool(outcome(line)),
+            "score": 1.0 if outcome(line) else (score(line) or 0.0),
+        }
+        for number, line in enumerate(judged)
+    }
+    count = len(judged)
+    return {
+        "success_rate": sum(entry["success"] for entry in details.values()) / count,
+        "eval_time": count,
+        "score": 100 * sum(entry["score"] for entry in details.values()) / count,
+        "details": details,
+    }
+
+
+def _told(run: Run) -> Iterator[Cell]:
+    """Yield the cells that have a success rate."""
+    return (cell for cell in cells(run) if cell.outcomes)
+
+
+def _began(run: Run) -> dt.datetime:
+    return dt.datetime.fromisoformat(run.plan["created"])
+
+
+def _checkpoint(run: Run) -> str:
+    """Return what the checkpoint is called in a path: its name in deploy.yml, or the beginning of its digest."""
+    policy = run.plan["policy"]
+    digest = policy["checkpoint"]["digest"][:_DIGITS] if policy["checkpoint"] else "none"
+    return _UNFIT.sub("_", str(policy["config"].get(sdk.Deploy.CKPT_NAME) or digest))
+
+
+def _place(*names: str) -> Path:
+    return Path(*(_UNFIT.sub("_", name).strip(".") or "_" for name in names))

@@ -1,0 +1,136 @@
+"""Which runs may be ranked together, and what they have in common."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.records.cells import cells, outcome
+from xpl_cli.evaluation.records.records import named, slots
+from xpl_cli.evaluation.statistics.matching import Difference, differences
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl_cli.evaluation.records.records import Line, Run
+
+_Case = tuple[str, str, int]
+"""Task, setting and seed."""
+
+_MACHINE = "machine: "
+_MOST_TOLD = 4
+_LONGEST = 100
+
+
+@dataclass(frozen=True)
+class Field:
+    """Runs that are ranked together.
+
+    Attributes:
+        runs: them, in the order in which they were named.
+        common: whether they hold only the episodes that all of them played.
+        differences: in what a run differs from the first one, besides the policy: the run's place, and the difference.
+    """
+
+    runs: tuple[Run, ...]
+    common: bool
+    differences: tuple[tuple[int, Difference], ...]
+
+    def sentences(self) -> list[str]:
+        """Return the differences as people read them."""
+        return [_sentence(self.runs, place, difference) for place, difference in self.differences]
+
+
+class UnlikeError(UserError):
+    """Runs whose results would be ranked by more than what their policies can do."""
+
+
+def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -> Field:
+    """Return the field of some runs.
+
+    Args:
+        runs: to be ranked.
+        common: only the episodes count that all of them played.
+        anyway: accept differences, which the field then names.
+
+    Raises:
+        UnlikeError: they differ in tasks, seeds, standard, environment, robot, control or in how much was played.
+        UserError: a run was named twice, or they have no episode in common.
+    """
+    folders = [run.folder.resolve() for run in runs]
+    if len(set(folders)) < len(folders):
+        raise UserError("a run was named twice", hint="name each run once")
+    played = tuple(_restricted(runs)) if common else tuple(runs)
+    found = tuple((place, difference) for place, run in enumerate(played) for difference in _unlike(played[0], run))
+    barriers = [(place, difference) for place, difference in found if is_barrier(difference.what)]
+    if barriers and not anyway:
+        more = f" There are {len(barriers) - _MOST_TOLD} more differences." if len(barriers) > _MOST_TOLD else ""
+        told = " ".join(_sentence(runs, *barrier) for barrier in barriers[:_MOST_TOLD])
+        raise UnlikeError(
+            f"these runs are not alike. {told}{more}",
+            hint="--common ranks by the episodes that all of them played, --anyway in spite of all differences",
+            code=ExitCode.NOT_RUN,
+        )
+    return Field(played, common, found)
+
+
+def is_barrier(what: str) -> bool:
+    """Return whether runs that differ in this are not alike; other machines only get a note."""
+    return not what.startswith(_MACHINE)
+
+
+def _unlike(first: Run, run: Run) -> Iterator[Difference]:
+    """Yield in what a run differs from the first one, and whether it still goes on."""
+    if run is not first:
+        yield from differences(first, run)
+    unplayed = sum(cell.unplayed for cell in cells(run))
+    if unplayed:
+        yield Difference("episodes still to come", "none", str(unplayed))
+
+
+def _sentence(runs: Sequence[Run], place: int, difference: Difference) -> str:
+    first, second = (
+        textwrap.shorten(text, _LONGEST, placeholder=" ...") for text in (difference.first, difference.second)
+    )
+    what, folder = f"{difference.what[:1].upper()}{difference.what[1:]}", runs[place].folder
+    if place == 0:
+        return f"{what}: {second} in {folder}."
+    return f"{what}: {first} in {runs[0].folder}, {second} in {folder}."
+
+
+def _restricted(runs: Sequence[Run]) -> Iterator[Run]:
+    """Yield the runs with the episodes that count in all of them, in the order of the first plan."""
+    counted = [set(_cases(run)) for run in runs]
+    shared = set.intersection(*counted)
+    if not shared:
+        raise UserError("these runs have no episode in common", code=ExitCode.NOT_RUN)
+    order = [slot for slot in slots(runs[0].plan) if (slot.task, slot.setting, slot.seed) in shared]
+    for run in runs:
+        entries = {(cell["task"], cell["setting"]): cell for cell in run.plan["cells"]}
+        places = dict.fromkeys((slot.task, slot.setting) for slot in order)
+        plan = {
+            **run.plan,
+            "until_width": None,
+            "cells": [
+                {**entries[place], "seeds": [slot.seed for slot in order if (slot.task, slot.setting) == place]}
+                for place in places
+            ],
+        }
+        by_case = {_case(line): line for line in run.finals.values()}
+        finals = {
+            slot.index: {**by_case[slot.task, slot.setting, slot.seed], "index": slot.index} for slot in slots(plan)
+        }
+        yield replace(run, plan=named(plan), attempts=list(finals.values()), finals=finals)
+
+
+def _cases(run: Run) -> Iterator[_Case]:
+    """Yield what a run's success rates are made of."""
+    for cell in cells(run):
+        yield from (_case(line) for line in cell.counted if outcome(line) is not None)
+
+
+def _case(line: Line) -> _Case:
+    return line["task"], line["setting"], line[sdk.Deploy.SEED]

@@ -1,0 +1,62 @@
+"""The files of a leaderboard."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics import atomic
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.leaderboard import board
+from xpl_cli.evaluation.leaderboard.ranking import labels
+from xpl_cli.evaluation.report import figures, html
+from xpl_cli.evaluation.statistics import wording
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+NAME = "leaderboard"
+
+
+def write(ranking: Mapping[str, Any], folder: Path) -> None:
+    """Write a ranking as HTML, Markdown, CSV and JSON.
+
+    Raises:
+        UserError: if the folder cannot be written.
+    """
+    texts = {
+        ".html": page(ranking),
+        ".md": board.as_markdown(ranking),
+        ".csv": board.as_csv(ranking),
+        ".json": json.dumps(ranking, indent=2, ensure_ascii=False) + "\n",
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for ending, text in texts.items():
+            atomic.write_file(folder / f"{NAME}{ending}", text.encode(errors="replace"))
+    except OSError as error:
+        raise UserError(f"{folder} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
+
+
+def page(ranking: Mapping[str, Any]) -> str:
+    """Return a ranking as a page of one file."""
+    shown = [
+        {
+            "rank": row["rank"],
+            "label": label,
+            "standing": board.standing(row),
+            "rate": wording.rate(row),
+            "figure": figures.bar(row["success_rate"], row["success_interval"], "s0", f"{label}: {wording.rate(row)}"),
+        }
+        for row, label in zip(ranking["rows"], labels(ranking["rows"]), strict=True)
+    ]
+    return html.render(
+        "leaderboard.html.jinja",
+        title=board.title(ranking),
+        confidence=wording.percent(ranking["confidence"]),
+        rows=shown,
+        header=board.header(ranking),
+        table=board.rows(ranking),
+        notes=ranking["notes"],
+    )

@@ -1,0 +1,130 @@
+"""The episodes of a run, as the page's list, as a table for spreadsheets, and one by one."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from xpl_cli.evaluation.records.records import Line, Run
+
+SUCCESS, NOT_JUDGED = "success", "not judged"
+
+_PLAIN = ("index", sdk.Deploy.SEED, "score", "steps")
+_SHARED = (
+    "task",
+    "setting",
+    sdk.Obs.INSTRUCTION,
+    "stages",
+    "end_reason",
+    "error",
+    "corrections",
+    "safety",
+    "server",
+    "worker",
+)
+_COLUMNS = (
+    *("index", "task", "setting", sdk.Deploy.SEED, "outcome", "success", "score", "steps", "end_reason", "attempt"),
+    *("wall_seconds", "inference_count", "inference_seconds", sdk.Obs.INSTRUCTION, "error", "digest", "started"),
+    *("trace", "film"),
+)
+_DIGEST_SHOWN = 12
+
+
+def verdict(episode: Mapping[str, Any]) -> str:
+    """Return how an episode ended: success, a class of failure, or not judged."""
+    if episode["failure"] is not None:
+        return str(episode["failure"])
+    return SUCCESS if episode["success"] else NOT_JUDGED
+
+
+def inference_seconds(episode: Mapping[str, Any]) -> float | None:
+    """Return the mean round trip of get_action, None where there was none."""
+    inference = episode.get("inference")
+    return inference["seconds"] / inference["count"] if inference and inference["count"] else None
+
+
+def packed(run: Run) -> dict[str, Any]:
+    """Return the final episodes by column, in which whatever occurs more than once stands once.
+
+    Returns:
+        `values`: texts and objects; `columns`: numbers as they are, and for the names in `shared`, places in `values`;
+        `earlier`: place of the error of each earlier attempt, by index.
+    """
+    pool = _Pool()
+    finals = run.finals.values()
+    columns: dict[str, list[Any]] = {name: [episode.get(name) for episode in finals] for name in _PLAIN}
+    columns |= {name: [pool.place(episode.get(name)) for episode in finals] for name in _SHARED}
+    columns["outcome"] = [pool.place(verdict(episode)) for episode in finals]
+    columns["attempt"] = [episode["attempt"] for episode in finals]
+    columns["seconds"] = [round(episode["wall_seconds"], 2) for episode in finals]
+    columns["ms"] = [_milliseconds(episode) for episode in finals]
+    columns["digest"] = [(episode.get("digest") or "")[:_DIGEST_SHOWN] for episode in finals]
+    earlier: dict[str, list[int]] = {}
+    for episode in run.attempts:
+        if not episode["final"]:
+            earlier.setdefault(str(episode["index"]), []).append(pool.place(episode.get("error")))
+    return {"values": pool.values, "shared": [*_SHARED, "outcome"], "columns": columns, "earlier": earlier}
+
+
+def table(run: Run) -> str:
+    """Return the final episodes as CSV with a line for each."""
+    return as_csv(_COLUMNS, (_row(episode) for episode in run.finals.values()))
+
+
+def as_csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Return a table as CSV; what a spreadsheet would take for a formula is made a text."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([_harmless(value) for value in row] for row in rows)
+    return buffer.getvalue()
+
+
+class _Pool:
+    """Values, each kept once."""
+
+    def __init__(self) -> None:
+        self.values: list[Any] = []
+        self._places: dict[str, int] = {}
+
+    def place(self, value: Any) -> int:
+        key = value if isinstance(value, str) else json.dumps(value)
+        known = self._places.setdefault(f"{type(value).__name__} {key}", len(self.values))
+        if known == len(self.values):
+            self.values.append(value)
+        return known
+
+
+def _milliseconds(episode: Line) -> float | None:
+    seconds = inference_seconds(episode)
+    return None if seconds is None else round(1000 * seconds, 2)
+
+
+def _row(episode: Line) -> list[Any]:
+    """Return the values of a line of the table."""
+    success, inference = episode["success"], episode.get("inference") or {}
+    known = {
+        **episode,
+        "outcome": verdict(episode),
+        "success": None if success is None else int(success),
+        "inference_count": inference.get("count"),
+        "inference_seconds": inference.get("seconds"),
+        "trace": _path(episode, "trace"),
+        "film": _path(episode, "film"),
+    }
+    return [known.get(name) for name in _COLUMNS]
+
+
+def _path(episode: Line, kind: str) -> str | None:
+    return (episode.get(kind) or {}).get("path")
+
+
+def _harmless(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value

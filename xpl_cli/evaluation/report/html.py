@@ -1,0 +1,67 @@
+"""Pages of one file: our style and script inside, allowed by their hashes, and nothing else."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from typing import Any
+
+from markupsafe import Markup
+
+from xpl_cli import __version__
+from xpl_cli.basics.content import room
+
+_STYLE, _SCRIPT = "page.css", "page.js"
+
+
+def render(template: str, *, script: bool = False, live: bool = False, **values: Any) -> str:
+    """Return a page from a template of templates/report/.
+
+    Args:
+        template: name of the file.
+        script: whether the page has the script.
+        live: whether the script may ask the server that the page came from.
+        values: what the template shows; texts are escaped there.
+    """
+    import jinja2
+
+    # Styles and script are ours; a run's own texts reach a page as escaped text or by `as_json`.
+    css = Markup(_read(_STYLE))  # noqa: S704
+    js = Markup(_read(_SCRIPT) if script else "")  # noqa: S704
+    environment = jinja2.Environment(
+        undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    security = _policy(css, js, live=live)
+    return environment.from_string(_read(template)).render(
+        css=css, script=js, security=security, version=__version__, **values
+    )
+
+
+def as_json(value: Any) -> Markup:
+    """Return JSON that is safe inside a script element: no text in it can end the element."""
+    text = json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))  # noqa: S704 - see above
+
+
+def _read(name: str) -> str:
+    return (room("templates") / "report" / name).read_text(encoding="utf-8")
+
+
+def _policy(css: str, script: str, *, live: bool) -> str:
+    """Return the content security policy: our style and script, films beside the page, and no network."""
+    parts = {
+        "default-src": "'none'",
+        "style-src": _hash(css),
+        "script-src": _hash(script) if script else "'none'",
+        "img-src": "data: file: 'self'",
+        "media-src": "data: file: 'self'",
+        "connect-src": "'self'" if live else "'none'",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+    }
+    return "; ".join(f"{name} {value}" for name, value in parts.items())
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,0 +1,37 @@
+"""The round trips of get_action, as the page shows them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.evaluation.report import figures
+from xpl_cli.evaluation.report.phrases import many, milliseconds
+from xpl_cli.evaluation.statistics.course import bin_edge
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_STEP = 2
+"""Bins from one label to the next: every other edge doubles the time."""
+
+
+def view(inference: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the histogram without its empty ends, with its sentence and the edges of its bins; None without any."""
+    counts = inference.get("histogram") or []
+    filled = [place for place, count in enumerate(counts) if count]
+    if not filled:
+        return None
+    # Even in number, so that the edges that are labelled are whole doublings.
+    first = filled[0] - filled[0] % _STEP
+    last = min(len(counts), filled[-1] + _STEP - filled[-1] % _STEP)
+    said = (
+        f"Round trips of get_action as the environment's side saw them: {many(inference['count'], 'request')}, median "
+        f"{milliseconds(inference['p50'])}, 95 % within {milliseconds(inference['p95'])}, 99 % within "
+        f"{milliseconds(inference['p99'])}."
+    )
+    edges = range(first, last + 1, _STEP)
+    return {
+        "said": said,
+        "figure": figures.columns(counts[first:last], said),
+        "ticks": [milliseconds(bin_edge(place)) for place in edges],
+    }

@@ -1,0 +1,123 @@
+"""Films and curves of a report: embedded as far as a budget goes, linked beyond."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import itertools
+import json
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics.errors import UserError
+from xpl_cli.evaluation.report import curves
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from xpl_cli.evaluation.records.records import Line, Run
+
+TRACE, FILM = "trace", "film"
+MEDIA_TYPES = {
+    ".webp": "image/webp",
+    ".gif": "image/gif",
+    ".png": "image/png",
+    ".mp4": "video/mp4",
+    ".webm": "video/webm",
+}
+
+
+def shown(run: Run, budget: int, link: str) -> dict[str, dict[str, Any]]:
+    """Return what the page shows of each episode that has a film or curves.
+
+    Args:
+        run: the run.
+        budget: bytes that may be embedded.
+        link: how the page's folder reaches the run's, with a slash at the end unless it is empty.
+
+    Returns:
+        By index: `film` with `source`, an address, and `video`; `curves`, or `trace`, the address of the file;
+        `problem`, a sentence, where a file is gone or was changed.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for episode in _in_turn(run):
+        entry: dict[str, Any] = {}
+        for kind in (FILM, TRACE):
+            if kind not in episode:
+                continue
+            try:
+                path = locate(run.folder, episode, kind)
+                piece, size = _piece(kind, path, episode, budget)
+            except (UserError, OSError) as error:
+                entry["problem"] = _sentence(error, episode, kind)
+                continue
+            budget -= size
+            entry |= piece or _linked(kind, f"{link}{episode[kind]['path']}")
+        if entry:
+            found[str(episode["index"])] = entry
+    return found
+
+
+def locate(folder: Path, episode: Line, kind: str) -> Path:
+    """Return the file of an episode.
+
+    Raises:
+        UserError: if the record names one outside the run's folder.
+    """
+    path: Path = (folder / episode[kind]["path"]).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise UserError(f"the record names a {kind} outside the run: {episode[kind]['path']}")
+    return path
+
+
+def _piece(kind: str, path: Path, episode: Line, budget: int) -> tuple[dict[str, Any] | None, int]:
+    """Return a film or curves to embed and their size; nothing where the budget does not bear them."""
+    if path.stat().st_size > budget:
+        return None, 0
+    content = path.read_bytes()
+    if hashlib.sha256(content).hexdigest() != episode[kind]["digest"]:
+        raise UserError(f"{episode[kind]['path']} is not what was recorded: its digest differs")
+    if kind == TRACE:
+        piece: dict[str, Any] = {"curves": curves.read(path)}
+        size = len(json.dumps(piece))
+    else:
+        address = f"data:{_media_type(path)};base64,{base64.b64encode(content).decode()}"
+        piece, size = _linked(FILM, address), len(address)
+    return (None, 0) if size > budget else (piece, size)
+
+
+def _linked(kind: str, address: str) -> dict[str, Any]:
+    if kind == TRACE:
+        return {TRACE: address}
+    return {
+        FILM: {"source": address, "video": address.startswith("data:video/") or address.endswith((".mp4", ".webm"))}
+    }
+
+
+def _media_type(path: Path) -> str:
+    known = MEDIA_TYPES.get(path.suffix.lower())
+    if known is None:
+        raise UserError(f"{path.name} is no film: expected {', '.join(MEDIA_TYPES)}")
+    return known
+
+
+def _sentence(error: Exception, episode: Line, kind: str) -> str:
+    if isinstance(error, OSError):
+        return f"{episode[kind]['path']} cannot be read: {error.strerror}"
+    return str(error)
+
+
+def _in_turn(run: Run) -> Iterator[Line]:
+    """Yield the episodes with a film or trace: of each cell in turn, and in each a failure and a success in turn."""
+    cells: dict[tuple[str, str], tuple[list[Line], list[Line]]] = {}
+    for episode in run.finals.values():
+        if TRACE in episode or FILM in episode:
+            cell = cells.setdefault((episode["task"], episode["setting"]), ([], []))
+            cell[bool(episode["success"])].append(episode)
+    for row in itertools.zip_longest(*(_alternately(*cell) for cell in cells.values())):
+        yield from filter(None, row)
+
+
+def _alternately(first: list[Line], second: list[Line]) -> Iterator[Line]:
+    for pair in itertools.zip_longest(first, second):
+        yield from filter(None, pair)

@@ -1,0 +1,43 @@
+"""The page of a run: one file that holds its styles, its script and its data, and may reach nothing else."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.evaluation.report import episodes, html
+from xpl_cli.evaluation.report.view import view
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from xpl_cli.evaluation.records.records import Run
+
+
+def render(
+    run: Run, summary: Mapping[str, Any], media: Mapping[str, Mapping[str, Any]], *, renew_seconds: float | None = None
+) -> str:
+    """Return the page of a run.
+
+    Args:
+        run: the run.
+        summary: of it, `xpl.summary/1`.
+        media: what is shown of which episode (`media.shown`).
+        renew_seconds: how often the page asks where it came from whether the run has grown; None for a file.
+    """
+    return html.render(
+        "page.html.jinja",
+        script=True,
+        live=renew_seconds is not None,
+        view=view(run, summary, _media_said(media)),
+        data=html.as_json({"episodes": episodes.packed(run), "media": media}),
+        renew_seconds=renew_seconds,
+    )
+
+
+def _media_said(media: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what there is to see of the episodes."""
+    films = sum("film" in entry for entry in media.values())
+    drawn = sum("curves" in entry or "trace" in entry for entry in media.values())
+    if not films and not drawn:
+        return "An episode opens at a click. Neither films nor curves were recorded."
+    return f"An episode opens at a click; {films} have a film, {drawn} have curves."

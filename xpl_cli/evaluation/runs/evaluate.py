@@ -1,0 +1,180 @@
+"""A recorded evaluation from its request to its summary."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl.vector import INFRASTRUCTURE
+from xpl_cli.basics import console
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation import play
+from xpl_cli.evaluation.lanes import backends
+from xpl_cli.evaluation.lanes.backends import Room
+from xpl_cli.evaluation.lanes.lane import Orders
+from xpl_cli.evaluation.lanes.servers import ServerOrders
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.runs import plan, runner, stopping
+from xpl_cli.evaluation.runs.plan import Wishes
+from xpl_cli.evaluation.runs.schedule import Schedule
+from xpl_cli.evaluation.runs.view import view
+from xpl_cli.packages import environments
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.packages.package import Package
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to evaluate, and where the record goes.
+
+    Attributes:
+        package: the adapter.
+        environment: name of the environment package; None on resuming: the record's.
+        out: folder of the run.
+        wishes: what of the environment is played; None on resuming: what the record says.
+        resume: whether a record that is there is continued.
+        serve: whether a page on this machine shows the report as it grows.
+        room: where it is played.
+        films: episodes of each cell that are filmed.
+        overrides: keys of deploy.yml.
+        python, env, gpu: interpreter and device of the adapter.
+        eval_env: interpreter of the environment.
+    """
+
+    package: Package
+    environment: str | None
+    out: Path
+    wishes: Wishes | None
+    resume: bool = False
+    serve: bool = False
+    room: Room = field(default_factory=Room)
+    films: int = 1
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    python: str | None = None
+    env: str | None = None
+    gpu: str | None = None
+    eval_env: str | None = None
+
+
+def evaluate(request: Request) -> Run:
+    """Play what the record still lacks, and return the run.
+
+    Raises:
+        UserError: the request cannot be met, the record is of another run or there although nobody said `resume`, or
+            nothing can be played. What was recorded stays.
+    """
+    backends.check(request.room)
+    there = (request.out / records.FILE).exists()
+    if there and not request.resume:
+        raise UserError(
+            f"{request.out} holds a recorded run already", hint="continue it with --resume, or choose another --out"
+        )
+    folder, line = _planned(request)
+    lane_orders, server_orders = orders(request, folder, line)
+    with records.Writer(request.out, line) as writer:
+        run = writer.run
+        schedule = Schedule(run, request.films, _enough(run.plan["until_width"]))
+        if schedule.is_done:
+            return records.read(request.out)
+        with (
+            _served(request),
+            contextlib.closing(backends.make(request.room, lane_orders, server_orders, schedule.left)) as backend,
+            view(run, schedule.left) as shown,
+        ):
+            runner.play(writer, backend, schedule, shown)
+    return records.read(request.out)
+
+
+def _planned(request: Request) -> tuple[Path, Line]:
+    """Return the folder of the environment, and the plan: the record's where the request leaves it to that."""
+    if request.wishes is None and (request.out / records.FILE).exists():
+        recorded = records.read(request.out).plan
+        folder = environments.find(request.environment or recorded["environment"]["name"])
+        return folder, plan.renewed(recorded, request.package, folder)
+    folder = environments.find(request.environment or play.environment_for())
+    config = request.package.config(request.overrides)
+    planned = plan.make(request.package, folder, config, request.wishes or Wishes())
+    for task, reason in planned.left_out.items():
+        console.note(f"{task} is left out: {planned.line['embodiment']} cannot play it ({reason})")
+    return folder, planned.line
+
+
+@contextlib.contextmanager
+def _served(request: Request) -> Iterator[None]:
+    """Show the growing report for the length of a `with` block, where that is wanted."""
+    if not request.serve:
+        yield
+        return
+    from xpl_cli.evaluation.report.live import serving
+
+    with serving(request.out) as url:
+        console.note(f"the report, as it grows: {url}")
+        yield
+
+
+def _enough(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
+    """Return what tells whether a cell may end."""
+    if width is None:
+        return lambda _outcomes: False
+
+    def enough(outcomes: Sequence[bool | None]) -> bool:
+        return stopping.stopping_point(outcomes, width) is not None
+
+    return enough
+
+
+def orders(request: Request, folder: Path, line: Line) -> tuple[Orders, ServerOrders]:
+    """Return what lanes and servers are told.
+
+    Args:
+        request: which policy, and in which interpreters.
+        folder: of the environment package.
+        line: the plan.
+
+    Raises:
+        UserError: the environment does not have what the plan asks for.
+    """
+    package, config = request.package, line["policy"]["config"]
+    cell = line["cells"][0]
+    asked = play.Request(package, str(folder), cell["task"], cell["setting"])
+    settings = play.environment_settings(asked, config)
+    lane_orders = Orders(
+        policy=str(package.path),
+        policy_digest=line["policy"]["digest"],
+        environment=str(folder),
+        environment_digest=line["environment"]["digest"],
+        config=config,
+        settings={key: value for key, value in settings.items() if key not in ("task", "setting")},
+        horizon=line["control"]["horizon"],
+        eval_env=request.eval_env,
+    )
+    server_orders = ServerOrders(
+        policy=str(package.path),
+        policy_digest=line["policy"]["digest"],
+        checkpoint_digest=(line["policy"]["checkpoint"] or {}).get("digest"),
+        overrides=config,
+        python=request.python,
+        env=request.env,
+        gpu=request.gpu,
+    )
+    return lane_orders, server_orders
+
+
+def check(run: Run) -> None:
+    """Raise where a run does not say all that it was made for.
+
+    Raises:
+        UserError: episodes were spoilt by the infrastructure for good.
+    """
+    spoilt = sum(line["failure"] == INFRASTRUCTURE for line in run.finals.values())
+    if spoilt:
+        raise UserError(
+            f"{spoilt} of {len(run.finals)} episodes were spoilt by the infrastructure and count neither way",
+            code=ExitCode.NOT_RUN,
+        )

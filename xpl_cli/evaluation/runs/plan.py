@@ -1,0 +1,162 @@
+"""What a run plays: tasks, settings and seeds, fixed before the first episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl import get_embodiment
+from xpl_cli.basics.errors import NotFoundError, UserError
+from xpl_cli.environments import check, play
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.fingerprints import checkpoint_of, package_digest
+from xpl_cli.evaluation.runs.stopping import episodes_needed
+from xpl_cli.packages import environments
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from xpl_cli.evaluation.records.records import Line
+    from xpl_cli.packages.package import Package
+
+ALL = "all"
+ATTEMPTS = 3
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What of an environment is to be played.
+
+    Attributes:
+        tasks: names, or `all` that the robot can play; None is deploy.yml's task, or the first.
+        settings: names, or `all`; None is the first.
+        episodes: of each cell; None is 1, or with `until_width` as many as that may take, as far as there are seeds.
+        first: place of the first seed among the environment's evaluation seeds; where it has none, the seed itself.
+        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
+        until_width: a cell may end before its last seed, once the interval of its success rate is no wider.
+    """
+
+    tasks: str | None = None
+    settings: str | None = None
+    episodes: int | None = None
+    first: int = 0
+    horizon: int | None = None
+    until_width: float | None = None
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A plan, and what it leaves out.
+
+    Attributes:
+        line: first line of the record.
+        left_out: tasks that the robot cannot play, with the reason.
+    """
+
+    line: Line
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def make(package: Package, folder: Path, config: Mapping[str, Any], wishes: Wishes) -> Planned:
+    """Return the plan of a run.
+
+    Args:
+        package: the adapter.
+        folder: of the environment package.
+        config: the adapter's configuration.
+        wishes: what is to be played.
+
+    Raises:
+        NotFoundError: the environment has no such task or setting, or not so many evaluation seeds.
+        UserError: the robot cannot play a task that was named, or a name comes twice.
+    """
+    facts = environments.manifest(folder)
+    robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
+    tasks, left_out = _tasks(facts, wishes.tasks or config.get(sdk.Deploy.TASK_NAME), robot)
+    settings = _names("setting", wishes.settings, play.settings(facts))
+    cells = [_cell(folder, facts, task, setting, wishes) for task in tasks for setting in settings]
+    line = {
+        "kind": "run",
+        "schema": records.SCHEMA,
+        "policy": {
+            "name": package.name,
+            "spec": spec.declared(package.manifest),
+            "digest": package_digest(package.path),
+            "config": dict(config),
+            "checkpoint": checkpoint_of(package, config),
+        },
+        "environment": {"name": facts["name"], "spec": spec.declared(facts), "digest": package_digest(folder)},
+        "embodiment": robot,
+        sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
+        "control": {"horizon": wishes.horizon, "attempts": ATTEMPTS},
+        "cells": cells,
+        "until_width": wishes.until_width,
+    }
+    return Planned(records.named(line), left_out)
+
+
+def renewed(recorded: Line, package: Package, folder: Path) -> Line:
+    """Return the plan of a record as it would be made today: with the digests of what is there now."""
+    policy, config = recorded["policy"], recorded["policy"]["config"]
+    present = {"digest": package_digest(package.path), "checkpoint": checkpoint_of(package, config)}
+    return records.named(
+        {
+            **recorded,
+            "policy": {**policy, "name": package.name, **present},
+            "environment": {**recorded["environment"], "digest": package_digest(folder)},
+        }
+    )
+
+
+def _tasks(facts: Mapping[str, Any], wanted: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
+    """Return the tasks that are played, and those that `all` leaves out, with the reason."""
+    entries = facts["tasks"]
+    reasons = {task: play.unsupported(entry, robot) for task, entry in entries.items()}
+    if wanted == ALL:
+        left_out = {task: reason for task, reason in reasons.items() if reason is not None}
+        playable = [task for task in entries if task not in left_out]
+        if not playable:
+            raise UserError(f"{facts['name']} has no task for {robot}")
+        return playable, left_out
+    chosen = _names("task", wanted, list(entries))
+    for task in chosen:
+        if reasons[task] is not None:
+            raise UserError(f"{facts['name']} does not offer {task} with {robot}: {reasons[task]}")
+    return chosen, {}
+
+
+def _names(what: str, wanted: str | None, offered: Sequence[str]) -> list[str]:
+    """Return the names in a list with commas; the first that is offered by default."""
+    if wanted is None:
+        return [offered[0]]
+    if wanted == ALL:
+        return list(offered)
+    names = [play.chosen(what, name.strip(), offered) for name in wanted.split(",")]
+    if len(set(names)) < len(names):
+        raise UserError(f"--{what} {wanted} names one of them twice")
+    return names
+
+
+def _cell(folder: Path, facts: Mapping[str, Any], task: str, setting: str, wishes: Wishes) -> Line:
+    seeds, frozen = _seeds(folder, task, setting, wishes)
+    dimension = facts["tasks"][task].get("dimension")
+    return {"task": task, "setting": setting, "dimension": dimension, "seeds": seeds, "frozen": frozen}
+
+
+def _seeds(folder: Path, task: str, setting: str, wishes: Wishes) -> tuple[list[int], bool]:
+    """Return the seeds of a cell, and whether they are the environment's evaluation seeds."""
+    count = wishes.episodes
+    most = episodes_needed(wishes.until_width) if count is None and wishes.until_width is not None else count or 1
+    first, end = wishes.first, wishes.first + most
+    if not (folder / check.SEEDS).is_dir():
+        return list(range(first, end)), False
+    known = check.seeds(folder, task, setting)
+    if end > len(known) and (count is not None or first >= len(known)):
+        raise NotFoundError(
+            f"{task} has {len(known)} evaluation seeds in the setting {setting}, not all from {first} to {end - 1}",
+            hint="--seed is the place of the first one, and --episodes how many there are",
+        )
+    return known[first:end], True

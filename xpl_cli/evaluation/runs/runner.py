@@ -1,0 +1,159 @@
+"""Play what a run still lacks, and record it: exactly one final line for each episode.
+
+Attempts and retries are decided here, whoever plays. An outcome counts only for an attempt that is waited for; one that
+comes twice, or too late, is dropped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Any, Protocol
+
+from xpl import _spec as sdk
+from xpl.vector import INFRASTRUCTURE
+from xpl_cli.basics import atomic
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.records.records import RecordError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from xpl_cli.evaluation.lanes.backend import Backend, Job, Outcome
+    from xpl_cli.evaluation.records.records import Line, Writer
+    from xpl_cli.evaluation.runs.schedule import Schedule
+
+TRACES, FILMS = "traces", "films"
+_PATIENCE = 4
+"""A run stops after so many times the attempts of one episode, spoilt in a row."""
+
+
+class View(Protocol):
+    """Shows how far a run has come."""
+
+    def add(self, line: Line, left: int) -> None:
+        """Show a line that was recorded, and how many episodes are not final yet."""
+
+
+def play(writer: Writer, backend: Backend, schedule: Schedule, view: View) -> None:
+    """Play until nothing is left.
+
+    Raises:
+        UserError: nothing can be played, or the infrastructure fails again and again; what was recorded stays, and the
+            run can be resumed.
+    """
+    attempts: int = writer.run.plan["control"]["attempts"]
+    outage = _Outage(_PATIENCE * attempts)
+    while not schedule.is_done:
+        _submit(backend, schedule, outage)
+        outcomes = backend.wait()
+        _submit(backend, schedule, outage)  # lanes play on while this side waits for the disk
+        for outcome in outcomes:
+            if schedule.is_expected(outcome.job):
+                line = _record(writer, outcome, attempts)
+                schedule.add(line)
+                view.add(line, schedule.left)
+                outage.ended(outcome.job, line)
+        if outage.is_lasting and not schedule.is_done:
+            raise UserError(
+                f"{outage.spoilt} attempts in a row were spoilt by the infrastructure, the last one so: {outage.error}",
+                hint="put that right, and go on with --resume",
+                code=ExitCode.NOT_RUN,
+            )
+
+
+def replay(plan: Mapping[str, Any], jobs: Sequence[Job], backend: Backend) -> Iterator[Line]:
+    """Play episodes and yield their lines, as they would be recorded but for machine and files; nothing is written."""
+    waiting = list(reversed(jobs))
+    playing: set[Job] = set()
+    while waiting or playing:
+        while waiting and backend.free() > 0:
+            playing.add(waiting[-1])
+            backend.submit(waiting.pop())
+        for outcome in backend.wait():
+            if outcome.job in playing:
+                playing.remove(outcome.job)
+                yield {**_head(plan, outcome.job, final=True), **outcome.line}
+
+
+def _submit(backend: Backend, schedule: Schedule, outage: _Outage) -> None:
+    """Give a job to every lane that is free, as far as there are some."""
+    while backend.free() > 0 and (job := schedule.next()) is not None:
+        outage.began(job)
+        backend.submit(job)
+
+
+class _Outage:
+    """Attempts that were spoilt one after the other; those that had begun before one that went well do not count.
+
+    Args:
+        most: so many are an outage.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._open: dict[Job, int] = {}
+        self._begun = self._sound = 0
+        self.spoilt, self.error = 0, ""
+
+    @property
+    def is_lasting(self) -> bool:
+        """Whether there is no sense in going on."""
+        return self.spoilt >= self._most
+
+    def began(self, job: Job) -> None:
+        """Note that an attempt begins."""
+        self._begun += 1
+        self._open[job] = self._begun
+
+    def ended(self, job: Job, line: Line) -> None:
+        """Note how an attempt ended."""
+        begun = self._open.pop(job)
+        if line["failure"] != INFRASTRUCTURE:
+            self._sound, self.spoilt = self._begun, 0
+        elif begun > self._sound:
+            self.spoilt, self.error = self.spoilt + 1, line["error"]
+
+
+def _record(writer: Writer, outcome: Outcome, attempts: int) -> Line:
+    """Write an attempt down, its files first, and return its line."""
+    job, plan, folder = outcome.job, writer.run.plan, writer.run.folder
+    spoilt = outcome.line["failure"] == INFRASTRUCTURE
+    line = {
+        **_head(plan, job, final=not spoilt or job.attempt >= attempts),
+        **outcome.line,
+        "machine": writer.machine(outcome.facts),
+    }
+    for key, content, name in (
+        ("trace", outcome.trace, f"{TRACES}/{job.index}.npz"),
+        ("film", outcome.film, f"{FILMS}/{job.index}.webp"),
+    ):
+        if content is not None:
+            line[key] = _beside(folder, name, content)
+    writer.add(line)
+    return line
+
+
+def _head(plan: Mapping[str, Any], job: Job, *, final: bool) -> Line:
+    return {
+        "kind": "episode",
+        "index": job.index,
+        "attempt": job.attempt,
+        "final": final,
+        "task": job.task,
+        "setting": job.setting,
+        sdk.Deploy.SEED: job.seed,
+        "embodiment": plan["embodiment"],
+        sdk.Deploy.ACTION_TYPE: plan[sdk.Deploy.ACTION_TYPE],
+    }
+
+
+def _beside(folder: Path, name: str, content: bytes) -> dict[str, str]:
+    """Write a file of a run, and return what its line says of it."""
+    path = folder / name
+    try:
+        path.parent.mkdir(exist_ok=True)
+        atomic.write_file(path, content)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from None
+    return {"path": name, "digest": hashlib.sha256(content).hexdigest()}

@@ -1,0 +1,86 @@
+"""Which episode is played next: those of the plan in its order, without those that are final already."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import TYPE_CHECKING
+
+from xpl_cli.evaluation.lanes.backend import Job
+from xpl_cli.evaluation.records.records import slots
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from xpl_cli.evaluation.records.records import Line, Run, Slot
+
+
+class Schedule:
+    """The episodes of a plan that are still to be played.
+
+    An attempt that the infrastructure spoilt is played again after the other episodes of its cell: what is out of order
+    may be in order again by then.
+
+    Args:
+        run: what is recorded so far.
+        films: how many episodes of each cell are filmed, from its first on.
+        is_enough: tells whether a cell need not go on, by the successes of its episodes in the order of the plan, as
+            far as all of them are final; None stands for an episode that does not count.
+    """
+
+    def __init__(self, run: Run, films: int, is_enough: Callable[[Sequence[bool | None]], bool]) -> None:
+        self._run = run
+        self._is_enough = is_enough
+        self._attempts = Counter(line["index"] for line in run.attempts)
+        self._cells: list[list[Slot]] = [[] for _ in run.plan["cells"]]
+        for slot in slots(run.plan):
+            self._cells[slot.cell].append(slot)
+        self._filmed = {slot.index for cell in self._cells for slot in cell[:films]}
+        self._waiting = [deque(slot for slot in cell if slot.index not in run.finals) for cell in self._cells]
+        self._cell_of = {slot.index: slot for cell in self._cells for slot in cell}
+        self._playing: set[int] = set()
+        for number in range(len(self._cells)):
+            self._look(number)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing is being played, and nothing waits."""
+        return not self._playing and not any(self._waiting)
+
+    @property
+    def left(self) -> int:
+        """Number of episodes that are not final yet, as far as is known."""
+        return len(self._playing) + sum(map(len, self._waiting))
+
+    def next(self) -> Job | None:
+        """Return what is played next; None where nothing waits."""
+        queue = next(filter(None, self._waiting), None)
+        if queue is None:
+            return None
+        slot = queue.popleft()
+        self._playing.add(slot.index)
+        attempt = self._attempts[slot.index] + 1
+        return Job(slot.index, attempt, slot.task, slot.setting, slot.seed, film=slot.index in self._filmed)
+
+    def is_expected(self, job: Job) -> bool:
+        """Tell whether this attempt is being played, as far as this side knows."""
+        return job.index in self._playing and job.attempt == self._attempts[job.index] + 1
+
+    def add(self, line: Line) -> None:
+        """Take note of an attempt that was recorded in the run."""
+        slot = self._cell_of[line["index"]]
+        self._playing.discard(slot.index)
+        self._attempts[slot.index] += 1
+        if not line["final"]:
+            self._waiting[slot.cell].append(slot)
+        self._look(slot.cell)
+
+    def _look(self, number: int) -> None:
+        """Let a cell end where that is due."""
+        outcomes = []
+        for slot in self._cells[number]:
+            final = self._run.finals.get(slot.index)
+            if final is None:
+                break
+            outcomes.append(final["success"])
+        if self._is_enough(outcomes):
+            self._waiting[number].clear()

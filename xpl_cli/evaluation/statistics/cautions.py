@@ -1,0 +1,130 @@
+"""What the data do not show, in plain words: the sentences beside every table."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.evaluation.runs.stopping import episodes_needed
+from xpl_cli.evaluation.statistics.wording import interval, many, percent, were
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from xpl_cli.evaluation.records.cells import Cell
+
+_NARROW = 0.2
+_MANY = 10
+
+
+def of_summary(summary: Mapping[str, Any], found: Sequence[Cell]) -> list[str]:
+    """Return what a reader of a summary should know before believing it."""
+    overall = summary["overall"]
+    return [
+        *_of_what_is_missing(overall, found),
+        *_of_stopping(summary["until_width"], found),
+        *_of_width(summary["cells"]),
+        *_of_means(summary["cells"]),
+        *_of_seeds(found),
+        scope(),
+    ]
+
+
+def of_course(beyond: int, machines: int) -> list[str]:
+    """Return what should be known of how a run went, which may differ from one playing to the next.
+
+    Args:
+        beyond: number of episodes that were played although their cell had ended.
+        machines: number of machines, or sets of library versions.
+    """
+    notes = []
+    if beyond:
+        notes.append(
+            f"{were(beyond, 'episode')} played at the same time as the one that ended a task, and not counted, so that "
+            "the result does not depend on the number of workers."
+        )
+    if machines > 1:
+        notes.append(
+            f"Episodes were played on {machines} machines or sets of library versions, which may give different "
+            "results for equal seeds."
+        )
+    return notes
+
+
+def scope() -> str:
+    """Return what intervals are about at all."""
+    return (
+        "The intervals tell how far the rates of many more episodes of the same kind may lie from these: same "
+        "checkpoint, tasks, settings, environment and robot. They say nothing about other tasks, another training run "
+        "of the same method, or a real robot."
+    )
+
+
+def of_stopping() -> str:
+    """Return what it costs to stop when an interval is narrow enough."""
+    return (
+        "Tasks ended as soon as their interval was narrow enough. Such intervals hold the true rate in 95 % of the "
+        "cases on average over all rates, but in as few as 92 % at some."
+    )
+
+
+def _of_what_is_missing(overall: Mapping[str, Any], found: Sequence[Cell]) -> Iterator[str]:
+    if overall["unplayed"]:
+        yield (
+            f"{many(overall['unplayed'], 'episode')} of {overall['planned']} still to be played: the rows tell of "
+            "those that were."
+        )
+    spoilt = overall["failures"]["infrastructure"]
+    if spoilt:
+        said, told = f"{were(spoilt, 'episode')} spoilt by the infrastructure, and counted neither way", ""
+        if overall["if_spoilt"]:
+            worst, best = map(percent, overall["if_spoilt"])
+            told = f": the overall rate would be {worst} had they failed, {best} had they succeeded"
+        yield f"{said}{told}."
+    blank = [f"{cell.task} ({cell.setting})" for cell in found if cell.counted and not cell.outcomes]
+    if blank:
+        yield f"No episode with a success to speak of: {', '.join(blank)}; rows over several tasks leave these out."
+
+
+def _of_stopping(width: float | None, found: Sequence[Cell]) -> Iterator[str]:
+    if width is None:
+        return
+    yield of_stopping()
+    short = [f"{cell.task} ({cell.setting})" for cell in found if not cell.ended and not cell.unplayed]
+    if short:
+        yield f"No seeds are left, and the interval is still wider than asked for: {', '.join(short)}."
+
+
+def _of_width(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    known = [row for row in rows if row["success_interval"]]
+    if not known:
+        return
+    widest = max(known, key=lambda row: row["success_interval"][1] - row["success_interval"][0])
+    low, high = widest["success_interval"]
+    if high - low > _NARROW:
+        needed = episodes_needed(_NARROW, rate=min(max(0.5, low), high))
+        yield (
+            f"With {many(widest['judged'], 'episode')}, the rate of {widest['task']} ({widest['setting']}) is known no "
+            f"better than {interval(low, high)}; an interval of {_NARROW * 100:.0f} points takes up to {needed}."
+        )
+
+
+def _of_means(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    known = [row for row in rows if row["judged"]]
+    if len({row["judged"] for row in known}) > 1:
+        yield (
+            "Not all rows have equally many episodes. Rows over several tasks or settings are means of the rates, in "
+            "which each weighs the same, and not the share of all successes."
+        )
+    if len(known) >= _MANY:
+        yield (
+            f"Of {len(known)} intervals with 95 % confidence, {len(known) * 0.05:.1f} miss on average, and the best "
+            "and the worst row are partly so by luck."
+        )
+
+
+def _of_seeds(found: Sequence[Cell]) -> Iterator[str]:
+    if not all(cell.frozen for cell in found):
+        yield (
+            "Not all seeds are the environment's evaluation seeds: nothing says that the policy was not trained or "
+            "tuned on them."
+        )

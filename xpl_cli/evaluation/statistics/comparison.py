@@ -1,0 +1,188 @@
+"""Which of two runs is better, on the episodes that both played: `xpl.comparison/1` (spec/v1.1/comparison.schema.json).
+
+Equal tasks, settings and seeds are equal cases, so that luck with easy seeds helps both alike. What is tested is in how
+many cases only one of the two succeeded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.records.cells import cells, matched, outcome, score
+from xpl_cli.evaluation.statistics import intervals, verdicts
+from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs
+from xpl_cli.evaluation.statistics.matching import differences
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from xpl_cli.evaluation.records.records import Line, Run
+
+SCHEMA: Final = "xpl.comparison/1"
+METHODS: Final = {"test": "mcnemar_exact", "interval": "newcombe_paired", "score": "bootstrap", "correction": "holm"}
+
+
+class IncomparableError(UserError):
+    """Two runs whose results say nothing about which policy is better."""
+
+    def __init__(self, message: str) -> None:
+        hint = "play both in the same environment, on the same tasks and seeds"
+        super().__init__(message, hint=hint, code=ExitCode.NOT_RUN)
+
+
+@dataclass(frozen=True)
+class _Matches:
+    """Episodes of one task and setting that both runs played, and that count in both.
+
+    Attributes:
+        task, setting: what was played.
+        lines: of the first run and of the second, for each common seed.
+    """
+
+    task: str
+    setting: str
+    lines: Sequence[tuple[Line, Line]]
+
+    @property
+    def pairs(self) -> Pairs:
+        """How often both, one or none succeeded."""
+        first, second = (
+            {number: bool(outcome(pair[side])) for number, pair in enumerate(self.lines)} for side in (0, 1)
+        )
+        return matched(first, second)
+
+    def score_difference(self) -> Estimate | None:
+        """Return by how much the second run's mean score exceeds the first's; None where scores are missing."""
+        told = [(score(first), score(second)) for first, second in self.lines]
+        gains = [second - first for first, second in told if first is not None and second is not None]
+        if not gains:
+            return None
+        # The bootstrap is of values in 0..1.
+        low, high = intervals.bootstrap((gain + 1) / 2 for gain in gains)
+        return Estimate(sum(gains) / len(gains), Interval(2 * low - 1, 2 * high - 1))
+
+
+def compare(first: Run, second: Run) -> dict[str, Any]:
+    """Return the comparison of two runs, finished or not.
+
+    Raises:
+        IncomparableError: they were played in different environments, have no episode in common, or equal seeds are
+            not equal cases.
+    """
+    sides = (first.plan, second.plan)
+    names = [plan["environment"]["name"] for plan in sides]
+    if names[0] != names[1]:
+        raise IncomparableError(f"the runs were played in different environments: {names[0]} and {names[1]}")
+    matches = _matches(first, second)
+    if not matches:
+        raise IncomparableError("no episode was played in both runs: they have no task, setting and seed in common")
+    _refuse_other_layouts(matches)
+    rows = [_row(match.task, match.setting, [match]) for match in matches]
+    for row, raised in zip(rows, intervals.holm([row["p_value"] for row in rows]), strict=True):
+        row["adjusted_p_value"] = raised
+    compared = sum(len(match.lines) for match in matches)
+    result = {
+        "schema": SCHEMA,
+        "first": _side(first),
+        "second": _side(second),
+        "confidence": intervals.CONFIDENCE,
+        "methods": METHODS,
+        "differences": [difference.as_json() for difference in differences(first, second)],
+        "left_out": {name: _counted(run) - compared for name, run in (("first", first), ("second", second))},
+        "same_trajectories": sum(_is_same(one, other) for match in matches for one, other in match.lines),
+        "known_layouts": sum(_has_layouts(*pair) for match in matches for pair in match.lines),
+        "cells": rows,
+        "overall": {**_row(None, None, matches), "adjusted_p_value": None},
+    }
+    stops = any(plan.get("until_width") is not None for plan in sides)
+    return {**result, "verdict": verdicts.verdict(result), "notes": verdicts.notes(result, stops=stops)}
+
+
+def _matches(first: Run, second: Run) -> list[_Matches]:
+    """Return the episodes that both have, in the order of the first plan; cells without any are left out."""
+    others = {(cell.task, cell.setting): _by_seed(cell.counted) for cell in cells(second)}
+    found = []
+    for cell in cells(first):
+        other = others.get((cell.task, cell.setting), {})
+        own = _by_seed(cell.counted)
+        lines = [(line, other[seed]) for seed, line in own.items() if seed in other]
+        if lines:
+            found.append(_Matches(cell.task, cell.setting, lines))
+    return found
+
+
+def _by_seed(lines: Iterable[Line]) -> dict[int, Line]:
+    """Return the lines that count for the success rate, by seed."""
+    return {line[sdk.Deploy.SEED]: line for line in lines if outcome(line) is not None}
+
+
+def _refuse_other_layouts(matches: Sequence[_Matches]) -> None:
+    """Raise unless equal seeds drew equal scenes, as far as the records tell."""
+    unlike = [
+        (match, first[sdk.Deploy.SEED])
+        for match in matches
+        for first, second in match.lines
+        if _has_layouts(first, second) and first["layout"] != second["layout"]
+    ]
+    if unlike:
+        match, seed = unlike[0]
+        raise IncomparableError(
+            f"equal seeds are not equal cases: in {len(unlike)} common episodes things stood elsewhere, first in "
+            f"{match.task} ({match.setting}), seed {seed}"
+        )
+
+
+def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> dict[str, Any]:
+    """Return the row of one task and setting, or of all."""
+    tables = [match.pairs for match in matches]
+    pairs = Pairs(*map(sum, zip(*tables, strict=True)))
+    success = intervals.mean([intervals.paired(table) for table in tables])
+    scores = [found for match in matches if (found := match.score_difference()) is not None]
+    gain = intervals.mean(scores) if scores else None
+    return {
+        "task": task,
+        "setting": setting,
+        "pairs": pairs.total,
+        **pairs._asdict(),
+        "first_rate": _mean((table.both + table.only_first) / table.total for table in tables),
+        "second_rate": _mean((table.both + table.only_second) / table.total for table in tables),
+        "difference": success.value,
+        "interval": list(success.interval),
+        "p_value": intervals.mcnemar(pairs),
+        "score_difference": gain and gain.value,
+        "score_interval": gain and list(gain.interval),
+    }
+
+
+def _side(run: Run) -> dict[str, Any]:
+    plan = run.plan
+    checkpoint = plan["policy"]["checkpoint"]
+    return {
+        "folder": str(run.folder),
+        "run": plan["run"],
+        "policy": plan["policy"]["name"],
+        "checkpoint": checkpoint and checkpoint["digest"],
+        "environment": plan["environment"]["name"],
+        "embodiment": plan["embodiment"],
+        sdk.Deploy.ACTION_TYPE: plan[sdk.Deploy.ACTION_TYPE],
+    }
+
+
+def _counted(run: Run) -> int:
+    return sum(len(cell.counted) for cell in cells(run))
+
+
+def _is_same(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    return first.get("digest") is not None and first["digest"] == second.get("digest")
+
+
+def _has_layouts(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    return first.get("layout") is not None and second.get("layout") is not None
+
+
+def _mean(values: Iterable[float]) -> float:
+    told = list(values)
+    return sum(told) / len(told)

@@ -1,0 +1,71 @@
+"""How a run went: time, retries, latency, errors. Unlike its results, this differs from one playing to the next."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.evaluation.statistics import cautions
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl_cli.evaluation.records.records import Run
+
+SHARES: Final = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
+
+
+def course(run: Run, beyond: int) -> dict[str, Any]:
+    """Return what all attempts at a run's episodes took.
+
+    Args:
+        run: its record.
+        beyond: number of final episodes that do not count, because their cell had ended before them.
+    """
+    machines = len({line["machine"] for line in run.attempts})
+    retried = [line for line in run.attempts if not line["final"]]
+    errors = Counter((line["failure"], line["error"]) for line in run.attempts if line.get("error"))
+    return {
+        "attempts": len(run.attempts),
+        "retried": len(retried),
+        "beyond": beyond,
+        "wall_seconds": math.fsum(line["wall_seconds"] for line in run.attempts),
+        "machines": machines,
+        "inference": _inference(run),
+        "errors": [
+            {"failure": failure, "error": error, "count": count} for (failure, error), count in errors.most_common()
+        ],
+        "notes": cautions.of_course(beyond, machines),
+    }
+
+
+def bin_edge(place: float) -> float:
+    """Return the time in s at a place in a histogram of the schema: 0 is the beginning of its first bin."""
+    return float(0.001 * 2.0 ** (place / 2))
+
+
+def _inference(run: Run) -> dict[str, Any]:
+    """Return the round trips of all attempts together."""
+    told = [line["inference"] for line in run.attempts if line.get("inference")]
+    histograms = [one["histogram"] for one in told if one.get("histogram")]
+    bins = [0] * max(map(len, histograms), default=0)
+    for histogram in histograms:
+        for place, count in enumerate(histogram):
+            bins[place] += count
+    return {
+        "count": sum(one["count"] for one in told),
+        "seconds": math.fsum(one["seconds"] for one in told),
+        "histogram": bins,
+        **{name: _quantile(bins, share) for name, share in SHARES.items()},
+    }
+
+
+def _quantile(bins: Sequence[int], share: float) -> float | None:
+    """Return the time in s that a share of the round trips did not exceed, as exactly as bins can tell."""
+    wanted, below = share * sum(bins), 0
+    for place, count in enumerate(bins):
+        if count and below + count >= wanted:
+            return bin_edge(place + (wanted - below) / count)
+        below += count
+    return None

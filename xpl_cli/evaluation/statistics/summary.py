@@ -1,0 +1,170 @@
+"""What a run found: `xpl.summary/1` (spec/v1.1/summary.schema.json), from its record and nothing else.
+
+Rows over several cells are means of the cells' values: each weighs the same, however many of its episodes were played.
+Where all cells have equally many, that is what all episodes together would give.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from xpl import _spec as sdk
+from xpl_cli.evaluation.records.cells import FAILURES, INFRASTRUCTURE, Cell, cells, matched
+from xpl_cli.evaluation.statistics import cautions, intervals
+from xpl_cli.evaluation.statistics.course import course
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.statistics.intervals import Estimate
+
+SCHEMA: Final = "xpl.summary/1"
+SCORE_METHOD: Final = "bootstrap"
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A cell, and its estimates, which take long enough to be made once."""
+
+    cell: Cell
+    success: Estimate | None
+    score: Estimate | None
+
+
+def summarise(run: Run, method: str = "wilson") -> dict[str, Any]:
+    """Return the summary of a run, finished or not.
+
+    Args:
+        run: its record.
+        method: of the success rates' intervals: one of `cells.METHODS`.
+    """
+    found, plan = cells(run), run.plan
+    summary = {
+        "schema": SCHEMA,
+        "run": plan["run"],
+        "policy": plan["policy"]["name"],
+        "environment": plan["environment"]["name"],
+        "embodiment": plan["embodiment"],
+        sdk.Deploy.ACTION_TYPE: plan[sdk.Deploy.ACTION_TYPE],
+        "until_width": plan.get("until_width"),
+        "confidence": intervals.CONFIDENCE,
+        "methods": {"success": method, "score": SCORE_METHOD},
+        **_rows([_Measured(cell, cell.success_rate(method), cell.mean_score()) for cell in found]),
+        "contrasts": _contrasts(found),
+        "course": course(run, sum(cell.beyond for cell in found)),
+    }
+    return {**summary, "notes": cautions.of_summary(summary, found)}
+
+
+def _rows(measured: Sequence[_Measured]) -> dict[str, Any]:
+    def by(name: Callable[[Cell], str | None]) -> list[dict[str, Any]]:
+        groups: dict[str, list[_Measured]] = {}
+        for one in measured:
+            if (wanted := name(one.cell)) is not None:
+                groups.setdefault(wanted, []).append(one)
+        return [_row(group) for group in groups.values()]
+
+    return {
+        "cells": [_row([one]) for one in measured],
+        "tasks": by(lambda cell: cell.task),
+        "settings": by(lambda cell: cell.setting),
+        "dimensions": by(lambda cell: cell.dimension),
+        "overall": _row(measured),
+    }
+
+
+def _row(measured: Sequence[_Measured]) -> dict[str, Any]:
+    """Return the row of one cell or of several."""
+    members = [one.cell for one in measured]
+    success, score = _mean(one.success for one in measured), _mean(one.score for one in measured)
+    return {
+        "task": _common(cell.task for cell in members),
+        "setting": _common(cell.setting for cell in members),
+        "dimension": _common(cell.dimension for cell in members),
+        "planned": sum(cell.planned for cell in members),
+        "played": sum(len(cell.counted) for cell in members),
+        "unplayed": sum(cell.unplayed for cell in members),
+        "judged": sum(len(cell.outcomes) for cell in members),
+        "successes": sum(sum(cell.outcomes) for cell in members),
+        "success_rate": success and success.value,
+        "success_interval": success and list(success.interval),
+        "if_spoilt": _if_spoilt(members),
+        "mean_score": score and score.value,
+        "score_interval": score and list(score.interval),
+        "failures": {kind: sum(cell.failed(kind) for cell in members) for kind in FAILURES},
+        **_conduct(members),
+    }
+
+
+def _conduct(members: Sequence[Cell]) -> dict[str, Any]:
+    """Return how the episodes were driven that the infrastructure did not spoil."""
+    lines = [line for cell in members for line in cell.counted if line["failure"] != INFRASTRUCTURE]
+    steps = [line["steps"] for line in lines if "steps" in line]
+    corrections: Counter[str] = Counter()
+    for line in lines:
+        corrections.update(line.get("corrections") or {})
+    return {"mean_steps": sum(steps) / len(steps) if steps else None, "corrections": dict(sorted(corrections.items()))}
+
+
+def _if_spoilt(members: Sequence[Cell]) -> list[float] | None:
+    """Return what the success rate would be if all spoilt episodes had failed, and if all had succeeded.
+
+    None where none was spoilt, or no episode has a success to speak of.
+    """
+    rates = []
+    for cell in members:
+        successes, spoilt = sum(cell.outcomes), cell.failed(INFRASTRUCTURE)
+        if count := len(cell.outcomes) + spoilt:
+            rates.append((successes / count, (successes + spoilt) / count))
+    if not any(cell.failed(INFRASTRUCTURE) for cell in members) or not any(cell.outcomes for cell in members):
+        return None
+    return [sum(ends) / len(rates) for ends in zip(*rates, strict=True)]
+
+
+def _contrasts(found: Sequence[Cell]) -> list[dict[str, Any]]:
+    """Return by how much each setting's success rate exceeds the first one's, by task and over all tasks."""
+    settings = list(dict.fromkeys(cell.setting for cell in found))
+    places = {(cell.task, cell.setting): cell for cell in found}
+    rows: list[dict[str, Any]] = []
+    for other in settings[1:]:
+        tasks = [task for task, setting in places if setting == settings[0] and (task, other) in places]
+        parts = [(task, *_contrast(places[task, settings[0]], places[task, other])) for task in tasks]
+        known = [(estimate, pairs) for _, estimate, pairs in parts if estimate is not None]
+        overall = (None, _mean(estimate for estimate, _ in known), sum(pairs for _, pairs in known))
+        for task, estimate, pairs in [*parts, *([overall] if known else [])]:
+            rows.append(
+                {
+                    "task": task,
+                    "settings": [settings[0], other],
+                    "pairs": pairs,
+                    "difference": estimate and estimate.value,
+                    "interval": estimate and list(estimate.interval),
+                }
+            )
+    return rows
+
+
+def _contrast(first: Cell, second: Cell) -> tuple[Estimate | None, int]:
+    """Return second minus first, and by how many common seeds; without any, the two are taken as independent."""
+    pairs = matched(first.by_seed, second.by_seed)
+    if pairs.total:
+        return intervals.paired(pairs), pairs.total
+    one, other = first.success_rate("wilson"), second.success_rate("wilson")
+    return (None if one is None or other is None else intervals.difference(one, other)), 0
+
+
+def _mean(estimates: Iterable[Estimate | None]) -> Estimate | None:
+    """Return the mean of those that are known, None if none is."""
+    known = [estimate for estimate in estimates if estimate is not None]
+    return intervals.mean(known) if known else None
+
+
+def _common(values: Iterable[_T]) -> _T | None:
+    """Return what all values are, or None if they differ."""
+    distinct = set(values)
+    return distinct.pop() if len(distinct) == 1 else None

@@ -1,0 +1,1 @@
+"""What keeps an adapter's processes from the rest of the machine, and finds all of them again."""

@@ -1,0 +1,235 @@
+"""What an adapter may do to the machine: how much memory it may hold, whether it sees a network, where it may write.
+
+A worker always runs in a process group of its own. A limit on memory is held by looking, because what the system offers
+(RLIMIT_AS) counts address space, which GPU libraries reserve in terabytes. Isolation is the system's: namespaces, or
+bubblewrap where those are refused to ordinary programs. Either way is tried before it is relied on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.isolation import family
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from xpl_cli.serving.worker import WorkerProcess
+
+_EVERY_S = 0.1
+_LOOKS_PER_SEARCH = 5
+_UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
+_BINARY_UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*(?:([KMGT]?)(i?)B?|(%))", re.IGNORECASE)
+_CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+_NO_LIMIT = "none"
+
+_SHARED_MEMORY = "/dev/shm"  # noqa: S108 - a place that the adapter may use, not a file of ours
+_KEPT = {"HF_HOME": ".cache/huggingface", "TORCH_HOME": ".cache/torch", "PYTHONUSERBASE": ".local"}
+"""What is found below the home folder, readable as before, although isolated adapters have another home folder."""
+_PROOF_S = 20.0
+_PROOF = """
+import os, socket, sys
+checkout, writable, port = sys.argv[1], sys.argv[2], int(sys.argv[3])
+if os.access(checkout, os.W_OK):
+    sys.exit("the checkout stays writable")
+if not os.access(writable, os.W_OK):
+    sys.exit("the temporary folder is not writable")
+try:
+    socket.create_connection(("127.0.0.1", port), 1.0)
+except OSError:
+    sys.exit(0)
+sys.exit("the network stays in reach")
+"""
+
+
+@dataclass(frozen=True)
+class MemoryLimit:
+    """Most resident memory of a worker and of the processes below it.
+
+    Attributes:
+        size: bytes.
+        asked: what the user wrote.
+    """
+
+    size: int
+    asked: str
+
+    @classmethod
+    def parse(cls, text: str) -> Self | None:
+        """Return the limit that `8GB`, `512MiB`, `80%` (of this machine's memory) or `none` stands for.
+
+        Raises:
+            UserError: if it is none of these.
+        """
+        asked = text.strip()
+        if asked.lower() == _NO_LIMIT:
+            return None
+        found = _SIZE.fullmatch(asked)
+        if found is None or not float(found[1]):
+            raise UserError(f"--memory-limit takes a size such as 8GB, a share such as 80%, or none; got {text!r}")
+        number, unit, binary, share = found.groups()
+        if share:
+            return cls(int(float(number) / 100.0 * machine_memory()), asked)
+        return cls(int(float(number) * (_BINARY_UNITS if binary else _UNITS)[unit.upper()]), asked)
+
+    async def hold(self, process: WorkerProcess) -> None:
+        """Watch a worker until it ends, and end it with a clear reason when it holds more."""
+        import asyncio  # slow to import, and whoever only reads a limit needs none of it
+
+        for look in itertools.count():
+            if process.died.done():
+                return
+            if look % _LOOKS_PER_SEARCH == 0:  # on a machine with thousands of processes a search takes its time
+                pids = await asyncio.to_thread(family.with_descendants, process.pid)
+            # A page that processes share counts twice at first sight, and is worth a closer look only if that matters.
+            if sum(map(family.resident, pids)) > self.size:
+                used = await asyncio.to_thread(family.shared_out_memory, process.pid)
+                if used > self.size:
+                    process.kill(self._exceeded(used))
+                    return
+            await asyncio.wait([process.died], timeout=_EVERY_S)
+
+    def _exceeded(self, used: int) -> str:
+        limit = told_size(self.size)
+        return f"the adapter used {told_size(used)}, more than the limit of {limit} (--memory-limit {self.asked})"
+
+
+def told_size(size: int) -> str:
+    """Return a number of bytes in words, such as 8.2 GB."""
+    unit = next((name for name in "TGM" if size >= _UNITS[name]), "M")
+    return f"{size / _UNITS[unit]:.3g} {unit}B"
+
+
+def machine_memory() -> int:
+    """Return the memory that this machine has, or that its container may use, bytes."""
+    sizes = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    for path in _CONTAINER_LIMITS:
+        with contextlib.suppress(OSError, ValueError):
+            sizes.append(int(Path(path).read_text(encoding="ascii")))
+    return min(sizes)
+
+
+@dataclass(frozen=True)
+class Isolation:
+    """A way to run a command without network and with nothing to write to but a temporary folder.
+
+    Attributes:
+        way: its name.
+        prefix: what is put before the command.
+        folder: the temporary folder.
+        wraps: whether the process that is started stays there and has the command as its child.
+    """
+
+    way: str
+    prefix: tuple[str, ...]
+    folder: Path
+    wraps: bool
+
+    def environment(self, outside: Mapping[str, str]) -> dict[str, str]:
+        """Return the environment of the command: home, temporary files and caches lie in the temporary folder."""
+        home = Path(outside.get("HOME", "/"))
+        kept = {name: str(home / place) for name, place in _KEPT.items() if (home / place).is_dir()}
+        inside = {"HOME": self.folder / "home", "TMPDIR": self.folder / "tmp", "XDG_CACHE_HOME": self.folder / "cache"}
+        for path in inside.values():
+            path.mkdir(exist_ok=True)
+        return {**kept, **outside, **{name: str(path) for name, path in inside.items()}}
+
+
+@contextlib.contextmanager
+def isolated(checkout: Path) -> Iterator[Isolation]:
+    """Find a way to isolate an adapter, for the length of a `with` block.
+
+    Args:
+        checkout: folder of the adapter.
+
+    Raises:
+        UserError: if none works here, with the reason of each; exit code 4.
+    """
+    with tempfile.TemporaryDirectory(prefix="xpl-isolated-") as name:
+        folder = Path(name)
+        refused = []
+        for way, (wraps, prefix) in _WAYS.items():
+            found = prefix(checkout, folder)
+            reason = "it is not installed" if found is None else _disproof(found, checkout, folder)
+            if found is not None and reason is None:
+                yield Isolation(way, tuple(found), folder, wraps)
+                return
+            refused.append(f"{way}: {reason}")
+    raise UserError(
+        f"isolation was asked for and cannot be had here ({'; '.join(refused)})",
+        hint="allow unprivileged user namespaces, install bubblewrap, or leave --isolate away",
+        code=ExitCode.NOT_RUN,
+    )
+
+
+def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> None:
+    """Check that adapters can be kept within bounds on this machine.
+
+    Args:
+        checkouts: their folders.
+        memory_limit: as for `MemoryLimit.parse`.
+        isolate: whether they shall be isolated.
+
+    Raises:
+        UserError: if not; with exit code 4 if they cannot be isolated.
+    """
+    MemoryLimit.parse(memory_limit)
+    for checkout in checkouts if isolate else ():
+        with isolated(checkout):
+            pass
+
+
+def _namespaces(checkout: Path, folder: Path) -> list[str]:
+    script = Path(__file__).with_name("namespaces.py")
+    return [sys.executable, "-I", "-S", str(script), str(checkout), *map(str, _writable(folder)), "--"]
+
+
+def _bubblewrap(checkout: Path, folder: Path) -> list[str] | None:
+    program = shutil.which("bwrap")
+    if program is None:
+        return None
+    mounts = ["--ro-bind", "/", "/", "--dev-bind", "/dev", "/dev", "--bind", str(folder), str(folder)]
+    mounts += ["--ro-bind", str(checkout), str(checkout)]
+    return [program, "--unshare-user", "--unshare-net", "--die-with-parent", *mounts, "--"]
+
+
+# Namespaces first: the process that is started is then the adapter's own, not one that waits for it.
+_WAYS: dict[str, tuple[bool, Callable[[Path, Path], list[str] | None]]] = {
+    "namespaces": (False, _namespaces),
+    "bubblewrap": (True, _bubblewrap),
+}
+
+
+def _writable(folder: Path) -> Sequence[Path]:
+    memory = Path(_SHARED_MEMORY)
+    return [folder, memory] if memory.is_dir() else [folder]
+
+
+def _disproof(prefix: Sequence[str], checkout: Path, folder: Path) -> str | None:
+    """Try to write and to connect behind a prefix; return why it does not isolate, or None if it does."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = str(server.getsockname()[1])
+        command = [*prefix, sys.executable, "-I", "-S", "-c", _PROOF, str(checkout), str(folder), port]
+        run = partial(subprocess.run, capture_output=True, text=True, check=False, timeout=_PROOF_S, cwd=checkout)
+        try:
+            done = run(command)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return str(error)
+    if done.returncode == 0:
+        return None
+    lines = done.stderr.strip().splitlines()
+    return lines[-1].removeprefix("error: ") if lines else f"exit code {done.returncode}"

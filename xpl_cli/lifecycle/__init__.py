@@ -1,0 +1,1 @@
+"""From installation to training: interpreters, environments, checkpoints, scripts, containers."""

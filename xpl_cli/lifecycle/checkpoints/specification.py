@@ -1,0 +1,233 @@
+"""What policy.yml says of a checkpoint: where it is, and by which digests its bytes are known again."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+from urllib.parse import urlsplit
+
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import NotFoundError, UserError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from xpl_cli.packages.package import Package
+
+HUB = "hf"
+"""Scheme of a source on the Hugging Face hub: `hf://owner/repository`, perhaps with a folder behind it."""
+
+_WEB = ("http", "https")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
+_COMMIT = re.compile(r"[0-9a-f]{40}")
+_SHOWN = 12
+
+
+@dataclass(frozen=True)
+class File:
+    """One file of a checkpoint.
+
+    Attributes:
+        path: relative to the checkpoint, with / between folders.
+        sha256: digest of its content, hexadecimal; None if it is not known.
+        size: bytes; None if it is not known.
+    """
+
+    path: str
+    sha256: str | None = None
+    size: int | None = None
+
+
+@dataclass(frozen=True)
+class Specification:
+    """One entry of `checkpoints` in policy.yml.
+
+    Attributes:
+        name: what `ckpt_name` in deploy.yml calls it.
+        source: where it is, as it was written.
+        kind: what `source` is: an address, a repository of the hub, or a path of this machine.
+        revision: full commit of the hub's repository; a text of the author's own elsewhere.
+        digest: of the whole content (see `digest_of`); None if policy.yml does not say enough to know it.
+        size: all bytes, None if that is not known.
+        licence: of the weights.
+        files: those that policy.yml lists; empty if the source lists them, or is one file.
+        base: folder that a relative path starts at.
+    """
+
+    name: str
+    source: str
+    kind: Literal["web", "hub", "path"]
+    revision: str | None
+    digest: str | None
+    size: int | None
+    licence: str | None
+    files: tuple[File, ...]
+    base: Path
+
+    @property
+    def path(self) -> Path:
+        """The source as a path of this machine."""
+        text = urlsplit(self.source).path if self.source.startswith("file://") else self.source
+        return self.base / Path(text).expanduser()
+
+    @property
+    def file_name(self) -> str | None:
+        """The name of the one file that the checkpoint is; None if it is a folder."""
+        if self.files or self.kind == "hub":
+            return None
+        if self.kind == "web":
+            return urlsplit(self.source).path.rpartition("/")[2] or None
+        return self.path.name if self.path.is_file() else None
+
+
+def digest_of(files: Iterable[File]) -> str:
+    r"""Return the digest of a folder: that of the list `<sha256>  <path>`, one line for each file, sorted by path.
+
+    It is what `sha256sum` makes of its own output:
+    `find * -type f | LC_ALL=C sort | tr '\n' '\0' | xargs -0 sha256sum | sha256sum`.
+    """
+    lines = sorted((file.path.encode(), file.sha256 or "") for file in files)
+    return hashlib.sha256(b"".join(b"%s  %s\n" % (sha256.encode(), path) for path, sha256 in lines)).hexdigest()
+
+
+def declared(package: Package) -> dict[str, Specification]:
+    """Return the checkpoints of an adapter by name.
+
+    Raises:
+        UserError: if an entry cannot be understood, or names a place outside of the checkpoint.
+    """
+    found: dict[str, Specification] = {}
+    for entry in package.manifest.get("checkpoints") or ():
+        specification = _parse(package, entry)
+        if specification.name in found:
+            raise UserError(f"{package.name}/{sdk.File.POLICY_YML} has two checkpoints called {specification.name!r}")
+        found[specification.name] = specification
+    return found
+
+
+def choose(package: Package, name: str | None, *, every: bool = False) -> list[Specification]:
+    """Return the checkpoints that a command is about.
+
+    Args:
+        package: the adapter.
+        name: the one; without it that of `ckpt_name` in deploy.yml, or the only one.
+        every: all of them, which may be none.
+
+    Raises:
+        NotFoundError: if there is none of that name, or none at all.
+        UserError: if it is not said which one of several.
+    """
+    known = declared(package)
+    if every:
+        return list(known.values())
+    if not known:
+        raise NotFoundError(
+            f"{package.name}/{sdk.File.POLICY_YML} specifies no checkpoint",
+            hint="add {name, source, sha256, size, license} to its `checkpoints`",
+        )
+    wanted = name
+    if wanted is None:
+        configured = str(package.config().get(sdk.Deploy.CKPT_NAME))
+        wanted = configured if configured in known else next(iter(known)) if len(known) == 1 else None
+    names = ", ".join(known)
+    if wanted is None:
+        raise UserError(f"{package.name} has several checkpoints: name one of {names}, or take --all")
+    if wanted not in known:
+        raise NotFoundError(f"{package.name} specifies no checkpoint {wanted!r}; there are: {names}")
+    return [known[wanted]]
+
+
+def check_path(text: str, where: str) -> str:
+    """Return a file's path if it stays inside of its checkpoint and its name is an ordinary one.
+
+    Raises:
+        UserError: otherwise.
+    """
+    parts = text.split("/")
+    odd = any(part in ("", "..") or part.startswith(".") or len(part.encode()) > 255 for part in parts)
+    if odd or "\\" in text or not text.isprintable():
+        raise UserError(
+            f"{where}: {text!r} is no path of a file in a checkpoint: expected names with / between them, none "
+            "of which is empty or begins with a dot"
+        )
+    return text
+
+
+def _parse(package: Package, entry: Mapping[str, Any]) -> Specification:
+    name, source = str(entry.get("name") or ""), str(entry.get("source") or "")
+    where = f"{package.name}/{sdk.File.POLICY_YML}, checkpoint {name!r}"
+    if not _NAME.fullmatch(name):
+        raise UserError(f"{where}: a name is one word of letters, digits and ._+-, and begins with a letter or digit")
+    files = _files(entry, where)
+    kind = _kind(source, where)
+    sha256 = entry.get("sha256")
+    listed = digest_of(files) if files and all(file.sha256 for file in files) else None
+    if listed and sha256 and listed != sha256:
+        raise UserError(
+            f"{where}: sha256 is {sha256[:_SHOWN]}..., but the list of its files has {listed[:_SHOWN]}...",
+            hint="leave sha256 out where every file has its own",
+        )
+    sizes = [file.size for file in files]
+    size = entry.get("size")
+    if size is None and files and all(one is not None for one in sizes):
+        size = sum(one or 0 for one in sizes)
+    specification = Specification(
+        name, source, kind, entry.get("revision"), sha256 or listed, size, entry.get("license"), files, package.path
+    )
+    if kind == "web" and not files and not specification.file_name:
+        raise UserError(f"{where}: {source} is a folder, which the web does not list: name its files in `files`")
+    if kind == "web" and files and not source.endswith("/"):
+        raise UserError(f"{where}: with `files` the source is a folder, whose address ends with /; got {source}")
+    if kind == "web" and specification.file_name:
+        check_path(specification.file_name, where)
+    return specification
+
+
+def check_commit(specification: Specification) -> str:
+    """Return the commit that a repository of the hub is pinned to.
+
+    Raises:
+        UserError: if it is not pinned to a full commit: branches and tags move.
+    """
+    revision = specification.revision or ""
+    if not _COMMIT.fullmatch(revision):
+        raise UserError(
+            f"checkpoint {specification.name!r} has the revision {revision or None!r}: expected the full commit (40 "
+            "hexadecimal digits), because branches and tags move",
+            hint=f"`git ls-remote` on the repository {specification.source}, or its page on the hub, shows commits",
+        )
+    return revision
+
+
+def _kind(source: str, where: str) -> Literal["web", "hub", "path"]:
+    scheme, separator, rest = source.partition("://")
+    if not source or (separator and not rest):
+        raise UserError(f"{where}: the source is empty")
+    if not separator or scheme == "file":
+        return "path"
+    if scheme == HUB:
+        if rest.count("/") < 1 or not all(rest.split("/")):
+            raise UserError(f"{where}: expected {HUB}://owner/repository, got {source}")
+        check_path(rest, where)
+        return "hub"
+    if scheme not in _WEB:
+        raise UserError(f"{where}: expected http(s)://, {HUB}:// or a path, got {source}")
+    if "@" in urlsplit(source).netloc:
+        raise UserError(f"{where}: the address holds a user or a password, which others can read")
+    return "web"
+
+
+def _files(entry: Mapping[str, Any], where: str) -> tuple[File, ...]:
+    files = tuple(
+        File(check_path(str(item.get("path")), where), item.get("sha256"), item.get("size"))
+        for item in entry.get("files") or ()
+    )
+    paths = [file.path for file in files]
+    twice = next((path for path in paths if paths.count(path) > 1), None)
+    inside = next((path for path in paths for other in paths if path.startswith(f"{other}/")), None)
+    if twice or inside:
+        raise UserError(f"{where}: {twice or inside} is there twice, or lies below another file")
+    return files

@@ -1,0 +1,152 @@
+"""Probes of the machine itself: memory, cores, disk, shared memory, ports, isolation."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import shutil
+import socket
+import tempfile
+from importlib import metadata, util
+from pathlib import Path
+
+from xpl_cli.basics.errors import UserError
+from xpl_cli.isolation import sandbox
+from xpl_cli.isolation.sandbox import told_size
+from xpl_cli.lifecycle.doctor.check import Check, Status
+
+_SHARED = Path("/dev/shm")  # noqa: S108 - what is asked about; nothing stays there
+_SHARED_ENOUGH = 1 << 28
+_MEMORY_ENOUGH = 2 << 30
+_DISK_ENOUGH = 2 << 30
+_TRIED = 1 << 20
+
+
+def tool() -> Check:
+    """Look whether what this tool needs is installed, without importing it."""
+    serves = "everything"
+    try:
+        wanted = metadata.requires("xpl-cli") or []
+    except metadata.PackageNotFoundError:
+        return Check("xpl", Status.OK, "run from a folder, not installed", serves)
+    missing = []
+    for text in (line for line in wanted if "extra ==" not in line):
+        name = text.partition(";")[0].partition("=")[0].rstrip("<>~! ")
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            metadata.version(name)
+            continue
+        missing.append(name)
+    if missing:
+        return Check("xpl", Status.BROKEN, f"lacks {', '.join(missing)}", serves, "pip install --upgrade xpl-cli")
+    return Check("xpl", Status.OK, f"xpl-cli {metadata.version('xpl-cli')}", serves)
+
+
+def hub() -> Check:
+    """Look for the hub's client."""
+    serves = "checkpoints whose source is hf://..."
+    if util.find_spec("huggingface_hub") is None:
+        return Check("hub", Status.ABSENT, "huggingface_hub is not installed", serves, "pip install 'xpl-cli[hub]'")
+    return Check("hub", Status.OK, f"huggingface_hub {metadata.version('huggingface_hub')}", serves)
+
+
+def memory() -> Check:
+    """Read how much memory there is, and how much of it is free."""
+    serves = "models, and simulators beside them"
+    total = sandbox.machine_memory()
+    free = min(_available(), total)
+    small = free < _MEMORY_ENOUGH
+    return Check(
+        "memory", Status.BROKEN if small else Status.OK, f"{told_size(free)} of {told_size(total)} are free", serves,
+        "end what uses it, or raise the container's limit" if small else None,
+    )  # fmt: skip
+
+
+def cores() -> Check:
+    """Count the processors that this process may use."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    quota = _quota()
+    shown = f"{count}" if quota is None or quota >= count else f"{count}, of which {quota:g} may be used at once"
+    return Check("cores", Status.OK, shown, "simulation and cameras")
+
+
+def disk() -> Check:
+    """Write to the places that checkpoints and temporary files go to, and read how much room there is."""
+    serves = "checkpoints and environments"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    places = {"cache": cache, "temporary files": Path(tempfile.gettempdir()), "here": Path.cwd()}
+    told, mend = [], None
+    for name, wanted in places.items():
+        place = next(one for one in (wanted, *wanted.parents) if one.is_dir())
+        free = shutil.disk_usage(place).free
+        told.append(f"{name} {told_size(free)} free")
+        with contextlib.suppress(OSError):
+            with tempfile.TemporaryFile(dir=place):
+                pass
+            if free < _DISK_ENOUGH and mend is None:
+                mend = f"make room in {place}"
+            continue
+        told[-1] = f"{name} cannot be written ({place})"
+        mend = mend or f"make {place} writable, or choose another place (XDG_CACHE_HOME, TMPDIR, another folder)"
+    return Check("disk", Status.BROKEN if mend else Status.OK, ", ".join(told), serves, mend)
+
+
+def shared_memory() -> Check:
+    """Map memory of a file that two processes could share, and write to it."""
+    serves = "large images between simulator and server on one machine; they travel in messages where it is missing"
+    mend = "docker run --shm-size=1g, or mount a tmpfs at /dev/shm"
+    if not _SHARED.is_dir():
+        return Check("shared memory", Status.ABSENT, f"no {_SHARED}", serves, mend)
+    try:
+        with tempfile.TemporaryFile(dir=_SHARED) as file:
+            os.posix_fallocate(file.fileno(), 0, _TRIED)
+            with mmap.mmap(file.fileno(), _TRIED) as mapped:
+                mapped[:4] = b"test"
+    except OSError as error:
+        return Check("shared memory", Status.BROKEN, f"{_SHARED}: {error.strerror}", serves, mend)
+    free = shutil.disk_usage(_SHARED).free
+    small = free < _SHARED_ENOUGH
+    found = f"{told_size(free)} free in {_SHARED}"
+    return Check("shared memory", Status.BROKEN if small else Status.OK, found, serves, mend if small else None)
+
+
+def ports() -> Check:
+    """Listen on loopback on a port that the system chooses, and connect to it."""
+    serves = "policy servers"
+    try:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            port = server.getsockname()[1]
+            with socket.create_connection(("127.0.0.1", port), 2.0):
+                accepted, _ = server.accept()
+                accepted.close()
+    except OSError as error:
+        mend = "bring loopback up: ip link set lo up"
+        return Check("ports", Status.BROKEN, f"loopback does not work: {error.strerror or error}", serves, mend)
+    return Check("ports", Status.OK, f"loopback works, tried with port {port}", serves)
+
+
+def isolation() -> Check:
+    """Try to keep a program from the network and from writing, as `--isolate` does."""
+    serves = "xpl serve --isolate and xpl audit --isolate"
+    mend = "allow unprivileged user namespaces, or install bubblewrap (apt-get install bubblewrap)"
+    try:
+        with tempfile.TemporaryDirectory(prefix="xpl-doctor-") as folder, sandbox.isolated(Path(folder)) as isolation_:
+            return Check("isolation", Status.OK, f"{isolation_.way}, proven by trying", serves)
+    except UserError as error:
+        return Check("isolation", Status.ABSENT, str(error).partition("(")[2].rstrip(")") or str(error), serves, mend)
+
+
+def _available() -> int:
+    for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+        name, _, value = line.partition(":")
+        if name == "MemAvailable":
+            return int(value.split()[0]) * 1024
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES")
+
+
+def _quota() -> float | None:
+    """Return how many processors a container may use, None if nobody says."""
+    with contextlib.suppress(OSError, ValueError):
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="ascii").split()
+        return None if quota == "max" else int(quota) / int(period)
+    return None

@@ -1,0 +1,46 @@
+"""All probes at once; each waits for others only, so that together they take as long as the slowest."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TYPE_CHECKING
+
+from xpl_cli.lifecycle.doctor import machine, programs
+from xpl_cli.lifecycle.doctor.check import Check, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_PROBES: dict[str, Callable[[], Check]] = {
+    "xpl": machine.tool,
+    "python": programs.interpreters,
+    "uv": programs.uv,
+    "conda": programs.conda,
+    "git": programs.git,
+    "docker": programs.docker,
+    "gpu": programs.gpu,
+    "egl": partial(programs.rendering, "egl"),
+    "osmesa": partial(programs.rendering, "osmesa"),
+    "isolation": machine.isolation,
+    "shared memory": machine.shared_memory,
+    "memory": machine.memory,
+    "cores": machine.cores,
+    "disk": machine.disk,
+    "ports": machine.ports,
+    "hub": machine.hub,
+}
+
+
+def examine() -> list[Check]:
+    """Return what this machine can run, in a fixed order."""
+    with ThreadPoolExecutor(max_workers=len(_PROBES)) as pool:
+        return list(pool.map(lambda item: _guarded(*item), _PROBES.items()))
+
+
+def _guarded(name: str, probe: Callable[[], Check]) -> Check:
+    """Return what a probe says; one that fails itself says nothing about the others."""
+    try:
+        return probe()
+    except Exception as error:  # noqa: BLE001 - a machine may be odd in ways that nobody thought of
+        return Check(name, Status.BROKEN, f"could not be tried: {type(error).__name__}: {error}", "unknown")

@@ -1,0 +1,110 @@
+"""Which interpreter runs an adapter: the tool's own, a path, a virtual environment or a conda environment.
+
+What a command line says comes first: `--python`, then `--env`. Otherwise `environment` in policy.yml decides; what
+`xpl install` made from it is found by itself. There is no further source, and no fallback: an interpreter that was
+asked for and is not there is an error.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics import console
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.lifecycle.python_env.place import condition
+from xpl_cli.lifecycle.python_env.plan import CONDA, MADE_BY_XPL, environment_folder, plan_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_warned: set[Path] = set()
+_OWN = "none"
+_UNSAID = frozenset(("", "-", "null"))
+"""What launchers put where an argument is not given."""
+
+
+def resolve(policy_dir: Path, manifest: Mapping[str, Any], *, python: str | None = None, env: str | None = None) -> str:
+    """Return the interpreter for an adapter.
+
+    Args:
+        policy_dir: folder of the adapter; relative environment folders start there.
+        manifest: its policy.yml; `environment` is what counts if neither option is given.
+        python: path of an interpreter.
+        env: `conda:NAME`, `uv:DIR`, `venv:DIR`, the name of a conda environment, or `none` for the tool's own; `-`,
+            `null` and nothing are as good as not given, since the launch scripts have an argument for it.
+
+    Raises:
+        UserError: if what was asked for does not exist.
+    """
+    if python:
+        return _executable(Path(python))
+    if env == _OWN:
+        return sys.executable
+    if env is not None and env not in _UNSAID:
+        manager, separator, name = env.partition(":")
+        return _managed(manager if separator else CONDA, name if separator else env, policy_dir)
+    return _declared(policy_dir, manifest)
+
+
+def _declared(policy_dir: Path, manifest: Mapping[str, Any]) -> str:
+    """Return the interpreter that policy.yml says."""
+    declared = manifest.get("environment") or {}
+    manager = declared.get("manager", "none")
+    if manager == "none":
+        return sys.executable
+    if manager == "path":
+        return _executable(Path(str(declared.get("python"))))
+    if manager == CONDA and not declared.get("lock"):
+        return _managed(manager, declared.get("name") or policy_dir.name, policy_dir)
+    _warn_if_outdated(policy_dir, manifest)
+    return _in_folder(environment_folder(policy_dir, declared), policy_dir)
+
+
+def _managed(manager: str, name: str, policy_dir: Path) -> str:
+    if manager in MADE_BY_XPL:
+        return _in_folder(policy_dir / Path(name).expanduser(), policy_dir)
+    if manager == CONDA:
+        return _executable(_conda_prefix(name) / "bin" / "python")
+    raise UserError(f"unknown kind of environment {manager!r}: expected conda, uv, venv, path or none")
+
+
+def _in_folder(folder: Path, policy_dir: Path) -> str:
+    # The environment itself, not the link to it: whoever starts in it stays in it when another one is installed.
+    return _executable(folder.resolve() / "bin" / "python", hint=f"`xpl install {policy_dir}`")
+
+
+def _warn_if_outdated(policy_dir: Path, manifest: Mapping[str, Any]) -> None:
+    """Say once that an environment was made from something else than policy.yml and its lock say now."""
+    try:
+        plan = plan_of(policy_dir, manifest)
+        outdated = plan is not None and condition(plan) == "outdated"
+    except UserError:
+        return  # who needs the lock says what is wrong with it
+    if outdated and policy_dir not in _warned:
+        _warned.add(policy_dir)
+        console.note(f"warning: the environment of {policy_dir.name} is not the declared one; xpl install {policy_dir}")
+
+
+def _conda_prefix(name: str) -> Path:
+    conda = shutil.which("conda") or shutil.which("mamba") or shutil.which("micromamba")
+    if conda is None:
+        raise UserError(f"conda environment {name!r} was asked for, but conda is not on PATH", code=ExitCode.NOT_RUN)
+    listed = subprocess.run([conda, "env", "list", "--json"], capture_output=True, text=True, check=False, timeout=60)
+    prefixes = [Path(prefix) for prefix in json.loads(listed.stdout or "{}").get("envs", [])]
+    for prefix in prefixes:
+        if name in (prefix.name, str(prefix)):
+            return prefix
+    known = ", ".join(prefix.name for prefix in prefixes) or "none"
+    raise UserError(f"there is no conda environment {name!r}; there are: {known}", code=ExitCode.NOT_RUN)
+
+
+def _executable(path: Path, hint: str | None = None) -> str:
+    # Not resolved: a virtual environment's python is a link, and its own path is what makes it one.
+    if not path.expanduser().is_file():
+        raise UserError(f"there is no interpreter at {path}", hint=hint, code=ExitCode.NOT_RUN)
+    return str(path.expanduser().absolute())

@@ -1,0 +1,176 @@
+"""What fills an environment: uv where it is, venv and pip otherwise; conda for locks of conda.
+
+Each of them runs as a program of its own, in the policy's environment, with what could lead it elsewhere taken away.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics import console
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.lifecycle.python_env import pythons
+from xpl_cli.lifecycle.python_env.plan import CONDA
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl_cli.lifecycle.python_env.plan import Plan
+
+CONDAS = ("conda", "mamba", "micromamba")
+OLDEST_PYTHON = (3, 9)
+
+_LIMIT_S = 100.0
+"""Longest wait for a new interpreter; the first import of large packages is slow."""
+
+_ELSEWHERE = ("VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "__PYVENV_LAUNCHER__")
+_PIP = ("TARGET", "PREFIX", "ROOT", "USER", "PYTHON", "REQUIREMENT", "CONSTRAINT", "EDITABLE", "UPGRADE", "NO_DEPS")
+_PIP_MODES = ("DRY_RUN", "REQUIRE_VIRTUALENV", "REPORT", "IGNORE_INSTALLED")
+_UV = ("PYTHON", "PROJECT", "PROJECT_ENVIRONMENT", "SYSTEM_PYTHON", "CONSTRAINT", "OVERRIDE", "WORKING_DIRECTORY")
+_UV_MODES = ("BREAK_SYSTEM_PACKAGES", "VENV_CLEAR", "VENV_SEED", "FROZEN", "LOCKED", "EDITABLE", "NO_EDITABLE")
+LISTING = """
+import json, platform, sys
+from importlib.metadata import distributions
+found = {d.metadata["Name"]: d.version for d in distributions() if d.metadata["Name"]}
+print(json.dumps({"python": platform.python_version(), "installed": dict(sorted(found.items(), key=str))}))
+"""
+"""A program that prints its interpreter's version and what is installed there, as JSON."""
+
+
+def build(plan: Plan, folder: Path) -> dict[str, Any]:
+    """Make the environment of a plan in a folder that is not there yet, and return what was installed.
+
+    Raises:
+        UserError: if a program is missing or fails, or the result cannot run a policy.
+    """
+    if plan.manager == CONDA:
+        installer = _conda(plan, folder)
+    elif uv := shutil.which("uv"):
+        installer = _uv(uv, plan, folder)
+    elif plan.kind == "uv":
+        raise UserError(f"{plan.lock} is uv's, and uv is not on PATH", hint="install uv", code=ExitCode.NOT_RUN)
+    else:
+        installer = _pip(plan, folder)
+    return {"installer": installer, **_examined(plan, folder / "bin" / "python")}
+
+
+def environment() -> dict[str, str]:
+    """Return the environment variables of an installer: those that say from where stay, those that say whereto go."""
+    pip, uv = (f"PIP_{name}" for name in (*_PIP, *_PIP_MODES)), (f"UV_{name}" for name in (*_UV, *_UV_MODES))
+    unwanted = {*_ELSEWHERE, *pip, *uv}
+    kept = {name: value for name, value in os.environ.items() if name not in unwanted}
+    return {**kept, "PYTHONNOUSERSITE": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+
+
+def _uv(uv: str, plan: Plan, folder: Path) -> str:
+    python = plan.python or sys.executable
+    if plan.kind == "uv":
+        # The adapter's own folder is no distribution: it is served from where it is.
+        command = [uv, "sync", "--quiet", "--frozen", "--no-dev", "--no-install-project", "--python", python]
+        _run(plan, command, UV_PROJECT_ENVIRONMENT=str(folder))
+    else:
+        _run(plan, [uv, "venv", "--quiet", "--no-project", "--python", python, str(folder)])
+        inside = ["--python", str(folder / "bin" / "python")]
+        _run(plan, [uv, "pip", "install", "--quiet", *inside, *_wanted(plan)])
+        _consistent(plan, [uv, "pip", "check", "--quiet", *inside])
+    return _version([uv, "--version"])
+
+
+def _pip(plan: Plan, folder: Path) -> str:
+    _run(plan, [pythons.find(plan.python), "-I", "-m", "venv", str(folder)])
+    pip = [str(folder / "bin" / "python"), "-I", "-m", "pip"]
+    _run(plan, [*pip, "install", "--quiet", "--no-input", *_wanted(plan)])
+    _consistent(plan, [*pip, "check"])
+    return _version([*pip, "--version"])
+
+
+def _conda(plan: Plan, folder: Path) -> str:
+    conda = next(filter(None, map(shutil.which, CONDAS)), None)
+    if conda is None:
+        raise UserError(f"{plan.lock} is conda's, and conda is not on PATH", hint="install it", code=ExitCode.NOT_RUN)
+    if plan.is_explicit() or Path(conda).name == "micromamba":
+        command = [conda, "create", "--yes", "--quiet"]
+    else:
+        command = [conda, "env", "create", "--quiet"]
+    _run(plan, [*command, "--prefix", str(folder), "--file", str(plan.lock)])
+    return f"{Path(conda).name} {_version([conda, '--version'])}"
+
+
+def _wanted(plan: Plan) -> list[str]:
+    """Return what is to be installed, as uv and pip both take it."""
+    if plan.lock is None:
+        return list(plan.requirements)
+    # A lock is complete: what it does not name would be another version tomorrow.
+    return ["--no-deps", *(["--require-hashes"] if plan.has_hashes() else []), "--requirement", str(plan.lock)]
+
+
+def _consistent(plan: Plan, command: Sequence[str]) -> None:
+    """Say what a lock leaves out; some are written against what packages ask for, so that it is no error."""
+    done = subprocess.run(
+        command, cwd=plan.base, env=environment(), capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
+    if done.returncode:
+        console.note(f"warning: packages of {plan.package} do not fit together:\n{(done.stdout + done.stderr).strip()}")
+
+
+def _examined(plan: Plan, python: Path) -> dict[str, Any]:
+    """Return what an environment has, and raise if it cannot run a worker."""
+    told = _output(plan, [str(python), "-I", "-c", LISTING], "its interpreter does not run")
+    found: dict[str, Any] = json.loads(told)
+    if tuple(map(int, found["python"].split(".")[:2])) < OLDEST_PYTHON:
+        raise UserError(f"{plan.package} needs Python 3.9 or newer, got {found['python']}", code=ExitCode.NOT_RUN)
+    if plan.python is not None and not pythons.specifier(plan.python).contains(found["python"], prereleases=True):
+        raise UserError(
+            f"{plan.package} declares Python {plan.python}, but its lock brings {found['python']}",
+            code=ExitCode.NOT_RUN,
+        )
+    _output(
+        plan,
+        [str(python), "-I", "-c", "import numpy"],
+        "it has no numpy that can be imported, which serving needs",
+        hint="add numpy to the lock or the requirements",
+    )
+    return found
+
+
+def _output(plan: Plan, command: list[str], complaint: str, hint: str | None = None) -> str:
+    try:
+        done = subprocess.run(
+            command, cwd=plan.base, env=environment(), capture_output=True, text=True, check=False, timeout=_LIMIT_S
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UserError(f"the environment of {plan.package}: {complaint}: {error}", code=ExitCode.NOT_RUN) from None
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        raise UserError(f"the environment of {plan.package}: {complaint}: {last}", hint=hint, code=ExitCode.NOT_RUN)
+    return done.stdout
+
+
+def _version(command: Sequence[str]) -> str:
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    return " ".join(done.stdout.split()[:2])
+
+
+def _run(plan: Plan, command: Sequence[str], **variables: str) -> None:
+    # Output of installers goes to stderr: stdout is for answers.
+    done = subprocess.run(
+        command,
+        cwd=plan.base,
+        env={**environment(), **variables},
+        check=False,
+        stdin=subprocess.DEVNULL,
+        stdout=sys.stderr,
+    )
+    if done.returncode:
+        shown = " ".join([Path(command[0]).name, *command[1:4]])
+        raise UserError(
+            f"the environment of {plan.package} cannot be made: {shown} ... ended with {done.returncode}",
+            hint="what it said is above; the environment that was there before is unchanged",
+            code=ExitCode.NOT_RUN,
+        )

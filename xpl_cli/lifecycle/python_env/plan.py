@@ -1,0 +1,158 @@
+"""What a manifest says of a package's environment, and what tells two environments apart."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, Literal
+
+from xpl_cli.basics.errors import NotFoundError, UserError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Kind = Literal["requirements", "uv", "conda"]
+
+VENV, UV, CONDA = "venv", "uv", "conda"
+MADE_BY_XPL = (VENV, UV)
+"""Managers whose environments `xpl install` makes; conda's only where there is a lock."""
+
+_NEEDED = ("numpy",)
+_UV_LOCK = "uv.lock"
+_PROJECT = "pyproject.toml"
+_EXPLICIT = "@EXPLICIT"
+_KEY_LENGTH = 12
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An environment as it is declared.
+
+    Attributes:
+        package: name of the adapter or environment.
+        base: its folder.
+        manager: uv, venv or conda.
+        python: version or range of versions, None for the tool's own.
+        link: where the environment is found; a link to the one that is in use.
+        lock: the lock file, None if there is none.
+        kind: what the lock file is.
+        requirements: what to install where there is no lock.
+    """
+
+    package: str
+    base: Path
+    manager: str
+    python: str | None
+    link: Path
+    lock: Path | None
+    kind: Kind | None
+    requirements: tuple[str, ...]
+
+    def key(self) -> str:
+        """Return what changes with anything that the environment is made from, a short digest.
+
+        Raises:
+            NotFoundError: if the lock is not there.
+        """
+        told = {
+            "format": _FORMAT,
+            "conda": self.manager == CONDA,
+            "python": self.python,
+            "requirements": self.requirements,
+            "locks": {path.name: hashlib.sha256(_read(path)).hexdigest() for path in self.locks()},
+        }
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:_KEY_LENGTH]
+
+    def locks(self) -> tuple[Path, ...]:
+        """Return the files that say what belongs into the environment."""
+        if self.lock is None:
+            return ()
+        return (self.lock, self.base / _PROJECT) if self.kind == "uv" else (self.lock,)
+
+    def has_hashes(self) -> bool:
+        """Tell whether a lock in pip's format says by which digests packages are known."""
+        return self.kind == "requirements" and self.lock is not None and b"--hash=" in _read(self.lock)
+
+    def is_explicit(self) -> bool:
+        """Tell whether a lock of conda is a list of packages, which needs no solver."""
+        return self.lock is not None and _EXPLICIT in _read(self.lock).decode(errors="replace").splitlines()
+
+
+def plan_of(folder: Path, manifest: Mapping[str, Any]) -> Plan | None:
+    """Return the environment that `xpl install` makes for a package, None if it declares one that exists already.
+
+    Args:
+        folder: the adapter's or environment's.
+        manifest: its policy.yml or env.yml.
+
+    Raises:
+        UserError: if what is declared cannot be meant.
+    """
+    declared = manifest.get("environment") or {}
+    manager = declared.get("manager", "none")
+    lock = declared.get("lock")
+    where = f"{folder.name}, environment in its manifest"
+    if manager not in MADE_BY_XPL and not (manager == CONDA and lock):
+        if lock:
+            raise UserError(f"{where}: a lock needs the manager uv, venv or conda, got {manager}")
+        return None
+    kind = None if lock is None else _kind(str(lock), manager, where)
+    link = environment_folder(folder, declared)
+    _check_outside_of_the_tool(link, where)
+    requirements = () if lock else tuple(declared.get("requirements") or _NEEDED)
+    for requirement in requirements:
+        if requirement.startswith("-"):
+            raise UserError(f"{where}: {requirement!r} is an option, not a requirement", hint="put it into a lock file")
+    python = declared.get("python")
+    return Plan(
+        folder.name,
+        folder,
+        manager,
+        None if python is None else str(python),
+        link,
+        folder / str(lock) if lock else None,
+        kind,
+        requirements,
+    )
+
+
+def environment_folder(folder: Path, declared: Mapping[str, Any]) -> Path:
+    """Return where the environment of a package is found."""
+    default = ".conda" if declared.get("manager") == CONDA else ".venv"
+    return folder / Path(str(declared.get("name") or default)).expanduser()
+
+
+def _kind(lock: str, manager: str, where: str) -> Kind:
+    path = PurePosixPath(lock)
+    if path.is_absolute() or ".." in path.parts:
+        raise UserError(f"{where}: the lock {lock!r} must lie in the package")
+    if manager == CONDA:
+        if path.suffix not in (".yml", ".yaml", ".txt"):
+            raise UserError(f"{where}: expected an environment.yml or conda's explicit list (*.txt), got {lock!r}")
+        return "conda"
+    if path.name == _UV_LOCK:
+        if path.parent != PurePosixPath():
+            raise UserError(f"{where}: {_UV_LOCK} must lie beside {_PROJECT} in the package's folder, got {lock!r}")
+        return "uv"
+    if path.suffix not in (".txt", ".lock"):
+        raise UserError(f"{where}: expected {_UV_LOCK} or a list in pip's format (*.txt), got {lock!r}")
+    return "requirements"
+
+
+def _check_outside_of_the_tool(link: Path, where: str) -> None:
+    """Raise if an environment would take the place of the tool's own, or lie in it."""
+    place = link.parent.resolve() / link.name
+    own = [Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve()]
+    if any(place == one or place.is_relative_to(one) or one.is_relative_to(place) for one in own):
+        raise UserError(f"{where}: {link} is where xpl itself is installed", hint="choose another `name`")
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise NotFoundError(f"the lock {path} cannot be read: {error.strerror}") from None

@@ -1,0 +1,95 @@
+"""Interpreters of this machine."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+from xpl_cli.basics.errors import ExitCode, UserError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from packaging.specifiers import SpecifierSet
+
+_OLDEST, _NEWEST = 9, 15
+_BARE = re.compile(r"3(\.\d+){0,2}")
+_PROBE = "import platform, venv, ensurepip; print(platform.python_version())"
+_PROBE_S = 10.0
+
+
+def find(wanted: str | None) -> str:
+    """Return an interpreter that can make environments.
+
+    Args:
+        wanted: a version such as `3.10`, or a range such as `>=3.10,<3.12`; None for the tool's own interpreter.
+
+    Raises:
+        UserError: if PATH has none.
+    """
+    if wanted is None:
+        return sys.executable
+    versions = specifier(wanted)
+    tried = []
+    for candidate in _candidates(wanted):
+        version = version_of(candidate)
+        if version and versions.contains(version, prereleases=True):
+            return candidate
+        if version:
+            tried.append(version)
+    found = f"; PATH has {', '.join(sorted(set(tried)))}" if tried else ""
+    raise UserError(
+        f"there is no Python {wanted} that can make environments{found}",
+        hint="install it (on Debian with python3-venv), or install uv, which brings interpreters of any version",
+        code=ExitCode.NOT_RUN,
+    )
+
+
+def specifier(wanted: str) -> SpecifierSet:
+    """Return the versions that a text means; `3.10` is every 3.10.
+
+    Raises:
+        UserError: if it is no version and no range.
+    """
+    from packaging.specifiers import InvalidSpecifier, SpecifierSet
+
+    text = wanted.strip()
+    if _BARE.fullmatch(text):
+        text = f"=={text}" if text.count(".") == 2 else f"=={text}.*"
+    try:
+        return SpecifierSet(text)
+    except InvalidSpecifier:
+        raise UserError(
+            f"expected a version of Python such as 3.10, or a range such as >=3.10,<3.12, got {wanted!r}"
+        ) from None
+
+
+def version_of(python: str) -> str | None:
+    """Return the version of an interpreter, None if it does not run, as a shim may not, or cannot make environments."""
+    try:
+        done = subprocess.run(
+            [python, "-I", "-c", _PROBE], capture_output=True, text=True, check=False, timeout=_PROBE_S
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def names() -> list[str]:
+    """Return what interpreters are called, newest first."""
+    return [f"python3.{minor}" for minor in range(_NEWEST, _OLDEST - 1, -1)]
+
+
+def _candidates(wanted: str) -> Iterator[str]:
+    minor = re.search(r"3\.\d+", wanted)
+    exact = [f"python{minor[0]}"] if minor else []
+    seen: set[str] = set()
+    for name in (sys.executable, *exact, *names(), "python3", "python"):
+        path = shutil.which(name)
+        if path and (real := os.path.realpath(path)) not in seen:
+            seen.add(real)
+            yield path

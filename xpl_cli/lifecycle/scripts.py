@@ -1,0 +1,110 @@
+"""Installation, data processing and training of one adapter: the author's own scripts, in the policy's interpreter."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl import checkpoint
+from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.lifecycle import interpreter
+from xpl_cli.lifecycle.python_env import place
+from xpl_cli.lifecycle.python_env.plan import plan_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from xpl_cli.packages.package import Package
+
+CONFIG_VARIABLE = "XPL_CONFIG"
+"""Environment variable that hands the configuration of a run to an author's script, as JSON."""
+
+
+@dataclass(frozen=True)
+class Installation:
+    """The interpreter of a package.
+
+    Attributes:
+        python: its path.
+        state: "made", "replaced", "unchanged"; "given" if the manifest declares one that exists already.
+        record: what was installed and what from; empty for one that was given.
+    """
+
+    python: str
+    state: str
+    record: Mapping[str, Any]
+
+
+def install(folder: Path, manifest: Mapping[str, Any], *, again: bool = False) -> Installation:
+    """Make the environment that a manifest declares unless it is there, and return its interpreter.
+
+    Args:
+        folder: the adapter's or environment's.
+        manifest: its policy.yml or env.yml.
+        again: make it anew although it is there.
+
+    Raises:
+        UserError: if it cannot be made; what was there before stays.
+    """
+    plan = plan_of(folder, manifest)
+    if plan is None:
+        return Installation(interpreter.resolve(folder, manifest), "given", {})
+    made = place.install(plan, again=again)
+    return Installation(str(made.python), made.state, made.record)
+
+
+def condition(folder: Path, manifest: Mapping[str, Any]) -> str:
+    """Return how the environment of a package is: "current", "outdated", "missing", "foreign", or "given"."""
+    plan = plan_of(folder, manifest)
+    return "given" if plan is None else place.condition(plan)
+
+
+def run_script(
+    package: Package, name: str, overrides: Mapping[str, Any], gpu: str | None = None, *, aside: bool = False
+) -> float:
+    """Run an author's script with the configuration of the run in `XPL_CONFIG` (JSON); return how long it took, s.
+
+    The configuration also names the conventional `run_name` of its data and checkpoints. With `aside` what the script
+    prints goes to standard error.
+
+    Raises:
+        NotFoundError: if the author has not written the script.
+        UserError: if the adapter is declared to be for evaluation only, or the script fails; its exit code is in the
+            message.
+    """
+    if package.manifest.get("evaluation_only"):
+        raise UserError(
+            f"{package.name} is for evaluation only: it offers neither data processing nor training",
+            hint=f"set evaluation_only: false in {sdk.File.POLICY_YML} if it is to have {name}",
+        )
+    script = package.path / name
+    if not script.is_file():
+        raise NotFoundError(
+            f"{package.name} has no {name}",
+            hint=f"write {script}; it finds its configuration as JSON in ${CONFIG_VARIABLE}",
+        )
+    config = package.config(overrides)
+    config["run_name"] = checkpoint.run_name(config)
+    environment = {**os.environ, CONFIG_VARIABLE: json.dumps(config)}
+    environment.pop("PYTHONHOME", None)  # the tool's own must not lead the policy's interpreter astray
+    if gpu is not None:
+        environment["CUDA_VISIBLE_DEVICES"] = gpu
+    python = interpreter.resolve(package.path, package.manifest)
+    started = time.monotonic()
+    output = sys.stderr if aside else None
+    done = subprocess.run([python, str(script)], cwd=package.path, env=environment, stdout=output, check=False)
+    if done.returncode:
+        raise UserError(f"{script} failed with exit code {done.returncode}", code=ExitCode.NOT_RUN)
+    return time.monotonic() - started
+
+
+def gpu_setting(gpu: str | None) -> dict[str, Any]:
+    """Return the override that tells a configuration which device was asked for."""
+    return {} if gpu is None else {sdk.Deploy.GPU_ID: gpu}

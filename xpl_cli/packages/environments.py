@@ -1,0 +1,112 @@
+"""Environment packages: found by name, loaded by path, here or in processes of their own."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.basics import content
+from xpl_cli.basics.errors import ExitCode, UnknownTargetError, UserError, no_such
+from xpl_cli.packages import manifests, package
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import ModuleType
+
+_MANIFEST = package.MANIFESTS[package.ENV]
+
+
+def find(name: str) -> Path:
+    """Return the folder of an environment package: a path, a name below `envs/` of the working directory, or ours.
+
+    Raises:
+        UnknownTargetError: with the names that there are.
+    """
+    for candidate in (Path(name), *(place / name for place in _rooms())):
+        if (candidate / _MANIFEST).is_file():
+            return candidate.resolve()
+    raise no_such(f"there is no environment {name!r}", name, names(), kind=UnknownTargetError)
+
+
+def names() -> list[str]:
+    """Return the names of the environments in `envs/` of the working directory and in ours."""
+    return sorted({entry.parent.name for place in _rooms() for entry in place.glob(f"*/{_MANIFEST}")})
+
+
+def _rooms() -> tuple[Path, Path]:
+    return Path("envs"), content.room("envs")
+
+
+def manifest(folder: Path) -> dict[str, Any]:
+    """Return the map in an environment's env.yml."""
+    return manifests.read(folder / _MANIFEST, package.ENV)
+
+
+def module(name: str, part: str = "client") -> ModuleType:
+    """Load one module of an environment package."""
+    return content.load_module(find(name) / f"{part}.py")
+
+
+def frequency(facts: Mapping[str, Any], task: str | None) -> float:
+    """Return the control rate of a task, Hz: its own, or the environment's."""
+    entry = facts["tasks"].get(task) or {}
+    return float(entry.get("control_frequency", facts["control_frequency"]))
+
+
+def make(name: str, config: Mapping[str, Any]) -> Any:
+    """Return a task environment in this process."""
+    return content.load_module(_client(find(name))).make(config)
+
+
+def start(name: str, config: Mapping[str, Any], *, workers: int = 1, python: str | None = None) -> Any:
+    """Return a task environment that is safe to drive: where it does not keep its robot's limits, a guard does.
+
+    Args:
+        name: the package, or its folder.
+        config: configuration, with embodiment, action_type and task.
+        workers: processes that share the environments; 0 plays them in this one.
+        python: interpreter of the processes.
+
+    Raises:
+        UserError: the environment refuses the configuration, or cannot be made or played here.
+    """
+    from xpl.simulator.process import EnvLostError, EnvRaisedError
+    from xpl.vector import VectorEnv
+
+    folder = find(name)
+    if not workers and python not in (None, sys.executable):
+        raise UserError(f"{name} runs in {python}, and so not in this process: ask for at least one worker")
+    try:
+        if workers:
+            env: Any = VectorEnv(_client(folder), config, workers=workers, python=python)
+        else:
+            env = content.load_module(_client(folder)).make(config)
+    except ValueError as error:
+        raise UserError(f"{name}: {error}") from None
+    except (EnvRaisedError, EnvLostError) as error:
+        raise UserError(f"{name} cannot be played: {error}", code=ExitCode.NOT_RUN) from None
+    return env if getattr(env, "guarded", False) else _guarded(env, config, manifest(folder))
+
+
+def _client(folder: Path) -> Path:
+    return folder / str(manifest(folder).get("client") or "client.py")
+
+
+def _guarded(env: Any, config: Mapping[str, Any], facts: Mapping[str, Any]) -> Any:
+    from xpl import get_embodiment
+    from xpl.guard import GuardedEnv
+    from xpl.safety import Supervisor
+
+    robot, control = get_embodiment(config["embodiment"]), config[sdk.Deploy.ACTION_TYPE]
+    rate = frequency(facts, config.get("task"))
+    # Unless it is known that the environment waits, it is taken for a robot that does not.
+    clock = time.monotonic if facts.get("real_time", True) else _stopped
+    return GuardedEnv(env, lambda: Supervisor(robot, control, rate), clock)
+
+
+def _stopped() -> float:
+    """Tell the time of a simulation that waits for the policy, s: no action ages."""
+    return 0.0

@@ -1,0 +1,112 @@
+"""An adapter package on disk: its manifests and the configuration that a run gets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.basics import content
+from xpl_cli.basics.errors import NotFoundError, UserError
+from xpl_cli.packages import manifests
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+MARKS = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML, sdk.File.POLICY_YML)
+"""Any of these files makes a folder an adapter."""
+
+POLICY, ENV = "policy", "env"
+MANIFESTS = {POLICY: sdk.File.POLICY_YML, ENV: "env.yml"}
+"""The manifest of each kind of package, which tells the kind."""
+_DEPLOY = "deploy"
+
+
+@dataclass(frozen=True)
+class Package:
+    """A folder with a policy adapter: what its two YAML files say."""
+
+    path: Path
+    deploy: Mapping[str, Any]
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The folder's name, which is the policy's name."""
+        return self.path.name
+
+    def without(self, keys: Sequence[str]) -> Package:
+        """Return the package as if deploy.yml did not have some keys."""
+        return replace(self, deploy={key: value for key, value in self.deploy.items() if key not in keys})
+
+    def config(self, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return the configuration of a run: the spec's defaults, deploy.yml, then overrides.
+
+        What stays open after that is taken from the manifest: the first embodiment and the first action type.
+        """
+        given = {**self.deploy, **(overrides or {})}
+        config = {**sdk.DEPLOY_DEFAULTS, **given}
+        fallbacks = {
+            sdk.Deploy.POLICY_NAME: self.name,
+            sdk.Deploy.ENV_CFG_TYPE: next(iter(self.manifest.get("embodiments") or ()), None),
+            sdk.Deploy.ACTION_TYPE: next(iter(self.manifest.get("action_types") or ()), None),
+        }
+        for key, fallback in fallbacks.items():
+            if given.get(key) is None:
+                config[key] = fallback if fallback is not None else config.get(key)
+        if config[sdk.Deploy.SEED] is None:
+            config[sdk.Deploy.SEED] = sdk.DEPLOY_DEFAULTS[sdk.Deploy.SEED]
+        return config
+
+
+def find_policy(path: Path | str) -> Path:
+    """Return the folder of an adapter given its path, or its name below `policy/` of the working directory or ours.
+
+    Raises:
+        NotFoundError: if there is no such folder with an adapter in it.
+    """
+    given = Path(path)
+    candidates = [given, Path("policy") / given, content.room("policy") / given]
+    for candidate in candidates:
+        if candidate.is_dir() and any((candidate / name).is_file() for name in MARKS):
+            return candidate.resolve()
+    if given.is_dir():
+        raise NotFoundError(
+            f"{given} is a folder without an adapter: expected model.py, deploy.yml or policy.yml in it"
+        )
+    raise NotFoundError(f"no adapter at {given}", hint=f"`xpl new-policy {given.name}` makes one")
+
+
+def load(path: Path | str) -> Package:
+    """Read an adapter's deploy.yml and, where it has one, its policy.yml.
+
+    Raises:
+        NotFoundError: if there is no adapter at `path`.
+        ManifestError: if something in one of them is not what its schema says.
+    """
+    folder = find_policy(path)
+    manifest = manifests.read(folder / sdk.File.POLICY_YML, POLICY)
+    deploy = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY, spec.declared(manifest))
+    return Package(path=folder, deploy=deploy, manifest=manifest)
+
+
+def parse_overrides(settings: Sequence[str]) -> dict[str, Any]:
+    """Return the map of `KEY=VALUE` settings; a value is YAML, so `false` is a flag and `3` a number.
+
+    Raises:
+        UserError: if a setting has no `=` or its value is not YAML.
+    """
+    import yaml
+
+    result: dict[str, Any] = {}
+    for setting in settings:
+        key, separator, value = setting.partition("=")
+        if not separator or not key:
+            raise UserError(f"--set takes KEY=VALUE, got {setting!r}")
+        try:
+            result[key] = spec.parse_yaml(value)
+        except yaml.YAMLError as error:
+            raise UserError(f"--set {key}: {value!r} is not a YAML value ({type(error).__name__})") from None
+    return result

@@ -1,0 +1,114 @@
+"""What an audit looks at: policy and environment packages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import NotFoundError, UserError
+from xpl_cli.packages import package
+
+_POLICIES, _ENVIRONMENTS = "policy", "envs"
+_ENV_YML = package.MANIFESTS[package.ENV]
+
+
+@dataclass(frozen=True)
+class Target:
+    """One package to audit.
+
+    Attributes:
+        path: its folder, absolute.
+        kind: `policy` or `env`.
+        shown: the folder relative to the working directory where it lies below it, for reports.
+    """
+
+    path: Path
+    kind: str
+    shown: str
+
+
+def asked(paths: Iterable[Path], *, every: bool = False, changed_since: str | None = None) -> list[Target]:
+    """Return the packages of a request, each once.
+
+    Args:
+        paths: folders, or names below `policy/` and `envs/`.
+        every: also every package below `policy/` and `envs/` of the working directory.
+        changed_since: only those that changed since they parted from this commit.
+
+    Raises:
+        UserError: if nothing is asked for, or git cannot tell.
+        NotFoundError: if there is no such package.
+    """
+    found = [find_target(path) for path in paths]
+    if every:
+        found += find_all()
+    if not found:
+        raise UserError("name a package: xpl audit PATH..., or --all for every one below policy/ and envs/")
+    found = unique(found)
+    if changed_since is None:
+        return found
+    from xpl_cli.audit.engine.changed import select_changed
+
+    return select_changed(changed_since, found)
+
+
+def find_target(path: Path) -> Target:
+    """Return the package at a path, or of a name below `policy/` or `envs/`.
+
+    Raises:
+        NotFoundError: if there is none.
+    """
+    for candidate in (path, Path(_ENVIRONMENTS) / path):
+        if (candidate / _ENV_YML).is_file():
+            return _target(candidate.resolve(), package.ENV)
+    if path.is_file():
+        raise NotFoundError(
+            f"{path} is a file: an audit takes the folder of an adapter", hint=f"`xpl audit {path.parent}`"
+        )
+    return _target(package.find_policy(path), package.POLICY)
+
+
+def find_all() -> list[Target]:
+    """Return every package below `policy/` and `envs/` of the working directory, by name.
+
+    Raises:
+        NotFoundError: if there is none.
+    """
+    kinds = ((_POLICIES, package.MARKS, package.POLICY), (_ENVIRONMENTS, (_ENV_YML,), package.ENV))
+    found = [
+        _target(folder.resolve(), kind)
+        for room, marks, kind in kinds
+        for folder in sorted(Path(room).glob("*/"))
+        if any((folder / mark).is_file() for mark in marks)
+    ]
+    if not found:
+        raise NotFoundError(
+            f"there is no package below policy/ and envs/ of {Path.cwd()}", hint="`xpl new-policy NAME` starts one"
+        )
+    return unique(found)
+
+
+def holding(file: Path) -> Path | None:
+    """Return the package that a file belongs to: the outermost, because models vendor whole repositories."""
+    return next((folder for folder in reversed(file.parents) if is_package(folder)), None)
+
+
+def is_package(folder: Path) -> bool:
+    """Tell a package by its manifest; one of the ecosystem, which has none, by where it is and what it holds."""
+    if any((folder / name).is_file() for name in package.MANIFESTS.values()):
+        return True
+    held = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML)
+    return folder.parent.name == _POLICIES and any((folder / name).is_file() for name in held)
+
+
+def unique(targets: Iterable[Target]) -> list[Target]:
+    """Return the packages without repetitions, in their order."""
+    return list({target.path: target for target in targets}.values())
+
+
+def _target(folder: Path, kind: str) -> Target:
+    here = Path.cwd()
+    shown = folder.relative_to(here).as_posix() if folder.is_relative_to(here) else folder.as_posix()
+    return Target(folder, kind, shown or ".")

@@ -1,0 +1,111 @@
+"""What a template of adapters may say: the author's answers, and the facts of the version of the spec."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.scaffold import kinds
+from xpl_cli.scaffold import template as templates
+from xpl_cli.scaffold.template import as_yaml
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from xpl_cli.scaffold.adapter import Answers
+
+_GRIPPER = "parallel_gripper"
+
+
+def context(answers: Answers, template: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all that a template may say: the author's answers, and the facts of the spec.
+
+    Args:
+        answers: all answers.
+        template: its name, which ends in its spec version.
+        asked: those of the answers that the template asked for.
+    """
+    version = templates.parts(template)[1]
+    conventions, package = spec.data("conventions", version), spec.data("package", version)
+    manifest = spec.schema("policy", version)["properties"]
+    settings = _settings(version)
+    kind = kinds.kinds(template)[answers.kind]
+    environment = kind.python(answers.python)
+    scripts = {name: _arguments(names, settings) for name, names in package["scripts"].items()}
+    return {
+        **asdict(answers),
+        "answers_yaml": as_yaml({"spec": version, "template": template, **asked}),
+        "yaml_name": as_yaml(answers.name),
+        "spec_version": version,
+        "placeholder": package["placeholder"],
+        "model_class": package["model_class"],
+        "eval_loop": package["loop"],
+        "eval_env_type": package["eval_env_type"],
+        "checkpoint_directory": conventions["checkpoint"]["directory"],
+        "deploy": {key: entry.get("default") for key, entry in settings.items()},
+        "deploy_entries": _deploy_entries(answers, version, kind),
+        "evaluation_only": answers.eval_only or kind.evaluation_only,
+        "camera_entries": [asdict(kinds.camera(text)) for text in answers.cameras],
+        "families": manifest["family"]["enum"],
+        "temporal_kinds": manifest["temporal"]["properties"]["kind"]["enum"],
+        "managers": manifest["environment"]["properties"]["manager"]["enum"],
+        "inputs": kinds.inputs(kind, answers.cameras, answers.embodiment, answers.action_type, version),
+        "has_gripper": spec.embodiments(version)[answers.embodiment]["end_effector"]["kind"] == _GRIPPER,
+        "gripper_commands": _gripper_commands(version),
+        "environment": environment,
+        "environment_as_json": {key: json.dumps(value, ensure_ascii=False) for key, value in environment.items()},
+        "scripts": scripts,
+        "usage": {name: " ".join([name, *(item["shown"] for item in items)]) for name, items in scripts.items()},
+    }
+
+
+def _settings(version: str) -> dict[str, Any]:
+    properties: dict[str, Any] = spec.schema("deploy", version)["properties"]
+    return properties
+
+
+def _arguments(names: list[str], settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Describe the positional arguments of a script; `setting` tells how deploy.yml takes it, if it does."""
+    result = []
+    for position, shown in enumerate(names, start=1):
+        name = shown.strip("[]")
+        kind = None
+        if name in settings:
+            kind = "text" if _takes_text(settings[name]) else "value"
+        result.append({"name": name, "shown": shown, "position": position, "optional": shown != name, "setting": kind})
+    return result
+
+
+def _takes_text(entry: Mapping[str, Any]) -> bool:
+    """Tell whether a setting is text, so that an argument such as `007` or `null` must not be read as YAML."""
+    types = entry.get("type", "string")  # what is not typed here refers to a definition or lists its words
+    return "string" in ([types] if isinstance(types, str) else types)
+
+
+def _deploy_entries(answers: Answers, version: str, kind: kinds.Kind) -> list[dict[str, str]]:
+    """Return the lines of deploy.yml: required keys, those that find a checkpoint, and those of the kind."""
+    settings = _settings(version)
+    chosen = {
+        sdk.Deploy.POLICY_NAME: answers.name,
+        sdk.Deploy.ENV_CFG_TYPE: answers.embodiment,
+        sdk.Deploy.ACTION_TYPE: answers.action_type,
+    }
+    wanted = [key for key in settings if key in spec.schema("deploy", version)["required"]]
+    wanted += [key for key in spec.data("conventions", version)["checkpoint"]["run_name"] if key not in wanted]
+    told = {
+        key: {"value": chosen.get(key, settings[key].get("default")), "description": settings[key]["description"]}
+        for key in wanted
+    }
+    return [
+        {"key": key, "value": as_yaml(entry["value"]), "description": entry["description"]}
+        for key, entry in {**told, **kind.settings}.items()
+    ]
+
+
+def _gripper_commands(version: str) -> list[str]:
+    """Return what a gripper's command may mean; nothing where the version does not ask."""
+    declared = spec.schema("policy", version)["$defs"].get("gripper")
+    return [] if declared is None else list(declared["properties"]["command"]["enum"])

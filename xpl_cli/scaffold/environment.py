@@ -1,0 +1,100 @@
+"""Renders an environment package from the template of the standard."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics.errors import UserError
+from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold import template as templates
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from xpl_cli.scaffold.lock import Lock
+    from xpl_cli.scaffold.template import Files
+
+ENV_TEMPLATE = f"env/{spec.CURRENT}"
+"""Template of new environments: kind of package and spec version."""
+
+
+@dataclass(frozen=True)
+class EnvAnswers:
+    """What an author chose; recorded in the package, so that the same render can be made again.
+
+    Attributes:
+        name: the package's name, which is its folder's.
+        embodiment: robot that stands in it, by its name in the standard.
+        task: name of its first task.
+    """
+
+    name: str
+    embodiment: str
+    task: str
+
+
+def env_defaults(template: str = ENV_TEMPLATE) -> dict[str, Any]:
+    """Return the template's default answers."""
+    return {key: entry["default"] for key, entry in templates.questions(template).items() if "default" in entry}
+
+
+def movable() -> list[str]:
+    """Return the robots that the toy of the template can move: those whose kinematics the standard knows."""
+    return [name for name, entry in spec.embodiments().items() if entry["arm"]["joints"]]
+
+
+def check_env(answers: EnvAnswers) -> None:
+    """Check all answers.
+
+    Raises:
+        UserError: with the first answer that is not allowed, and the nearest ones that are.
+    """
+    adapter.check_name(answers.name)
+    if answers.embodiment in spec.embodiments() and answers.embodiment not in movable():
+        raise UserError(
+            f"the template's toy needs known kinematics, and the standard has none of {answers.embodiment}",
+            hint=f"start with another one ({', '.join(movable())}) and change env.yml when your simulator is in",
+        )
+    adapter.check_choice("--embodiment", answers.embodiment, movable())
+    identifier = spec.schema("common")["$defs"]["identifier"]["pattern"]
+    if re.fullmatch(identifier, answers.task) is None:
+        raise UserError(f"--task must be letters, digits and underscores, got {answers.task!r}")
+
+
+def render_env(answers: EnvAnswers, template: str = ENV_TEMPLATE) -> Files:
+    """Render the template; the same answers always give the same bytes.
+
+    Returns:
+        file name, relative to the package, to content; sorted.
+    """
+    version = templates.parts(template)[1]
+    conventions = spec.data("conventions", version)
+    arms = len(spec.embodiments(version)[answers.embodiment]["arms"])
+    context = {
+        **asdict(answers),
+        "answers_yaml": templates.as_yaml({"spec": version, "template": template, **asdict(answers)}),
+        "yaml_name": templates.as_yaml(answers.name),
+        "spec_version": version,
+        "placeholder": spec.data("package", version)["placeholder"],
+        "action_types": list(conventions["action"]["types"]),
+        "camera": conventions["cameras"]["by_arms"][arms][0],
+        "class_name": _class_name(answers.task),
+    }
+    return adapter.locked(templates.render(template, context), template, asdict(answers))
+
+
+def recorded_env(kept: Lock) -> EnvAnswers:
+    """Return the answers of an environment that was scaffolded; what its template did not ask has the default.
+
+    Raises:
+        UserError: if they are not answers.
+    """
+    with adapter.reading_answers("an environment"):
+        answers = EnvAnswers(**adapter.given(kept, EnvAnswers, env_defaults(kept.template)))
+        check_env(answers)
+    return answers
+
+
+def _class_name(task: str) -> str:
+    return "".join(word.capitalize() for word in task.split("_")) or "Task"

@@ -1,0 +1,192 @@
+"""Kinds of adapters: what one is built on, which options fit it, and which Python it needs.
+
+A kind is data of a template: an entry of `kinds.yml`, and a folder with the files in which it differs from the others.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.basics.content import room
+from xpl_cli.basics.errors import UnknownNameError, UserError, one_of
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DEFAULT = "minimal"
+"""The kind of packages whose template does not ask."""
+
+TOOLS_OWN = "none"
+"""Manager of packages that run in the Python of the tool."""
+
+_CAMERA = re.compile(r"(?P<name>[a-z_]+)(:(?P<width>[1-9]\d{0,4})x(?P<height>[1-9]\d{0,4}))?")
+_VERSION = re.compile(r"[<>=!~]{0,2}\s*3(\.\d+){0,2}(\s*,\s*[<>=!~]{1,2}\s*3(\.\d+){0,2})*")
+_PATH, _UV = "path", "uv"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind.
+
+    Attributes:
+        about: what the adapter is built on, in one line.
+        refuses: option that does not fit to the reason.
+        environment: `requirements` of its Python, and the version `python` if it needs a certain one; with
+            `only_if_asked` the tool's own Python has them.
+        evaluation_only: nothing is trained here.
+        optional: inputs besides those that the author names.
+        settings: lines of deploy.yml, over and above what the standard asks for: `value` and `description`.
+    """
+
+    about: str
+    refuses: Mapping[str, str] = field(default_factory=dict)
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    evaluation_only: bool = False
+    optional: tuple[str, ...] = ()
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def python(self, given: str) -> dict[str, Any]:
+        """Return the environment of the manifest.
+
+        Args:
+            given: version or path of the policy's own Python; "" leaves it to the kind.
+        """
+        if _is_path(given):
+            return {"manager": _PATH, "python": given}
+        requirements = self.environment.get("requirements")
+        if not given and (not requirements or self.environment.get("only_if_asked")):
+            return {"manager": TOOLS_OWN}
+        version = given or self.environment.get("python")
+        return {
+            "manager": _UV,
+            **({"python": version} if version else {}),
+            **({"requirements": requirements} if requirements else {}),
+        }
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera that a policy reads, with the smallest image that will do, in pixels; None for any."""
+
+    name: str
+    width: int | None = None
+    height: int | None = None
+
+
+def kinds(template: str) -> dict[str, Kind]:
+    """Return the kinds that a template offers; a template without any has the one that it renders."""
+    place, _, version = template.rpartition("/")
+    try:
+        path = spec.newest_path(room("templates") / place, version, "kinds.yml")
+    except FileNotFoundError:
+        return {DEFAULT: Kind("")}
+    return {name: Kind(**told) for name, told in spec.read_yaml(path).items()}
+
+
+def check_fits(kind: str, template: str, given: Mapping[str, bool]) -> None:
+    """Check that a template has a kind, and that the options given fit it.
+
+    Args:
+        kind: its name.
+        template: name of the template.
+        given: question to whether it was answered with something else than its default.
+
+    Raises:
+        UserError: with the reason, and a kind that takes the option.
+    """
+    known = kinds(template)
+    one_of("--kind", kind, known)
+    for option, reason in known[kind].refuses.items():
+        if given.get(option):
+            takes = ", ".join(name for name, other in known.items() if option not in other.refuses)
+            raise UserError(
+                f"--{option} does not fit --kind {kind}: {reason}", hint=f"kinds that take --{option}: {takes}"
+            )
+
+
+def camera(text: str) -> Camera:
+    """Return a camera from its text: `cam_head`, or `cam_head:640x480`.
+
+    Raises:
+        UserError: if it is neither.
+    """
+    found = _CAMERA.fullmatch(text)
+    if found is None:
+        raise UserError(f"--cameras takes names such as cam_head, or cam_head:640x480 (width x height); got {text!r}")
+    if found["width"] is None:
+        return Camera(found["name"])
+    return Camera(found["name"], int(found["width"]), int(found["height"]))
+
+
+def check_cameras(texts: Sequence[str], embodiment: str, version: str = spec.CURRENT) -> None:
+    """Check that a robot has these cameras, each named once.
+
+    Raises:
+        UserError: with the cameras that it has.
+    """
+    arms = len(spec.embodiments(version)[embodiment]["arms"])
+    offered = _cameras(version)
+    known = [*offered["by_arms"][arms], *offered["optional"]]
+    names = [camera(text).name for text in texts]
+    for name in names:
+        if name not in known:
+            count = f"{arms} arm{'s' if arms > 1 else ''}"
+            told = f"--cameras: {embodiment} has {count}, so that its cameras are {', '.join(known)}; got {name!r}"
+            raise UnknownNameError(told, name, known)
+    if len(set(names)) != len(names):
+        raise UserError(f"--cameras names a camera twice: {', '.join(names)}")
+
+
+def check_ensembling(decay: float | None, chunk: int) -> None:
+    """Check a decay of temporal ensembling, and that there is something to average.
+
+    Raises:
+        UserError: if it is negative or no number, or no two chunks overlap.
+    """
+    if decay is None:
+        return
+    if not 0 <= decay < math.inf:
+        raise UserError(f"--ensembling takes a decay of 0 or more, such as ACT's 0.01; got {decay}")
+    if chunk == 1:
+        raise UserError("--ensembling averages chunks that overlap, and chunks of one step do not", hint="--chunk 16")
+
+
+def inputs(kind: Kind, texts: Sequence[str], embodiment: str, action_type: str, version: str) -> dict[str, list[str]]:
+    """Return what an adapter reads and ignores before its author has changed it: `required`, `optional`, `unused`."""
+    states = spec.data("conventions", version)["action"]["types"][action_type]
+    arms = len(spec.embodiments(version)[embodiment]["arms"])
+    read = [f"{sdk.Obs.VISION}.{camera(text).name}" for text in texts]
+    usual = [sdk.Obs.INSTRUCTION, *(f"{sdk.Obs.VISION}.{name}" for name in _cameras(version)["by_arms"][arms])]
+    return {
+        "required": [*(f"{sdk.Obs.STATE}.{key}" for key in states), *read],
+        "optional": list(kind.optional),
+        "unused": [name for name in usual if name not in (*read, *kind.optional)],
+    }
+
+
+def check_python(python: str) -> None:
+    """Check that an answer is a version of Python, or the path of an interpreter.
+
+    Raises:
+        UserError: if it is neither.
+    """
+    if python and not _is_path(python) and not _VERSION.fullmatch(python):
+        raise UserError(
+            f"--python takes a version such as 3.10, or the path of an interpreter; got {python!r}",
+            hint=f"a path has a slash: ./{python}",
+        )
+
+
+def _cameras(version: str) -> dict[str, Any]:
+    cameras: dict[str, Any] = spec.data("conventions", version)["cameras"]
+    return cameras
+
+
+def _is_path(python: str) -> bool:
+    return "/" in python or python.startswith("~")

@@ -1,0 +1,119 @@
+"""The JSON answers of all commands: one list (`answers.yml`) of their names, and of what each holds.
+
+An answer is an object whose `schema` names it, with its version, and whose `next` lists exact commands that are worth
+running next. Within a version keys are only added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.basics.errors import UnknownTargetError, no_such
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_LIST: Final = Path(__file__).with_name("answers.yml")
+_STANDARD: Final = "standard"
+_NEXT: Final = {"type": "array", "items": {"type": "string"}, "description": "exact commands that are worth running"}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One kind of answer.
+
+    Attributes:
+        name: the value of its `schema`.
+        commands: commands that give it, such as `xpl spec show`; none for what any command may answer.
+        description: what it says, one sentence.
+    """
+
+    name: str
+    commands: tuple[str, ...]
+    description: str
+
+
+@cache
+def answers() -> dict[str, Answer]:
+    """Return all answers by name."""
+    return {name: Answer(name, tuple(entry["commands"]), entry["description"]) for name, entry in _entries().items()}
+
+
+def of_command(command: str) -> tuple[str, ...]:
+    """Return the names of the answers of a command, such as `xpl spec show`."""
+    return tuple(name for name, answer in answers().items() if command in answer.commands)
+
+
+def find(name: str) -> Answer:
+    """Return an answer by its name, or by the command that gives it, with or without `xpl`.
+
+    Raises:
+        UnknownNameError: if there is none.
+    """
+    by_command = {command: answer for answer in answers().values() for command in reversed(answer.commands)}
+    for known in (answers(), by_command):
+        for wanted in (name, f"xpl {name}"):
+            if wanted in known:
+                return known[wanted]
+    raise no_such(f"no command answers {name!r}", name, answers(), listing="xpl answers", kind=UnknownTargetError)
+
+
+def schema(name: str) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of an answer, which refers to nothing but the standard's own schemas."""
+    entry = _entries()[name]
+    if _STANDARD in entry:
+        from xpl_cli.standard import spec
+
+        return spec.schema(entry[_STANDARD])
+    properties = {"schema": {"const": name}, **entry["properties"], "next": _NEXT}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": name,
+        "description": entry["description"],
+        **_closed({**entry, "properties": properties}),
+    }
+
+
+def problems(document: Mapping[str, Any]) -> list[str]:
+    """Return how a document differs from the schema that it names; none means it is valid.
+
+    Raises:
+        UnknownNameError: if there is no answer of that name.
+    """
+    name = find(str(document.get("schema"))).name
+    if standard := _entries()[name].get(_STANDARD):
+        from xpl_cli.standard.validate import validate
+
+        return list(map(str, validate(document, standard)))
+    from jsonschema import Draft202012Validator
+
+    return [f"{error.json_path}: {error.message}" for error in Draft202012Validator(schema(name)).iter_errors(document)]
+
+
+def _closed(entry: Any) -> Any:
+    """Return a schema of the list in full: a map has the keys that it names, all of them but the optional ones."""
+    if isinstance(entry, list):
+        return [_closed(item) for item in entry]
+    if not isinstance(entry, dict):
+        return entry
+    if "properties" not in entry:
+        return {key: _closed(value) for key, value in entry.items()}
+    properties: Mapping[str, Any] = entry["properties"]
+    optional = entry.get("optional", ())
+    return {
+        "type": entry.get("type", "object"),
+        "properties": {key: _closed(value) for key, value in properties.items()},
+        "required": [key for key in properties if key not in optional],
+        "additionalProperties": False,
+    }
+
+
+@cache
+def _entries() -> dict[str, Any]:
+    import yaml
+
+    told: dict[str, Any] = yaml.safe_load(_LIST.read_bytes())
+    return {name: entry for name, entry in told.items() if not name.startswith("_")}

@@ -1,0 +1,129 @@
+"""JSON Schemas for editors: one file per manifest, which refers to nothing outside of itself.
+
+Language servers of YAML complete and check a manifest by the schema that its first line names. They know draft 7 best,
+and neither our references between schemas nor our keyword for arrays.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics import atomic
+from xpl_cli.basics.errors import UserError
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+FOLDER = ".xpl"
+"""Folder of a package that holds what xpl keeps there."""
+
+MANIFESTS = ("policy", "env", "deploy")
+"""The manifests that people write; each is a schema's name."""
+
+_DIALECT = "http://json-schema.org/draft-07/schema#"
+_OWN = "#/$defs/"
+_KINDS = {"uint8": "integer", "float": "number", "number": "number"}
+
+
+def path(name: str) -> str:
+    """Return where a package keeps the schema of one of its manifests."""
+    return f"{FOLDER}/{name}.schema.json"
+
+
+def modeline(name: str) -> str:
+    """Return the first line of a manifest, by which editors find its schema."""
+    return f"# yaml-language-server: $schema={path(name)}\n"
+
+
+def render(name: str, version: str) -> bytes:
+    """Return a schema of the standard as a file for editors."""
+    return f"{json.dumps(bundle(name, version), indent=2)}\n".encode()
+
+
+def write(folder: Path, version: str | None = None) -> list[str]:
+    """Write the schemas of the manifests that a package has, and return their names.
+
+    Args:
+        folder: the package.
+        version: spec version; the one that the package declares by default.
+
+    Raises:
+        UserError: if it has no manifest, or the folder cannot be written.
+    """
+    manifests = {name: folder / f"{name}.yml" for name in MANIFESTS}
+    there = {name: file for name, file in manifests.items() if file.is_file()}
+    if not there:
+        raise UserError(f"{folder} has none of {', '.join(file.name for file in manifests.values())}")
+    if version is None:
+        version = spec.declared(next((told for file in there.values() if (told := _map(file))), {}))
+    try:
+        (folder / FOLDER).mkdir(exist_ok=True)
+        for name in there:
+            atomic.write_file(folder / path(name), render(name, version))
+    except OSError as error:
+        raise UserError(f"{folder / FOLDER} cannot be written: {error.strerror or error}") from None
+    return [path(name) for name in there]
+
+
+def _map(file: Path) -> dict[str, Any]:
+    """Return a manifest that names its version; empty for any other file."""
+    import yaml
+
+    try:
+        told = spec.read_yaml(file)
+    except (OSError, yaml.YAMLError):
+        return {}
+    return told if isinstance(told, dict) and "spec" in told else {}
+
+
+def bundle(name: str, version: str = spec.CURRENT) -> dict[str, Any]:
+    """Return a schema with everything in it that it refers to, in the words of draft 7."""
+    schema = spec.schema(name, version)
+    definitions: dict[str, Any] = {}
+    body = {key: value for key, value in schema.items() if key not in ("$schema", "$id", "$defs")}
+    result = _plain(body, name, version, definitions)
+    return {"$schema": _DIALECT, **result, "definitions": dict(sorted(definitions.items()))}
+
+
+def _plain(value: Any, name: str, version: str, definitions: dict[str, Any]) -> Any:
+    """Return a part of a schema without references to other files; what it refers to is added to `definitions`."""
+    if isinstance(value, list):
+        return [_plain(entry, name, version, definitions) for entry in value]
+    if not isinstance(value, dict):
+        return value
+    result = {}
+    for key, entry in value.items():
+        if key == "$ref":
+            result[key] = _referred(entry, name, version, definitions)
+        elif key == "x-array":
+            result |= _array(entry)
+        else:
+            result[key] = _plain(entry, name, version, definitions)
+    return result
+
+
+def _referred(reference: str, name: str, version: str, definitions: dict[str, Any]) -> str:
+    """Put what a reference leads to among the definitions, and return the reference to it there."""
+    other, _, pointer = reference.partition("#")
+    home = other.rpartition("/")[2] or name
+    key = pointer.removeprefix(_OWN[1:]).replace("/", ".") or "whole"
+    label = key if home == name else f"{home}.{key}"
+    if label not in definitions:
+        definitions[label] = {}  # before its own references are followed: it may lead back to itself
+        target: Any = spec.schema(home, version)
+        for part in pointer.split("/")[1:]:
+            target = target[part]
+        definitions[label] = _plain(target, home, version, definitions)
+    return f"#/definitions/{label}"
+
+
+def _array(wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Write an `x-array` as nested lists; sizes that go by a symbol are free."""
+    result: dict[str, Any] = {"type": _KINDS[wanted["dtype"]]}
+    for size in reversed(wanted["shape"]):
+        limits = {"minItems": size, "maxItems": size} if isinstance(size, int) else {}
+        result = {"type": "array", "items": result, **limits}
+    return result

@@ -1,0 +1,206 @@
+"""The standard as people read it: an index, requirements as a table, schemas as an outline."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics.errors import UnknownNameError, UnknownTargetError, no_such
+from xpl_cli.standard import spec
+from xpl_cli.standard.validate import registry, shape_text
+
+if TYPE_CHECKING:
+    from referencing._core import Resolver
+
+_KIND_WIDTH = 40
+PARTS = {
+    "conventions": "orders, units, frames, defaults of behaviour",
+    "package": "files and scripts of an adapter",
+    "requirements": "every MUST and SHOULD",
+    "wire": "requests, answers, errors, encoding of arrays",
+}
+
+
+@dataclass(frozen=True)
+class View:
+    """A part of the standard: its data, and its text."""
+
+    value: Any
+    text: Callable[[], str]
+
+
+def view(name: str | None, version: str = spec.CURRENT) -> View:
+    """Return the part of the standard that `name` names: schema, part, requirement or embodiment; None is the index.
+
+    Raises:
+        UnknownTargetError: with the nearest names.
+    """
+    if name is None:
+        index = _index(version)
+        return View(index, lambda: _index_text(index))
+    if name == "requirements":
+        rows = [asdict(entry) for entry in spec.requirements(version).values()]
+        return View(rows, lambda: _table([(row["id"], row["level"], row["text"]) for row in rows]))
+    if name in PARTS:
+        return View(spec.data(name, version), partial(spec.text, f"{name}.yml", version))
+    if name in spec.schema_names(version):
+        schema = spec.schema(name, version)
+        return View(schema, lambda: _schema_text(schema, version))
+    if name in spec.requirements(version):
+        requirement = spec.requirements(version)[name]
+        return View(
+            asdict(requirement), lambda: f"{name} ({requirement.level}, {requirement.source}): {requirement.text}"
+        )
+    for stem, entry in spec.embodiments(version).items():
+        if name in (stem, *entry.get("aliases", ())):
+            return View(entry, partial(spec.text, f"embodiments/{stem}.yml", version))
+    raise _unknown(name, version)
+
+
+def _unknown(name: str, version: str) -> UnknownNameError:
+    known = [*PARTS, *spec.schema_names(version), *spec.embodiments(version), *spec.requirements(version)]
+    sentence = f"the standard has no {name!r}"
+    return no_such(sentence, name, known, listing="xpl spec show", kind=UnknownTargetError)
+
+
+def _index(version: str) -> dict[str, Any]:
+    return {
+        "version": version,
+        "parts": PARTS,
+        "schemas": {name: spec.schema(name, version)["title"] for name in spec.schema_names(version)},
+        "embodiments": {name: entry.get("description", "") for name, entry in spec.embodiments(version).items()},
+        "requirements": len(spec.requirements(version)),
+    }
+
+
+def _index_text(index: Mapping[str, Any]) -> str:
+    lines = [f"spec {index['version']}, {index['requirements']} requirements; `xpl spec show NAME` shows one of:"]
+    for heading in ("parts", "schemas", "embodiments"):
+        lines += ["", heading, _table([(f"  {name}", text) for name, text in index[heading].items()])]
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A key of a schema.
+
+    Attributes:
+        path: the keys that lead to it, itself last.
+        required: whether it has to be there.
+        kind: what its value may be, in a few words.
+        meaning: what it says, with its default.
+    """
+
+    path: tuple[str, ...]
+    required: bool
+    kind: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A map of a schema: the whole, or one of its alternatives or definitions, which have a name."""
+
+    name: str | None
+    rows: tuple[Row, ...]
+    summary: str = ""
+
+
+def sections(schema: Mapping[str, Any], version: str) -> list[Section]:
+    """Return a schema as people read it: its keys, or those of its alternatives and definitions."""
+    resolver = registry(version).resolver(base_uri=schema["$id"])
+    if "properties" in schema:
+        return [Section(None, tuple(_rows(schema, resolver)))]
+    options = schema.get("oneOf") or [{"$ref": f"#/$defs/{name}"} for name in schema.get("$defs", ())]
+    found = []
+    for option in options:
+        target, at = _resolve(option, resolver)
+        summary = f"{_kind(target, at)}  {target.get('description', '')}".rstrip()
+        found.append(Section(option["$ref"].rpartition("/")[2], tuple(_rows(target, at)), summary))
+    return found or [Section(None, (), _kind(schema, resolver))]
+
+
+def _schema_text(schema: Mapping[str, Any], version: str) -> str:
+    """Write a schema as an outline; `*` marks required keys."""
+    lines = [f"{schema['title']}: {schema.get('description', '')}", ""]
+    for section in sections(schema, version):
+        margin = "" if section.name is None else "  "
+        rows = [
+            (
+                f"{margin}{'  ' * (len(row.path) - 1)}{'*' if row.required else ' '} {row.path[-1]}",
+                row.kind,
+                row.meaning,
+            )
+            for row in section.rows
+        ]
+        lines += [section.name] if section.name is not None else []
+        lines.append(_table(rows) if rows else f"{margin * 2}{section.summary}")
+    return "\n".join(lines)
+
+
+def _rows(schema: Mapping[str, Any], resolver: Resolver[Any], path: tuple[str, ...] = ()) -> Iterator[Row]:
+    """Yield everything in a map, each inner map behind its key."""
+    entries = dict(schema.get("properties", {}))
+    if isinstance(schema.get("additionalProperties"), Mapping):
+        entries["<any>"] = schema["additionalProperties"]
+    for key, entry in entries.items():
+        target, at = _resolve(entry, resolver)
+        notes = [entry.get("description", target.get("description", ""))]
+        kind = _kind(entry, resolver)
+        if len(kind) > _KIND_WIDTH:
+            notes.append(f"[{kind}]")
+            kind = target.get("type", "one of")
+        if "default" in entry:
+            notes.append(f"(default {_word(entry['default'])})")
+        yield Row((*path, key), key in schema.get("required", ()), kind, " ".join(filter(None, notes)))
+        yield from _rows(target, at, (*path, key))
+        yield from _rows(*_resolve(target.get("items", {}), at), (*path, key))
+        for option in target.get("anyOf", ()):
+            yield from _rows(*_resolve(option, at), (*path, key))
+
+
+def _kind(entry: Mapping[str, Any], resolver: Resolver[Any]) -> str:
+    """Write what a value may be, in a few words."""
+    target, at = _resolve(entry, resolver)
+    if "$ref" in entry and "title" in target:
+        return str(target["title"]).lower()
+    if "x-array" in target:
+        return shape_text(target["x-array"])
+    if "enum" in target:
+        return " | ".join(_word(item) for item in target["enum"])
+    if "const" in target:
+        return _word(target["const"])
+    for keyword in ("anyOf", "oneOf"):
+        if keyword in target:
+            return " | ".join(_kind(option, at) for option in target[keyword])
+    types = target.get("type", "any")
+    name = types if isinstance(types, str) else " | ".join(types)
+    items = target.get("items")
+    return f"{name} of {_kind(items, at)}" if name == "array" and items else name
+
+
+def _resolve(entry: Mapping[str, Any], resolver: Resolver[Any]) -> tuple[Mapping[str, Any], Resolver[Any]]:
+    """Follow a reference; return what it leads to, and what resolves the references in there."""
+    if "$ref" not in entry:
+        return entry, resolver
+    found = resolver.lookup(entry["$ref"])
+    return found.contents, found.resolver
+
+
+def _word(value: Any) -> str:
+    import json
+
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> str:
+    """Align all columns but the last, which may be long."""
+    if not rows:
+        return ""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
+    lines = (
+        "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[-1]]) for row in rows
+    )
+    return "\n".join(line.rstrip() for line in lines)

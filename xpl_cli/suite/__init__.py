@@ -1,1 +1,0 @@
-"""Suites of episodes: planned, played, recorded, and what follows from the record."""
