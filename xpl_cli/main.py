@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -14,8 +14,8 @@ from xpl_cli.basics import console, failures
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.commands.agents import answers, mcp, skills, status
 from xpl_cli.commands.command import endings, equip
+from xpl_cli.commands.headings import HeadedGroup
 from xpl_cli.commands.maintain import sdk, spec
-from xpl_cli.commands.plain import PlainGroup
 from xpl_cli.commands.prove import audit, hook, metrics, replay, review
 from xpl_cli.commands.report import compare, leaderboard, report, submit
 from xpl_cli.commands.run import checkpoint, container, demo, doctor, env, evaluate, lifecycle, serve
@@ -26,7 +26,7 @@ _UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(
     name="xpl",
-    cls=PlainGroup,
+    cls=HeadedGroup,
     help="Scaffold, serve, audit and evaluate robot policies against one standard.",
     no_args_is_help=True,
     add_completion=False,
@@ -73,7 +73,7 @@ equip(app)
 @app.callback(invoke_without_command=True)
 def _root(
     *,
-    version: bool = typer.Option(default=False, help="Print the version and exit.", is_eager=True),
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
 ) -> None:
     if version:
         typer.echo(f"xpl {__version__}")

@@ -218,13 +218,34 @@ def test_a_page_that_follows_from_nothing_is_named(tmp_path: Path) -> None:
     assert compiler.left_over(tmp_path) == ["docs/reference/gone.md", "docs/rules/gone.md"]
 
 
+def _headed(text: str) -> dict[str, list[str]]:
+    """Return the commands that a help text lists, under their headings."""
+    sections = re.findall(r"^(\w+):\n((?:  .*\n)+)", text, re.MULTILINE)
+    return {head: re.findall(r"^  (\S+)", body, re.MULTILINE) for head, body in sections if head != "Options"}
+
+
+def test_the_help_groups_commands_by_what_one_does() -> None:
+    """In the order in which one meets them; each is under the room of its module, and none is left out."""
+    text = xpl("--help", cwd=ROOT).stdout
+    headed = _headed(text)
+    assert list(headed) == ["Scaffold", "Prove", "Run", "Report", "Agents", "Maintain"]
+    for head, names in (("Scaffold", {"new-policy", "new-env"}), ("Prove", {"audit", "explain"}), ("Run", {"env"})):
+        assert names <= set(headed[head])
+    shown = {name for name, command in pages.command_line().commands.items() if not command.hidden}
+    assert sorted(name for names in headed.values() for name in names) == sorted(shown)
+    assert "--no-version" not in text
+
+
 def test_the_page_of_commands_has_every_command_and_option() -> None:
     """As its help prints them."""
     page = commands.page()
-    parts = {part.partition("\n")[0]: part for part in page.split("\n## ")}
-    listed = xpl("--help", cwd=ROOT).stdout.partition("Commands:")[2].partition("\n\n")[0]
-    told = {name.split()[1] for name in parts if name.startswith("xpl ")}
-    assert told == set(re.findall(r"^  (\S+)", listed, re.MULTILINE))
+    parts = {part.partition("\n")[0]: part for part in page.split("\n### ")}
+    listed = {heading: list(commands) for heading, commands in _headed(xpl("--help", cwd=ROOT).stdout).items()}
+    told = {
+        part.partition("\n")[0]: list(dict.fromkeys(re.findall(r"^### xpl (\S+)", part, re.MULTILINE)))
+        for part in page.split("\n## ")[1:]
+    }
+    assert told == listed
     for words in (["audit"], ["checkpoint", "fetch"]):
         options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", xpl(*words, "--help", cwd=ROOT).stdout, re.MULTILINE)
         assert len(options) > 5

@@ -139,13 +139,14 @@ def unknown(words: list[str]) -> list[str]:
 
 
 @cache
-def _command_line() -> Any:
+def command_line() -> Any:
+    """Return the command line as its library has it."""
     return typer.main.get_command(app)
 
 
 def _descend(words: list[str]) -> tuple[Any, Any, list[str]]:
     """Return the command that words lead to, a context for it, and the words behind its name."""
-    command = _command_line()
+    command = command_line()
     context = command.make_context("xpl", [], resilient_parsing=True)
     while words and words[0] in getattr(command, "commands", {}):
         command = command.commands[words[0]]

@@ -30,18 +30,23 @@ def page() -> str:
     root: Any = typer.main.get_command(app)
     context = root.make_context(app.info.name, [], resilient_parsing=True)
     codes = table(("exit code", "of every command"), [(str(int(code)), code.meaning) for code in ExitCode])
-    return "\n".join([NOTE, "# Commands", "", _INTRODUCTION, *codes, "", *_members(root, context)]).rstrip() + "\n"
+    members = [
+        line
+        for heading, commands in root.headed().items()
+        for line in (f"## {heading}", "", *_members(commands, context))
+    ]
+    return "\n".join([NOTE, "# Commands", "", _INTRODUCTION, *codes, "", *members]).rstrip() + "\n"
 
 
-def _members(group: Any, parent: Any) -> Iterator[str]:
-    """Yield the lines of the commands of a group."""
-    for name, command in group.commands.items():
+def _members(commands: dict[str, Any], parent: Any) -> Iterator[str]:
+    """Yield the lines of commands, by their names; of a group's, too."""
+    for name, command in commands.items():
         if command.hidden:
             continue
         context = command.make_context(name, [], parent=parent, resilient_parsing=True)
-        yield from (f"## {context.command_path}", "", *_paragraphs(command.help), "")
+        yield from (f"### {context.command_path}", "", *_paragraphs(command.help), "")
         if hasattr(command, "commands"):
-            yield from _members(command, context)
+            yield from _members(command.commands, context)
             continue
         parameters = command.get_params(context)
         taken = [_argument(parameter) for parameter in parameters if parameter.param_type_name == "argument"]
