@@ -5,8 +5,9 @@
 
 A frame is a frame of the wire (`xpl.wire.codec`: msgpack, arrays exact, no pickle) after its checksum and its length.
 Every frame is written by itself, so that whatever ends the writer leaves a recording that can be read up to there.
-Requests and answers have the types and payloads of the wire; `evaluation_id` names the server and `trial_id` the session, both
-of which are begun and ended by frames of their own, and an answer repeats the `message_id` of its request.
+Requests and answers have the types and payloads of the wire; `evaluation_id` names the server and `trial_id` the
+session, both of which are begun and ended by frames of their own, and an answer repeats the `message_id` of its
+request.
 """
 
 from __future__ import annotations
