@@ -57,8 +57,9 @@ def test_the_recipe_is_sound(case: str, tmp_path: Path) -> None:
     found = instructions(text)
     words = [word for word, _ in found]
     assert set(words) <= INSTRUCTIONS
-    assert words.index("FROM") == 1
-    base = dict(found)["FROM"]
+    assert words[0] == "ARG"
+    empty, base = (rest for word, rest in found if word == "FROM")
+    assert empty == "scratch AS xpl"
     assert ":" in base
     assert "latest" not in base
     assert [rest for word, rest in found if word == "USER"][-1] == "policy"
@@ -68,13 +69,13 @@ def test_the_recipe_is_sound(case: str, tmp_path: Path) -> None:
     assert not any(re.search(r"sudo|curl|wget|\| *sh|apt ", run) for run in runs)
     declared = dict(re.findall(r'ARG (\w+)="?([^"\n]+)"?', text))
     assert set(re.findall(r"\$\{(\w+)\}", text)) == set(declared)
-    assert all("==" in declared[name] for name in ("XPL", "UV"))
+    assert "==" in declared["UV"]
     for word, rest in found:
         if word == "ENTRYPOINT":
             program = json.loads(rest)
             assert subprocess.run(["/bin/sh", "-n", "-c", program[2]], check=False).returncode == 0
         if word == "RUN":
-            assert subprocess.run(["/bin/sh", "-n", "-c", rest], check=False).returncode == 0
+            assert subprocess.run(["/bin/sh", "-n", "-c", _shell(rest)], check=False).returncode == 0
 
 
 def test_the_environment_is_made_before_the_rest_is_copied(tmp_path: Path) -> None:
@@ -88,14 +89,34 @@ def test_the_environment_is_made_before_the_rest_is_copied(tmp_path: Path) -> No
         "COPY --chown=policy:policy . .",
     ]
     assert [line for line in found if line in order] == order
-    assert f"xpl-cli=={__version__}" in text
+
+
+def _shell(run: str) -> str:
+    """Return what the shell gets of a RUN instruction."""
+    return re.sub(r"^(--\w+=\S+ +)+", "", run)
+
+
+def test_the_tool_comes_from_a_wheel_and_no_index_is_asked_for_its_name(tmp_path: Path) -> None:
+    """The wheel of this version in the folder that the build names; without one the build ends there."""
+    hub = {"name": "a", "source": "hf://owner/model", "revision": "0" * 40, "sha256": "0" * 64}
+    text = container.recipe(adapter(tmp_path, CASES["uv"], checkpoints=[hub]))[container.DOCKERFILE]
+    assert "--build-context xpl=" in text
+    (run,) = (rest for word, rest in instructions(text) if word == "RUN" and "from=xpl" in rest)
+    mounted = tmp_path / "mounted"
+    mounted.mkdir()
+    first = _shell(run).partition("&& useradd")[0].replace("/mnt/xpl", str(mounted))
+    script = f'pip() {{ printf "%s\\n" "$@"; }}; UV=uv; {first}'
+    shell = ["/bin/sh", "-c", script]
+    assert subprocess.run(shell, capture_output=True, text=True, check=False).returncode != 0
+    wheel = mounted / f"xpl_cli-{__version__}-py3-none-any.whl"
+    wheel.touch()
+    done = subprocess.run(shell, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["install", f"{wheel}[hub]", "uv"]
 
 
 def test_what_the_manifest_says_is_in_it(tmp_path: Path) -> None:
-    """The hub's client where a checkpoint needs it, requirements of a policy that runs in the tool's own Python."""
-    hub = {"name": "a", "source": "hf://owner/model", "revision": "0" * 40, "sha256": "0" * 64}
-    text = container.recipe(adapter(tmp_path, CASES["none"], checkpoints=[hub]))[container.DOCKERFILE]
-    assert f'ARG XPL="xpl-cli[hub]=={__version__}"' in text
+    """Requirements of a policy that runs in the tool's own Python."""
+    text = container.recipe(adapter(tmp_path, CASES["none"]))[container.DOCKERFILE]
     (run,) = (rest for word, rest in instructions(text) if rest.startswith("pip install 'numpy"))
     assert shlex.split(run)[2:] == ["numpy>=2", "torch"]
 

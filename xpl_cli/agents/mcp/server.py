@@ -9,6 +9,7 @@ from xpl_cli import __version__
 from xpl_cli.agents.mcp.call import run
 from xpl_cli.agents.mcp.tools import Tool, tools
 from xpl_cli.basics.errors import UserError, no_such
+from xpl_cli.basics.extras import how_to_install
 from xpl_cli.commands.command import endings
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def serve(folder: Path) -> None:
     except ImportError as error:
         raise UserError(
             f"xpl mcp needs the protocol's SDK in version 2 or newer: {error}",
-            hint="`pip install 'xpl-cli[mcp]'`",
+            hint=f"`{how_to_install('mcp')}`",
         ) from None
 
     async def serving() -> None:

@@ -22,6 +22,7 @@ import xpl_cli
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.extras import how_to_install
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
 from xpl_cli.evaluation.lanes.ray_actors import Player, PolicyServer, Post, Refusal, Unfit
 
@@ -287,7 +288,7 @@ def _connected(resources: contextlib.ExitStack) -> Any:
     except ImportError:
         raise UserError(
             "--backend ray needs Ray, which is not installed here",
-            hint="pip install 'xpl-cli[ray]'",
+            hint=how_to_install("ray"),
             code=ExitCode.NOT_RUN,
         ) from None
     resources.enter_context(_silence())

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import quote, urlsplit
 
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.basics.extras import how_to_install
 from xpl_cli.lifecycle.checkpoints import store, transfer
 from xpl_cli.lifecycle.checkpoints.specification import HUB, File, check_commit, check_path
 
@@ -202,7 +203,7 @@ def _hub_client(name: str) -> Any:
     except ImportError as error:
         raise UserError(
             f"checkpoint {name!r} is on the Hugging Face hub, whose client cannot be imported here: {error}",
-            hint="pip install 'xpl-cli[hub]', or give a folder that has it with --mirror",
+            hint=f"{how_to_install('hub')}, or give a folder that has it with --mirror",
             code=ExitCode.NOT_RUN,
         ) from None
     return huggingface_hub

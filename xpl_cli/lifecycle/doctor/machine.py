@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import mmap
 import os
+import shlex
 import shutil
 import socket
 import tempfile
@@ -12,6 +13,7 @@ from importlib import metadata, util
 from pathlib import Path
 
 from xpl_cli.basics.errors import UserError
+from xpl_cli.basics.extras import how_to_install
 from xpl_cli.isolation import sandbox
 from xpl_cli.isolation.sandbox import told_size
 from xpl_cli.lifecycle.doctor.check import Check, Status
@@ -30,15 +32,16 @@ def tool() -> Check:
         wanted = metadata.requires("xpl-cli") or []
     except metadata.PackageNotFoundError:
         return Check("xpl", Status.OK, "run from a folder, not installed", serves)
-    missing = []
+    missing = {}
     for text in (line for line in wanted if "extra ==" not in line):
         name = text.partition(";")[0].partition("=")[0].rstrip("<>~! ")
         with contextlib.suppress(metadata.PackageNotFoundError):
             metadata.version(name)
             continue
-        missing.append(name)
+        missing[name] = text.partition(";")[0].strip()
     if missing:
-        return Check("xpl", Status.BROKEN, f"lacks {', '.join(missing)}", serves, "pip install --upgrade xpl-cli")
+        mend = shlex.join(["pip", "install", *missing.values()])
+        return Check("xpl", Status.BROKEN, f"lacks {', '.join(missing)}", serves, mend)
     return Check("xpl", Status.OK, f"xpl-cli {metadata.version('xpl-cli')}", serves)
 
 
@@ -46,7 +49,7 @@ def hub() -> Check:
     """Look for the hub's client."""
     serves = "checkpoints whose source is hf://..."
     if util.find_spec("huggingface_hub") is None:
-        return Check("hub", Status.ABSENT, "huggingface_hub is not installed", serves, "pip install 'xpl-cli[hub]'")
+        return Check("hub", Status.ABSENT, "huggingface_hub is not installed", serves, how_to_install("hub"))
     return Check("hub", Status.OK, f"huggingface_hub {metadata.version('huggingface_hub')}", serves)
 
 

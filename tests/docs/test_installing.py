@@ -1,0 +1,53 @@
+"""What is told to install can be installed: from a checkout, a wheel, or libraries that an index has."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.support.places import ROOT
+from xpl_cli.basics.extras import how_to_install
+
+FILES = ("README.md", "CONTRIBUTING.md", "action.yml")
+ROOMS = ("docs", "templates", ".agents", "policy", "envs", "xpl", "xpl_cli")
+_BY_NAME = re.compile(r"""pip install [^\n|`]*(?<![\w/.])xpl[-_]cli\b""")
+"""The tool by its bare name, which only an index could know; a path before it is a file or a folder."""
+
+
+def _texts() -> list[Path]:
+    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", *FILES, *ROOMS]
+    done = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True)
+    found = (ROOT / name for name in done.stdout.split("\0") if name)
+    return [path for path in found if path.suffix not in {".png", ".npz", ".npy", ".bin"} and path.is_file()]
+
+
+def test_nothing_tells_to_install_a_name_that_is_on_no_index() -> None:
+    """Clones and wheels are what there is."""
+    paths = _texts()
+    assert len(paths) > 300
+    told = [str(path) for path in paths if _BY_NAME.search(path.read_text(encoding="utf-8", errors="replace"))]
+    assert told == []
+
+
+@pytest.mark.parametrize(
+    ("line", "is_bare"),
+    [
+        ("pip install xpl-cli", True),
+        ("pip install --upgrade 'xpl-cli[mcp]'", True),
+        ("pip install dist/xpl_cli-0.1.0-py3-none-any.whl", False),
+        ("pip install '.[mcp]'", False),
+        ("python -m pip install ./xpl", False),
+    ],
+)
+def test_a_bare_name_is_told_from_a_file(line: str, *, is_bare: bool) -> None:
+    """What is to be found is found, and nothing else."""
+    assert bool(_BY_NAME.search(line)) is is_bare
+
+
+@pytest.mark.parametrize(("extra", "library"), [("hub", "huggingface"), ("mcp", "mcp"), ("ray", "ray")])
+def test_a_missing_extra_is_told_by_its_libraries(extra: str, library: str) -> None:
+    """With their bounds, as pyproject.toml has them."""
+    assert re.fullmatch(rf"pip install '{library}[-_\w]*[<>=][^ ]+'", how_to_install(extra))
