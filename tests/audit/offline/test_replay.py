@@ -9,6 +9,7 @@ import signal
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -308,6 +309,37 @@ def test_the_same_adapter_answers_the_same(recorded: tuple[Path, Path]) -> None:
     ended = xpl("replay", recorded[1].parent)
     assert ended.returncode == 0, ended.stderr
     assert "are equal, bit for bit" in ended.stdout
+
+
+def test_servers_with_options_of_their_own_are_played_with_those(copied: Path) -> None:
+    """A key that is left out, and another working folder: a new one, because the one of the recording is gone."""
+    options = ["--unset", "no_such_key", "--chdir", str(copied / "gone"), "--renew"]
+    changed = [
+        replace(frame, payload={**frame.payload, recording.SERVED: options})
+        if frame.message_type == recording.SERVER
+        else frame
+        for frame in recording.load(copied)
+    ]
+    index = json.loads((copied / recording.INDEX).read_text())
+    tape = recording.Tape(copied.with_name("changed"), index)
+    for frame in changed:
+        assert tape.write(frame)
+    tape.close(complete=True)
+    ended = xpl("replay", tape.folder)
+    assert (ended.returncode, "are equal, bit for bit" in ended.stdout) == (0, True), ended.stderr
+
+
+@pytest.mark.slow
+def test_the_documented_commands_play_what_a_whole_audit_recorded(tmp_path: Path) -> None:
+    """Every frame of the offline gate is played, whatever options its servers had."""
+    ended = xpl("audit", "policy/demo_policy", "--gate", "offline", "--no-cache", "--trace", tmp_path / "before")
+    assert ended.returncode == 0, ended.stderr
+    played = xpl("replay", tmp_path / "before", "--json")
+    assert played.returncode == 0, played.stderr
+    (entry,) = json.loads(played.stdout)["recordings"]
+    assert entry["equal"]
+    assert entry["compared"] > 500
+    assert not any("--policy" in remark for remark in entry["remarks"])
 
 
 def test_a_running_server_can_be_played_against(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
 
     from xpl_cli.packages.package import Package
 
-_OPTIONS = frozenset(("--shadow", "--stub-missing", "--watch", "--renew"))
+_FLAGS = frozenset(("--shadow", "--stub-missing", "--watch", "--renew"))
+_UNSET, _CHDIR = "--unset", "--chdir"
+"""Options with a value: a key of deploy.yml that is left out, and a working directory other than the adapter's."""
 
 
 class Counterpart(Protocol):
@@ -66,21 +69,60 @@ class Adapter:
         Raises:
             LookupError: if an option is not one that recordings have: they may come from anywhere.
         """
-        if unknown := set(options) - _OPTIONS:
-            raise LookupError(f"recorded servers have no option {min(unknown)!r}")
-        return self._served({**overrides, **self.overrides}, options)
+        return self._served({**overrides, **self.overrides}, _parsed(options))
 
     def client(self, url: str, wishes: Mapping[str, Any]) -> Client:
         """Return a client of a server."""
         return Client(url, config=self.package.config(self.overrides) | PATIENCE, **wishes)
 
     @contextlib.contextmanager
-    def _served(self, overrides: Mapping[str, Any], options: Sequence[str]) -> Iterator[str]:
+    def _served(self, overrides: Mapping[str, Any], asked: _Asked) -> Iterator[str]:
         # As in an audit: without the model, its environment is not needed either.
-        env = "none" if "--shadow" in options and not (self.python or self.env) else self.env
-        started = serving(self.package.path, overrides, python=self.python, env=env, options=options)
-        with started as running:
-            yield running.url
+        env = "none" if "--shadow" in asked.options and not (self.python or self.env) else self.env
+        with contextlib.ExitStack() as opened:
+            options = asked.options
+            if asked.elsewhere:
+                folder = opened.enter_context(tempfile.TemporaryDirectory(prefix="xpl-elsewhere-"))
+                options = (*options, _CHDIR, folder)
+            started = serving(self.package.path, overrides, python=self.python, env=env, options=options)
+            yield opened.enter_context(started).url
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """How a recorded server was started.
+
+    Attributes:
+        options: of `xpl serve`, to be given again.
+        elsewhere: whether its adapter ran in another, empty folder. Which one is of no interest: that one is gone, and
+            a recording chooses no folder of this machine.
+    """
+
+    options: tuple[str, ...]
+    elsewhere: bool
+
+
+def _parsed(options: Sequence[str]) -> _Asked:
+    """Return what the recorded options of a server ask for.
+
+    Raises:
+        LookupError: if one of them is not one that recordings have.
+    """
+    kept: list[str] = []
+    elsewhere = False
+    waiting = iter(options)
+    for option in waiting:
+        if option in _FLAGS:
+            kept.append(option)
+        elif option in (_UNSET, _CHDIR):
+            value = next(waiting, None)
+            if not isinstance(value, str) or value.startswith("-"):
+                raise LookupError(f"the recorded option {option!r} has no value")
+            elsewhere = elsewhere or option == _CHDIR
+            kept += [option, value] if option == _UNSET else []
+        else:
+            raise LookupError(f"recorded servers have no option {option!r}")
+    return _Asked(tuple(kept), elsewhere)
 
 
 @dataclass(frozen=True)

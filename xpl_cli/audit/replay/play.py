@@ -125,11 +125,14 @@ def replay(recorded: Recording, against: Counterpart, tolerance: float, progress
             result.remarks.append(
                 f"{player.open_questions} of the last requests have no recorded answer to compare with"
             )
-    if result.skipped:
+        relayed = player.relayed
+    if result.skipped > relayed:
         result.remarks.append(
-            f"{result.skipped} frames are of servers with other settings than the one at {against.name}, and were not "
-            "played: --policy plays all"
+            f"{result.skipped - relayed} frames are of servers with other settings than the one at {against.name}, and "
+            "were not played: --policy plays all"
         )
+    if relayed:
+        result.remarks.append(f"{relayed} frames went through a relay that cut connections, and were not played")
     return result
 
 
@@ -180,7 +183,11 @@ class _Given:
 
 
 class _Player:
-    """Asks what was asked, in the recorded order, and compares."""
+    """Asks what was asked, in the recorded order, and compares.
+
+    Attributes:
+        relayed: frames of clients that reached a server by a way that is not part of the recording.
+    """
 
     def __init__(self, recorded: Recording, against: Counterpart, result: Replay) -> None:
         self._path = recorded.folder / tape.FRAMES
@@ -188,7 +195,9 @@ class _Player:
         self._result = result
         self._servers: dict[str, tuple[contextlib.ExitStack, str]] = {}
         self._talks: dict[str, _Talk] = {}
+        self._refused: set[str] = set()
         self._sessions = 0
+        self.relayed = 0
 
     @property
     def open_questions(self) -> int:
@@ -217,6 +226,7 @@ class _Player:
             self._start(frame)
         elif frame.evaluation_id not in self._servers:
             self._result.skipped += 1
+            self.relayed += frame.evaluation_id not in self._refused
         elif kind == tape.SERVER_END:
             self._servers.pop(frame.evaluation_id)[0].close()
         elif kind == tape.SESSION:
@@ -232,6 +242,7 @@ class _Player:
     def _start(self, frame: codec.Frame) -> None:
         offered = self._against.server(frame.payload[tape.OVERRIDES], frame.payload[tape.SERVED])
         if offered is None:
+            self._refused.add(frame.evaluation_id)
             self._result.skipped += 1
             return
         with contextlib.ExitStack() as stack:
