@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
+from xpl_cli.basics.git.history import Repository
+from xpl_cli.basics.git.place import nested
 from xpl_cli.packages import package
-from xpl_cli.packages.targets import find_target, holding
+from xpl_cli.packages.targets import find_target, holding, is_package
 
 if TYPE_CHECKING:
-    from xpl_cli.basics.git.history import Repository
     from xpl_cli.packages.targets import Target
 
 ADDED: Final = "added"
@@ -64,13 +65,15 @@ def change_since(ref: str, repository: Repository) -> Change:
         repository: the work tree.
 
     Raises:
-        UserError: if there is no such commit.
+        UserError: if there is no such commit, or a package is a repository of its own inside this one.
     """
     base = repository.base(ref)
     held: dict[Path, int] = {}
     removed, elsewhere = set(), []
     for path in sorted(repository.changed(base)):
         folder = holding(path)
+        if is_package(path):
+            raise nested(path, path, repository.root)
         if folder is not None and folder.is_relative_to(repository.root):
             held[folder] = held.get(folder, 0) + 1
             continue
@@ -79,6 +82,8 @@ def change_since(ref: str, repository: Repository) -> Change:
         if name.name in _MANIFESTS and not path.is_file():
             removed.add(name.parent.as_posix())
     inside = tuple(name for name in elsewhere if not any(name.startswith(f"{place}/") for place in removed))
+    for folder in held:
+        Repository.of_package(folder, Path.cwd())
     packages = tuple(_touched(folder, held[folder], base, repository) for folder in sorted(held))
     return Change(ref, base, packages, tuple(sorted(removed)), inside)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.git.history import Repository
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from xpl_cli.packages.targets import Target
 
@@ -24,14 +25,21 @@ def select_changed(ref: str, targets: Iterable[Target]) -> list[Target]:
         targets: packages.
 
     Raises:
-        UserError: if a package lies in no git repository, if there is no such commit there, or no git.
+        UserError: if a package lies in no git repository, or in one inside another one, if there is no such commit
+            there, or no git.
     """
-    return [target for target in targets if _is_changed(ref, target)]
+    here, targets = Path.cwd(), list(targets)
+    held: dict[Repository, list[Target]] = {}
+    for target in targets:
+        held.setdefault(Repository.of_package(target.path, here), []).append(target)
+    changed = {target for repository, inside in held.items() for target in _changed_in(repository, ref, inside)}
+    return [target for target in targets if target in changed]
 
 
-def _is_changed(ref: str, target: Target) -> bool:
-    repository = Repository.of(target.path)
-    paths = repository.changed(repository.base(ref), target.path)
-    names = {path.relative_to(target.path).as_posix() for path in paths}
-    present = {name for name in names if (target.path / name).is_file()}
-    return bool(names - present) or bool(present.intersection(Source(target.path).files))
+def _changed_in(repository: Repository, ref: str, targets: list[Target]) -> Iterator[Target]:
+    paths = repository.changed(repository.base(ref), [target.path for target in targets])
+    for target in targets:
+        names = {path.relative_to(target.path).as_posix() for path in paths if path.is_relative_to(target.path)}
+        present = {name for name in names if (target.path / name).is_file()}
+        if names - present or present.intersection(Source(target.path).files):
+            yield target

@@ -1,22 +1,38 @@
 """A git repository, read: where a branch began, what changed since, what files held. Nothing is written.
 
-Other people's branches are looked at, so nothing that they hold is run: no filter, no hook, no external diff.
+Other people's branches are looked at, so nothing that they hold is run: no filter, no hook, no external diff. Git only
+tells what it recorded; whether a file still holds that is found out by reading the file (`blobs.py`).
 """
 
 from __future__ import annotations
 
-import subprocess
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from xpl_cli.basics.errors import UserError
+from xpl_cli.basics.git import blobs, place
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
-_FILE_MODES = frozenset(("100644", "100755"))
+    from xpl_cli.basics.git.command import Git
+
+_PROGRAM: Final = "100755"
+_FILE_MODES: Final = frozenset(("100644", _PROGRAM))
+_LINK: Final = "120000"
+_MODULE: Final = "160000"
+_LEFT_OUT: Final = "S"
+"""What git says of a file that a sparse checkout does not write."""
+_ABOUT: Final = "%(objecttype) %(objectsize)"
+_LARGEST_POINTER: Final = 1024
+"""Bytes; a pointer of Git LFS has fewer."""
+
+
+class _Entry(NamedTuple):
+    mode: str
+    blob: str
 
 
 @dataclass(frozen=True)
@@ -24,19 +40,39 @@ class Repository:
     """A work tree.
 
     Attributes:
-        root: its top.
+        git: its repository.
     """
 
-    root: Path
+    git: Git
+
+    @property
+    def root(self) -> Path:
+        """Top of the work tree."""
+        return self.git.root
 
     @classmethod
     def of(cls, folder: Path) -> Repository:
-        """Return the work tree that a folder lies in.
+        """Return the work tree that the user stands in.
 
         Raises:
-            UserError: if it lies in none, or there is no git.
+            UserError: if it is none.
         """
-        return cls(_root(folder))
+        return cls._required(place.work_tree(folder), folder)
+
+    @classmethod
+    def of_package(cls, package: Path, here: Path) -> Repository:
+        """Return the work tree that tells what changed in a package.
+
+        Raises:
+            UserError: if it lies in none, or in one that lies inside another one (see `place.of_package`).
+        """
+        return cls._required(place.of_package(package, here), package)
+
+    @classmethod
+    def _required(cls, git: Git | None, folder: Path) -> Repository:
+        if git is None:
+            raise UserError(f"what changed needs a git repository, and {folder} lies in none")
+        return cls(git)
 
     def base(self, ref: str) -> str:
         """Return the commit where HEAD and a branch, tag or commit parted; that commit itself if nobody can tell.
@@ -44,34 +80,50 @@ class Repository:
         Raises:
             UserError: if there is no such commit.
         """
-        return _base(self.root, ref)
+        return _base(self.git, ref)
 
-    def changed(self, base: str, inside: Path | None = None) -> set[Path]:
+    def changed(self, base: str | None, inside: Sequence[Path] = ()) -> set[Path]:
         """Return the files that differ from a commit, those not committed or not even added included.
 
         Args:
-            base: the commit.
-            inside: only those in this folder.
+            base: the commit; None stands for one that holds nothing.
+            inside: only those in these folders.
 
         Returns:
-            absolute paths; of files that are gone, too.
+            absolute paths; of files that are gone, too. Of a repository within this one, its folder.
         """
-        limits = [] if inside is None else ["--", f":(literal){inside.relative_to(self.root).as_posix()}"]
-        told = _git(self.root, "diff", "--name-only", "-z", "--no-renames", "--no-ext-diff", base, *limits)
-        told += _git(self.root, "ls-files", "-z", "--others", "--exclude-standard", *limits)
-        return {self.root / name for name in told.split("\0") if name}
+        limits = [folder.relative_to(self.root).as_posix() for folder in inside]
+        limits = [] if "." in limits else limits
+        before = {} if base is None else self._recorded(base, limits)
+        added, left_out = self._added(limits)
+        with_modes = self._counts_modes()
+        absent = {name for name in left_out if before.get(name) == added[name]}
+        differing = {
+            name
+            for name in (before.keys() | added.keys() | self._others(limits)) - absent
+            if name not in before or not self._is_same(name, before[name], added.get(name), with_modes=with_modes)
+        }
+        return {self.root / name for name in differing - self._stood_for(before, differing)}
+
+    def unrecorded(self, folder: Path) -> list[str]:
+        """Return the files below a folder that the last commit has otherwise or not at all, named from the top."""
+        try:
+            head = _commit(self.git, "HEAD")
+        except UserError:  # nothing is committed yet
+            head = None
+        return sorted(path.relative_to(self.root).as_posix() for path in self.changed(head, [folder]))
 
     def text(self, commit: str, name: str) -> str | None:
         """Return what a file, named from the top, held in a commit; None if it was not there."""
         try:
-            return _git(self.root, "cat-file", "blob", f"{commit}:{name}")
+            return self.git.text("cat-file", "blob", f"{commit}:{name}")
         except UserError:
             return None
 
     def has(self, commit: str, name: str) -> bool:
         """Tell whether a commit has a file or folder, named from the top."""
         try:
-            _git(self.root, "cat-file", "-e", f"{commit}:{'' if name == '.' else name}")
+            self.git.text("cat-file", "-e", f"{commit}:{'' if name == '.' else name}")
         except UserError:
             return False
         return True
@@ -99,14 +151,14 @@ class Repository:
     def _listed(self, commit: str, name: str) -> Iterator[tuple[str, str, int]]:
         """Yield id, path and size of the files of a folder."""
         inside = [] if name == "." else [f"{name}/"]
-        told = _git(self.root, "--literal-pathspecs", "ls-tree", "-r", "-l", "-z", "--full-tree", commit, *inside)
+        told = self.git.text("ls-tree", "-r", "-l", "-z", "--full-tree", commit, *inside)
         for entry in told.split("\0"):
             head, _, path = entry.partition("\t")
             if path and head.split()[0] in _FILE_MODES:
                 yield head.split()[2], path, int(head.split()[3])
 
     def _contents(self, blobs: list[str]) -> Iterator[bytes]:
-        answer = _bytes(self.root, "cat-file", "--batch", asked="".join(f"{blob}\n" for blob in blobs).encode())
+        answer = self.git.answer("cat-file", "--batch", asked=_lines(blobs))
         place = 0
         for _ in blobs:
             begin = answer.index(b"\n", place) + 1
@@ -114,38 +166,82 @@ class Repository:
             yield answer[begin : begin + size]
             place = begin + size + 1
 
+    def _recorded(self, commit: str, limits: list[str]) -> dict[str, _Entry]:
+        """Return what a commit holds, by name."""
+        told = self.git.text("ls-tree", "-r", "-z", "--full-tree", commit, *(f"{name}/" for name in limits))
+        heads = (entry.partition("\t") for entry in told.split("\0") if entry)
+        return {name: _Entry(head.split()[0], head.split()[2]) for head, _, name in heads}
+
+    def _added(self, limits: list[str]) -> tuple[dict[str, _Entry], set[str]]:
+        """Return what the next commit would hold, by name, and which of it a sparse checkout leaves out."""
+        told = self.git.text("ls-files", "-z", "-t", "--stage", "--full-name", "--", *limits)
+        found, left_out = {}, set()
+        for entry in told.split("\0"):
+            head, _, name = entry.partition("\t")
+            if name:
+                tag, mode, blob, _ = head.split()
+                found[name] = _Entry(mode, blob)
+                left_out |= {name} if tag == _LEFT_OUT else set()
+        return found, left_out
+
+    def _others(self, limits: list[str]) -> set[str]:
+        """Return the files that nobody added and nothing ignores."""
+        told = self.git.text("ls-files", "-z", "--others", "--exclude-standard", "--full-name", "--", *limits)
+        return {name for name in told.split("\0") if name}
+
+    def _is_same(self, name: str, before: _Entry, added: _Entry | None, *, with_modes: bool) -> bool:
+        if _MODULE in {before.mode, added.mode if added else ""}:
+            return before == added
+        executable = before.mode == _PROGRAM if with_modes and before.mode in _FILE_MODES else None
+        return blobs.same(self.root / name, before.blob, executable=executable, link=before.mode == _LINK)
+
+    def _counts_modes(self) -> bool:
+        return self.git.text("config", "--type=bool", "--default=true", "core.fileMode").strip() == "true"
+
+    def _stood_for(self, before: dict[str, _Entry], names: Iterable[str]) -> set[str]:
+        """Return the files whose content git keeps elsewhere, by Git LFS, and that still hold it."""
+        asked = {name: before[name].blob for name in names if name in before and before[name].mode in _FILE_MODES}
+        try:
+            told = self.git.answer(
+                "cat-file", "--batch-check=%(objecttype) %(objectsize)", asked=_lines(asked.values())
+            )
+            sizes = [line.split() for line in told.decode(errors="replace").splitlines()]
+            small = {
+                name: blob
+                for (name, blob), size in zip(asked.items(), sizes, strict=True)
+                if size[0] == "blob" and int(size[1]) <= _LARGEST_POINTER
+            }
+            pointers = list(self._contents(list(small.values())))
+        except UserError:  # objects that a partial clone lacks
+            return set()
+        held = zip(small, pointers, strict=True)
+        return {name for name, pointer in held if blobs.is_stood_for(self.root / name, pointer)}
+
+
+def _lines(blobs: Iterable[str]) -> bytes:
+    return "".join(f"{blob}\n" for blob in blobs).encode()
+
 
 @cache
-def _root(folder: Path) -> Path:
+def _base(git: Git, ref: str) -> str:
     try:
-        return Path(_git(folder, "rev-parse", "--show-toplevel").removesuffix("\n")).resolve()
-    except UserError as error:
-        raise UserError(f"what changed needs a git repository, and {folder} lies in none: {error}") from None
-
-
-@cache
-def _base(root: Path, ref: str) -> str:
-    try:
-        commit = _git(root, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{ref}^{{commit}}").strip()
+        commit = _commit(git, ref)
     except UserError:
-        raise UserError(f"{root} has no commit {ref!r}", hint=f"git fetch origin {ref}, or name another") from None
+        raise UserError(f"{git.root} has no commit {ref!r}", hint=f"git fetch origin {ref}, or name another") from None
     try:
-        return _git(root, "merge-base", commit, "HEAD").strip()
+        return git.text("merge-base", commit, "HEAD").strip()
     except UserError:  # a shallow clone, or histories without a common beginning
         return commit
 
 
-def _git(folder: Path, *arguments: str) -> str:
-    return _bytes(folder, *arguments).decode(errors="surrogateescape")
+def _commit(git: Git, ref: str) -> str:
+    return git.text("rev-parse", "--verify", "--quiet", "--end-of-options", f"{ref}^{{commit}}").strip()
 
 
-def _bytes(folder: Path, *arguments: str, asked: bytes = b"") -> bytes:
-    """Return what a git command answers to what it is asked on its standard input."""
-    command = ["git", "-C", str(folder), *arguments]
+def unrecorded(folder: Path) -> list[str]:
+    """Return the files below a folder that version control has not recorded; none where there is no git."""
+    git = place.work_tree(folder)
     try:
-        done = subprocess.run(command, capture_output=True, check=False, input=asked)
-    except FileNotFoundError:
-        raise UserError("what changed needs git, which is not on PATH") from None
-    if done.returncode:
-        raise UserError(done.stderr.decode(errors="replace").strip() or f"git ended with {done.returncode}")
-    return done.stdout
+        return [] if git is None else Repository(git).unrecorded(folder.resolve())
+    except UserError:
+        return []

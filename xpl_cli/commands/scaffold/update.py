@@ -82,7 +82,7 @@ def _require_recorded(folder: Path, policy: Path) -> None:
         UserError: with the files that differ.
     """
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.basics.git.worktree import unrecorded
+    from xpl_cli.basics.git.history import unrecorded
 
     changed = unrecorded(folder)
     if changed:

@@ -1,0 +1,89 @@
+"""The one place that runs git: commands that only read, on a repository that is named and never looked for.
+
+Whoever may write into a work tree may put there what git takes for a repository: a folder with `HEAD`, `objects`,
+`refs` and a `config` whose `core.fsmonitor` is a command. So git is never started where it would search: it gets the
+repository and the work tree by name (`place.py` finds them), and every setting that could run something is overruled,
+because even the user's own `.git/config` may include a file of the branch. Only these commands are asked for:
+`rev-parse`, `merge-base`, `ls-tree`, `ls-files`, `cat-file`, `config`. None of them filters, converts or compares
+content, so no attribute of a branch matters.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from xpl_cli.basics.errors import UserError
+
+_NOTHING: Final = os.devnull
+_OVERRULED: Final = {
+    "core.alternateRefsCommand": "",
+    "core.attributesFile": _NOTHING,
+    "core.fsmonitor": "false",
+    "core.hooksPath": _NOTHING,
+    "core.pager": "cat",
+    "core.sshCommand": "false",
+    "core.untrackedCache": "false",
+    "diff.external": "",
+    "protocol.allow": "never",
+    "safe.bareRepository": "explicit",
+    "submodule.recurse": "false",
+}
+_ENVIRONMENT: Final = {
+    "GIT_ALLOW_PROTOCOL": "none",  # stronger than `protocol.NAME.allow`; a missing object is not fetched
+    "GIT_NO_LAZY_FETCH": "1",
+    "GIT_NO_REPLACE_OBJECTS": "1",
+    "GIT_OPTIONAL_LOCKS": "0",
+    "GIT_PAGER": "cat",
+    "GIT_TERMINAL_PROMPT": "0",
+    "LC_ALL": "C",
+}
+_READING: Final = frozenset(("rev-parse", "merge-base", "ls-tree", "ls-files", "cat-file", "config"))
+
+
+@dataclass(frozen=True)
+class Git:
+    """A repository and its work tree.
+
+    Attributes:
+        directory: the repository, what `.git` is or leads to.
+        root: top of the work tree.
+    """
+
+    directory: Path
+    root: Path
+
+    def text(self, command: str, *arguments: str) -> str:
+        """Return what a command answers; bytes that are no text become surrogates."""
+        return self.answer(command, *arguments).decode(errors="surrogateescape")
+
+    def answer(self, command: str, *arguments: str, asked: bytes = b"") -> bytes:
+        """Return what a command answers to what it is asked on its standard input.
+
+        Raises:
+            UserError: if it fails, or there is no git.
+            ValueError: if it is none of the commands that only read.
+        """
+        if command not in _READING:
+            raise ValueError(f"git {command} is not among the commands that only read")
+        overruled = (word for name, value in _OVERRULED.items() for word in ("-c", f"{name}={value}"))
+        line = ["git", "--no-pager", "--literal-pathspecs", *overruled, command, *arguments]
+        try:
+            done = subprocess.run(
+                line, cwd=self.root, env=self._environment(), capture_output=True, check=False, input=asked
+            )
+        except FileNotFoundError:
+            raise UserError("what changed needs git, which is not on PATH") from None
+        except ValueError:  # a NUL in an argument
+            raise UserError("what is asked of git holds a NUL, which no name in git has") from None
+        if done.returncode:
+            raise UserError(done.stderr.decode(errors="replace").strip() or f"git ended with {done.returncode}")
+        return done.stdout
+
+    def _environment(self) -> dict[str, str]:
+        """Return the environment; what whoever called the tool set for its own calls of git does not count."""
+        kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+        return kept | _ENVIRONMENT | {"GIT_DIR": str(self.directory), "GIT_WORK_TREE": str(self.root)}
