@@ -158,7 +158,7 @@ def test_half_a_line_is_taken_back_where_the_disk_is_full(folder: Path) -> None:
     script = """
         import resource, sys
         from pathlib import Path
-        from xpl_cli.suite import records
+        from xpl_cli.evaluation.records import records
         folder = Path(sys.argv[1])
         run = records.read(folder)
         line = {**run.finals[0], "index": 5, **{"task": "stack_cubes", "setting": "clean", "seed": 1}}

@@ -26,6 +26,7 @@ from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.scaffold import environment as scaffold_env
 from xpl_cli.scaffold import lock, migrations, undo
 from xpl_cli.scaffold import update as updating
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate_yaml_file
 
@@ -46,7 +47,7 @@ ALL_KINDS = [
 
 
 def _render(template: str = OLD, **changes: Any) -> scaffold.Files:
-    return scaffold.render(scaffold.Answers(**{"name": "Foo", **scaffold.defaults(template), **changes}), template)
+    return scaffold.render(Answers(**{"name": "Foo", **scaffold.defaults(template), **changes}), template)
 
 
 @pytest.fixture(scope="module")
@@ -346,7 +347,7 @@ def test_after_a_kill_the_next_run_brings_the_package_back(adapter: Path) -> Non
     """A process that is killed can clear nothing up; what it wrote down is enough."""
     before = _tree(adapter)
     program = (
-        "import os, sys; from pathlib import Path; from xpl_cli import undo, update\n"
+        "import os, sys; from pathlib import Path; from xpl_cli.scaffold import undo, update\n"
         "put, count = undo._put, []\n"
         "def killed(path, content, mode=None):\n"
         "    count.append(path); len(count) == 4 and os.kill(os.getpid(), 9); put(path, content, mode)\n"

@@ -279,7 +279,8 @@ FORKED = """
 import os, sys
 from pathlib import Path
 import numpy as np
-from xpl import _spec, segment
+from xpl import _spec
+from xpl.wire import segment
 segment.folder = lambda: Path(sys.argv[1])
 made = segment.Segment(100_000)
 client, worker = segment.Arena(str(made.path), made.size), segment.Window(str(made.path), made.size)
@@ -428,7 +429,7 @@ def test_a_late_answer_frees_nothing_of_a_later_request(sides: Sides) -> None:
 MAKER = """
 import sys
 from pathlib import Path
-from xpl import segment
+from xpl.wire import segment
 segment.folder = lambda: Path(sys.argv[1])
 made = segment.Segment()
 print(made.path, flush=True)

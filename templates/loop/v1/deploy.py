@@ -1,7 +1,7 @@
 """The evaluation loop in the words of the contract: an observation at the head of each chunk, and between its actions.
 
 The scaffold's loop shows the policy the same observations in the same order, and needs no bookkeeping at a chunk's end.
-This form is the one that the field writes. Nothing imports this file: `xpl_cli.audit.static.loops.distance` reads it as text.
+This form is the one that the field writes. Nothing imports this file: `xpl_cli.loop_distance` reads it as text.
 """
 
 from __future__ import annotations
