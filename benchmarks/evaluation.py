@@ -20,8 +20,8 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from xpl_cli.evaluation.lanes.backend import Job
-from xpl_cli.evaluation.lanes.backends import Room, make
+from xpl_cli.evaluation.lanes.backend import Job, Room
+from xpl_cli.evaluation.lanes.backends import make
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import evaluate, plan, runner
 from xpl_cli.evaluation.runs.plan import Wishes

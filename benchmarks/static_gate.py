@@ -27,6 +27,7 @@ from pathlib import Path
 
 from xpl_cli.audit.static.source import Source
 from xpl_cli.scaffold import adapter as scaffold
+from xpl_cli.scaffold.answers import Answers
 
 BIN = Path(sys.executable).parent
 CORES, ADAPTERS, FILES = 2, 40, 4000
@@ -118,7 +119,7 @@ def _all_title() -> str:
 
 def _adapter(path: Path, chance: random.Random) -> Path:
     """Write an adapter with its share of the files: model.py imports one of the vendored ones and a helper."""
-    answers = scaffold.Answers(**{**scaffold.defaults(), "name": path.name})
+    answers = Answers(**{**scaffold.defaults(), "name": path.name})
     scaffold.write(scaffold.render(answers), path)
     with (path / "model.py").open("a") as model:
         model.write("\n\nfrom .helper import f0  # noqa: E402\nfrom .vendor.part0.code0 import f1  # noqa: E402\n")

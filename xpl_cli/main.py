@@ -11,9 +11,10 @@ import typer
 
 from xpl_cli import __version__
 from xpl_cli.basics import console, failures
+from xpl_cli.basics.endings import endings
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.commands.agents import answers, mcp, skills, status
-from xpl_cli.commands.command import endings, equip
+from xpl_cli.commands.command import equip
 from xpl_cli.commands.headings import HeadedGroup
 from xpl_cli.commands.maintain import sdk, spec
 from xpl_cli.commands.prove import audit, hook, metrics, replay, review

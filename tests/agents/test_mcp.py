@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from typer.main import get_command
 
 from tests.support.peer import MARK, processes, wait_until, xpl
 from xpl_cli.agents.mcp.tools import OFFERS, Tool, tools
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.main import app
 
 pytest.importorskip("mcp", reason="the extra `mcp` is not installed")
 
@@ -41,7 +43,7 @@ def talk(folder: Path, conversation: Talk, **environment: str) -> Any:
 
 def tool(name: str) -> Tool:
     """Return a tool by its name."""
-    return next(item for item in tools() if item.name == name)
+    return next(item for item in tools(get_command(app)) if item.name == name)
 
 
 def steady(document: Any) -> Any:
@@ -119,7 +121,7 @@ def test_tools_describe_themselves(project: Path) -> None:
         return (await client.list_tools()).tools, client.instructions
 
     listed, instructions = talk(project, look)
-    assert {item.name: item.input_schema for item in listed} == {item.name: item.schema for item in tools()}
+    assert {item.name: item.input_schema for item in listed} == {name: tool(name).schema for name in OFFERS}
     assert {item.name for item in listed if item.annotations.read_only_hint} >= {"explain", "status"}
     assert all(item.description for item in listed)
     assert "not_run" in instructions

@@ -25,6 +25,7 @@ from xpl_cli.basics.errors import ExitCode, NotFoundError
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.main import app
 from xpl_cli.scaffold import adapter, environment, undo
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.standard import answers, spec
 
@@ -45,7 +46,7 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def foo(workspace: Path) -> Path:
     """Return a fresh adapter, policy/Foo."""
-    files = adapter.render(adapter.Answers(**{"name": "Foo", **adapter.defaults()}))
+    files = adapter.render(Answers(**{"name": "Foo", **adapter.defaults()}))
     adapter.write(files, workspace / "policy" / "Foo")
     return workspace / "policy" / "Foo"
 

@@ -114,7 +114,7 @@ def test_edits_that_ruff_calls_safe_are_offered(adapter: Path, ending: str) -> N
     text = file.read_text().replace("import annotations\n", "import annotations\n\nimport json\n", 1)
     file.write_bytes(text.replace("\n", ending).encode())
     options = Options(gates=(Gate.STATIC,), names=("XPL601",))
-    plan_all(asked([adapter], every=False, changed_since=None), options, unsafe=False).apply()
+    plan_all(asked([adapter]), options, unsafe=False).apply()
     assert b"import json" not in file.read_bytes()
     assert results(adapter, "XPL601")["XPL601"].outcome is Outcome.PASS
 

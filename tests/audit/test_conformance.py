@@ -13,6 +13,7 @@ from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.model import Gate, Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Subject, tmp_path:
 @pytest.mark.parametrize("action_type", ["joint", "ee"])
 def test_a_fresh_scaffold_has_no_static_finding(robot: str, action_type: str, tmp_path: Path) -> None:
     """Whatever robot it is made for; only its placeholders are still open."""
-    answers = adapter.Answers(**{**adapter.defaults(), "name": NAME, "embodiment": robot, "action_type": action_type})
+    answers = Answers(**{**adapter.defaults(), "name": NAME, "embodiment": robot, "action_type": action_type})
     adapter.write(adapter.render(answers), tmp_path / NAME)
     report = engine.audit(tmp_path / NAME, "policy", Options(gates=(Gate.STATIC,)))
     found = {result.slug: result.findings for result in report.gates[0].results if result.findings}

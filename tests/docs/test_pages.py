@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 import yaml
+from typer.main import get_command
 
 from tests.support import pages
 from tests.support.pages import ROOT, Block
@@ -23,6 +24,7 @@ from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.model import Gate
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.derived import commands, compiler, rules
+from xpl_cli.main import app
 from xpl_cli.standard import answers, spec
 from xpl_cli.standard.validate import validate
 
@@ -238,7 +240,7 @@ def test_the_help_groups_commands_by_what_one_does() -> None:
 
 def test_the_page_of_commands_has_every_command_and_option() -> None:
     """As its help prints them."""
-    page = commands.page()
+    page = commands.page(get_command(app))
     parts = {part.partition("\n")[0]: part for part in page.split("\n### ")}
     listed = {heading: list(commands) for heading, commands in _headed(xpl("--help", cwd=ROOT).stdout).items()}
     told = {

@@ -19,7 +19,7 @@ import pytest
 from tests.support import drill
 from tests.support.peer import MARK, processes, wait_until, xpl
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.backends import Room
+from xpl_cli.evaluation.lanes.backend import Room
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import evaluate, plan
 from xpl_cli.evaluation.statistics import summary

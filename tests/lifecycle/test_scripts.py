@@ -22,6 +22,7 @@ from xpl_cli.commands.run import checkpoint as command
 from xpl_cli.lifecycle.checkpoints.specification import declared, digest_of
 from xpl_cli.packages import package
 from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard.validate import validate
 
 PAGE = (ROOT / "docs" / "lifecycle.md").read_text(encoding="utf-8")
@@ -37,7 +38,7 @@ with open("told.json", "w") as file:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A fresh adapter with training scripts in Python, and a program that is `xpl`."""
     folder = tmp_path_factory.mktemp("work shop")
-    answers = adapter.Answers(**{"name": "Foo", **adapter.defaults()})
+    answers = Answers(**{"name": "Foo", **adapter.defaults()})
     adapter.write(adapter.render(answers), folder / "policy" / "Foo")
     for name in ("process_data.py", "train.py"):
         (folder / "policy" / "Foo" / name).write_text(TELLS)

@@ -27,6 +27,7 @@ from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.scaffold import kinds, lock, update
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.serving.launch import serving
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate_yaml_file
@@ -64,7 +65,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 
-def _answers(**chosen: Any) -> scaffold.Answers:
+def _answers(**chosen: Any) -> Answers:
     answers = scaffold.answers_of(**{"name": "Foo", **scaffold.defaults(), **chosen})
     scaffold.check(answers)
     return answers
@@ -384,4 +385,4 @@ def _point(adapter: Path, url: str) -> None:
 def test_the_standard_has_the_default_history() -> None:
     """Packages that were never asked keep what it says."""
     temporal = spec.schema("policy")["properties"]["temporal"]["properties"]
-    assert scaffold.defaults()["history"] == temporal["history"]["default"] == scaffold.Answers.history
+    assert scaffold.defaults()["history"] == temporal["history"]["default"] == Answers.history

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.scaffold.merge import Labels, Merged, merge
 
 if TYPE_CHECKING:
@@ -122,8 +123,7 @@ def renders() -> list[adapter.Files]:
     """Return what the templates of both versions make of the same answers."""
     templates = ("policy/v1", adapter.POLICY_TEMPLATE)
     return [
-        adapter.render(adapter.Answers(**{"name": "Foo", **adapter.defaults(template)}), template)
-        for template in templates
+        adapter.render(Answers(**{"name": "Foo", **adapter.defaults(template)}), template) for template in templates
     ]
 
 

@@ -26,6 +26,7 @@ from xpl_cli.basics import atomic, content
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.scaffold import lock
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate_yaml_file
 
@@ -35,8 +36,8 @@ KEPT = {".xpl/lock.yml", ".xpl/deploy.schema.json", ".xpl/policy.schema.json"}
 BASH = shutil.which("bash") or "bash"
 
 
-def _answers(**changes: Any) -> scaffold.Answers:
-    return scaffold.Answers(**{"name": "Foo", **scaffold.defaults(), **changes})
+def _answers(**changes: Any) -> Answers:
+    return Answers(**{"name": "Foo", **scaffold.defaults(), **changes})
 
 
 @pytest.fixture(scope="session")
@@ -532,7 +533,7 @@ def test_folders_are_swapped_where_the_system_cannot_exchange_them(
 def test_an_interrupted_command_leaves_nothing_behind(kind: signal.Signals, tmp_path: Path) -> None:
     """Stopped in the middle of writing: no folder, no temporary one, exit code 130."""
     stops = (
-        "import os, signal; from xpl_cli import atomic, main\n"
+        "import os, signal; from xpl_cli import main; from xpl_cli.basics import atomic\n"
         f"atomic._put = lambda *_: os.kill(os.getpid(), {int(kind)})\n"
         "import sys; sys.argv = ['xpl', 'new-policy', 'Foo']; main.run()\n"
     )

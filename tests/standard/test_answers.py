@@ -23,9 +23,10 @@ from tests.support.runs import synthetic
 from tests.support.told import Command, fault
 from xpl_cli import main
 from xpl_cli.basics import console, failures
+from xpl_cli.basics.endings import endings
 from xpl_cli.basics.errors import ExitCode, UserError, no_such, one_of
-from xpl_cli.commands.command import endings
 from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import answers
 
 GIT = shutil.which("git")
@@ -117,7 +118,7 @@ def test_a_document_that_differs_is_noticed() -> None:
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a repository with an adapter, and a checkpoint that it declares."""
     folder = tmp_path_factory.mktemp("work")
-    adapter.write(adapter.render(adapter.Answers(**{"name": "Foo", **adapter.defaults()})), folder / "policy/Foo")
+    adapter.write(adapter.render(Answers(**{"name": "Foo", **adapter.defaults()})), folder / "policy/Foo")
     weights = folder / "weights.bin"
     weights.write_bytes(b"weights")
     manifest = folder / "policy/Foo/policy.yml"

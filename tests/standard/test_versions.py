@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import jsonschema
 import pytest
 import yaml
+from typer.main import get_command
 
 from tests.support.places import ROOT
 from xpl_cli.audit.engine import engine
@@ -22,7 +23,9 @@ from xpl_cli.audit.rules.model import Gate, Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import UserError
 from xpl_cli.derived import compiler
+from xpl_cli.main import app
 from xpl_cli.scaffold import adapter, template
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import check, freeze, schemas, spec
 from xpl_cli.standard.validate import validate, validate_yaml_file
 
@@ -277,7 +280,7 @@ def test_a_frozen_template_renders_the_same_for_good() -> None:
 
 def test_everything_that_follows_from_the_standard_is_up_to_date() -> None:
     """`xpl spec compile` writes the SDK's constants and the reference pages."""
-    derived = compiler.derived()
+    derived = compiler.derived(get_command(app))
     assert [name for name, content in derived.items() if (ROOT / name).read_bytes() != content] == []
     pages = {f"{compiler.REFERENCE}/{path.name}" for path in (ROOT / compiler.REFERENCE).iterdir()}
     assert pages <= set(derived)
@@ -285,7 +288,7 @@ def test_everything_that_follows_from_the_standard_is_up_to_date() -> None:
 
 def test_the_reference_tells_all_of_the_standard() -> None:
     """Every requirement, robot, key of a manifest and version is on a page."""
-    pages = {Path(name).stem: text.decode() for name, text in compiler.derived().items()}
+    pages = {Path(name).stem: text.decode() for name, text in compiler.derived(get_command(app)).items()}
     assert all(f"| {name} |" in pages["requirements"] for name in spec.requirements())
     assert all(f"| `{name}` |" in pages["embodiments"] for name in spec.embodiments())
     assert all(f"## {version}" in pages["changelog"] for version in spec.versions())
@@ -353,7 +356,7 @@ def test_the_commands(arguments: list[str], code: int, text: str) -> None:
 
 def _render(version: str, **answers: Any) -> adapter.Files:
     name = f"policy/{version}"
-    return adapter.render(adapter.Answers(**{"name": "Foo", **adapter.defaults(name), **answers}), name)
+    return adapter.render(Answers(**{"name": "Foo", **adapter.defaults(name), **answers}), name)
 
 
 def _xpl(*arguments: str) -> subprocess.CompletedProcess[str]:

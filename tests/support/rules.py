@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules import registry
 from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold.answers import Answers
 
 if TYPE_CHECKING:
     import pytest
@@ -54,5 +55,5 @@ def made_room(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Room:
 
 def made_adapter(folder: Path) -> Path:
     """Write a fresh scaffold and return its folder."""
-    adapter.write(adapter.render(adapter.Answers(**{**adapter.defaults(), "name": folder.name})), folder)
+    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": folder.name})), folder)
     return folder

@@ -17,12 +17,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from xpl import _spec as spec
 from xpl.policy import Policy
 from xpl.wire import packed
 from xpl.worker import stubs
+from xpl.worker.copies import own
 from xpl.worker.lacking import StandInError
 from xpl.worker.loading import ecosystem, load_model_class
 
@@ -74,15 +73,6 @@ def _called(model: Any, method: str, arguments: Sequence[Any]) -> dict[str, Any]
         stands_in = isinstance(error, StandInError) or stubs.asked() is not None
         return {"error": f"{type(error).__name__}: {error}", **({"unreal": True} if stands_in else {})}
     return {spec.Payload.RESULT: result}
-
-
-def own(value: Any) -> Any:
-    """Return a value with containers and arrays of its own; the arrays may be written to."""
-    if isinstance(value, Mapping):
-        return {key: own(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [own(item) for item in value]
-    return np.array(value) if isinstance(value, np.ndarray) else value
 
 
 def main(script: str, answers: str) -> None:

@@ -17,7 +17,7 @@ from typing import Any, Callable
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.worker.inprocess import own
+from xpl.worker.copies import own
 
 CHANGED, SHARED, SWALLOWED = "changed", "shared", "swallowed"
 """Kinds of notes."""

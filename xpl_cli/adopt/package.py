@@ -111,13 +111,14 @@ def _only(draft: infer.Draft, names: list[str]) -> infer.Draft:
 def _scripts(folder: Path, draft: infer.Draft) -> dict[str, bytes]:
     """Return the scripts of the template that the adapter lacks."""
     from xpl_cli.scaffold import adapter
+    from xpl_cli.scaffold.answers import Answers
 
     chosen = adapter.defaults()
     for key, answer in (("embodiments", "embodiment"), ("action_types", sdk.Deploy.ACTION_TYPE)):
         if key in draft.facts:
             chosen[answer] = draft.facts[key].value[0]
     chosen["eval_only"] = "evaluation_only" not in draft.facts or bool(draft.facts["evaluation_only"].value)
-    rendered = adapter.render(adapter.Answers(name=folder.name, **chosen))
+    rendered = adapter.render(Answers(name=folder.name, **chosen))
     wanted = spec.data("package")["scripts"].keys() | {sdk.File.INSTALL_SH}
     return {name: content for name, content in rendered.items() if name in wanted and not (folder / name).exists()}
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from xpl_cli.basics.endings import endings, own_meanings
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.commands.command import endings, own_meanings
 from xpl_cli.derived.reference import NOTE, table
 from xpl_cli.standard import answers
 
@@ -21,14 +21,13 @@ Schema. What a command cannot do, it tells as `xpl.error/1`.
 """
 
 
-def page() -> str:
-    """Return the page, in the order of `xpl --help`, without commands that are hidden there."""
-    import typer
+def page(root: Any) -> str:
+    """Return the page, in the order of `xpl --help`, without commands that are hidden there.
 
-    from xpl_cli.main import app
-
-    root: Any = typer.main.get_command(app)
-    context = root.make_context(app.info.name, [], resilient_parsing=True)
+    Args:
+        root: the whole command line, as typer builds it.
+    """
+    context = root.make_context(root.name, [], resilient_parsing=True)
     codes = table(("exit code", "of every command"), [(str(int(code)), code.meaning) for code in ExitCode])
     members = [
         line

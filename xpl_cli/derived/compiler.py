@@ -28,15 +28,15 @@ REFERENCE = "docs/reference"
 """Where the reference pages are, in a checkout."""
 
 
-def derived() -> dict[str, bytes]:
-    """Return every file that is generated, relative to the checkout: the SDK's constants and pages of documentation."""
-    from xpl_cli.derived import commands, reference, rules
+def derived(root: Any) -> dict[str, bytes]:
+    """Return every file that is generated, relative to the checkout: the SDK's constants and pages of documentation.
 
-    pages = {
-        **{f"{REFERENCE}/{name}": text for name, text in reference.pages().items()},
-        **{f"{rules.FOLDER}/{name}": text for name, text in rules.pages().items()},
-        commands.PAGE: commands.page(),
-    }
+    Args:
+        root: the whole command line, as typer builds it.
+    """
+    from xpl_cli.derived import commands
+
+    pages = {**_folders(), commands.PAGE: commands.page(root)}
     return {"xpl/_spec.py": compile_source().encode(), **{name: text.encode() for name, text in pages.items()}}
 
 
@@ -46,7 +46,17 @@ def left_over(root: Path) -> list[str]:
 
     folders = (REFERENCE, rules.FOLDER)
     found = [f"{folder}/{path.name}" for folder in folders for path in (root / folder).glob("*.md")]
-    return sorted(set(found) - set(derived()))
+    return sorted(set(found) - set(_folders()))
+
+
+def _folders() -> dict[str, str]:
+    """Return the pages of the folders that hold nothing else."""
+    from xpl_cli.derived import reference, rules
+
+    return {
+        **{f"{REFERENCE}/{name}": text for name, text in reference.pages().items()},
+        **{f"{rules.FOLDER}/{name}": text for name, text in rules.pages().items()},
+    }
 
 
 def compile_source(version: str = spec.CURRENT) -> str:

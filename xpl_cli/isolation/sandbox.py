@@ -19,15 +19,14 @@ import tempfile
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.isolation import family
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from xpl_cli.serving.worker import WorkerProcess
 
 _EVERY_S = 0.1
 _LOOKS_PER_SEARCH = 5
@@ -54,6 +53,21 @@ except OSError:
     sys.exit(0)
 sys.exit("the network stays in reach")
 """
+
+
+class Held(Protocol):
+    """A process whose memory is watched.
+
+    Attributes:
+        pid: the process; those below it count too.
+        died: resolves when it has ended.
+    """
+
+    pid: int
+    died: asyncio.Future[str]
+
+    def kill(self, reason: str) -> None:
+        """End it at once, for a reason that its user is told."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +100,7 @@ class MemoryLimit:
             return cls(int(float(number) / 100.0 * machine_memory()), asked)
         return cls(int(float(number) * (_BINARY_UNITS if binary else _UNITS)[unit.upper()]), asked)
 
-    async def hold(self, process: WorkerProcess) -> None:
+    async def hold(self, process: Held) -> None:
         """Watch a worker until it ends, and end it with a clear reason when it holds more."""
         import asyncio  # slow to import, and whoever only reads a limit needs none of it
 

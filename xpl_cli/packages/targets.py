@@ -29,16 +29,15 @@ class Target:
     shown: str
 
 
-def asked(paths: Iterable[Path], *, every: bool = False, changed_since: str | None = None) -> list[Target]:
+def asked(paths: Iterable[Path], *, every: bool = False) -> list[Target]:
     """Return the packages of a request, each once.
 
     Args:
         paths: folders, or names below `policy/` and `envs/`.
         every: also every package below `policy/` and `envs/` of the working directory.
-        changed_since: only those that changed since they parted from this commit.
 
     Raises:
-        UserError: if nothing is asked for, or git cannot tell.
+        UserError: if nothing is asked for.
         NotFoundError: if there is no such package.
     """
     found = [find_target(path) for path in paths]
@@ -46,12 +45,7 @@ def asked(paths: Iterable[Path], *, every: bool = False, changed_since: str | No
         found += find_all()
     if not found:
         raise UserError("name a package: xpl audit PATH..., or --all for every one below policy/ and envs/")
-    found = unique(found)
-    if changed_since is None:
-        return found
-    from xpl_cli.audit.engine.changed import select_changed
-
-    return select_changed(changed_since, found)
+    return unique(found)
 
 
 def find_target(path: Path) -> Target:

@@ -15,7 +15,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from xpl_cli.scaffold.adapter import Answers
+    from xpl_cli.scaffold.answers import Answers
 
 _GRIPPER = "parallel_gripper"
 

@@ -18,6 +18,7 @@ from xpl_cli.audit.rules.model import Gate, Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold.answers import Answers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -195,7 +196,7 @@ def test_policies_that_draw_random_numbers_are_not_blamed(
 ) -> None:
     """Both episodes of a pair draw the same numbers; of a policy that does not repeat itself only errors count."""
     folder = tmp_path / "Subject"
-    adapter.write(adapter.render(adapter.Answers(**{**adapter.defaults(), "name": "Subject"})), folder)
+    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": "Subject"})), folder)
     manifest = folder / "policy.yml"
     told = f"deterministic: {str(deterministic).lower()}"
     manifest.write_text(manifest.read_text().replace("deterministic: true", told))

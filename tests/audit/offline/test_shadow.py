@@ -19,6 +19,7 @@ from xpl_cli.audit.rules.model import Gate, GateReport, Outcome, Profile, exit_c
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.serving.launch import ServerStartError, serving
 from xpl_cli.standard.validate import validate
 
@@ -96,7 +97,7 @@ class Model:
 def package(tmp_path: Path) -> Path:
     """Return a fresh scaffold."""
     folder = tmp_path / NAME
-    adapter.write(adapter.render(adapter.Answers(**{**adapter.defaults(), "name": NAME})), folder)
+    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": NAME})), folder)
     return folder
 
 

@@ -29,6 +29,7 @@ from xpl_cli.basics import content
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter
+from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def package(tmp_path: Path) -> Callable[..., Path]:
 
     def write(edits: dict[str, str] | None = None, end: str = "", **answers: Any) -> Path:
         folder = tmp_path / "Subject"
-        filled = adapter.Answers(**{**adapter.defaults(), "name": folder.name, **answers})
+        filled = Answers(**{**adapter.defaults(), "name": folder.name, **answers})
         adapter.write(adapter.render(filled), folder)
         manifest = folder / sdk.File.POLICY_YML
         text = manifest.read_text()

@@ -15,6 +15,7 @@ from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.shell import parse
 from xpl_cli.audit.static.source import Source
 from xpl_cli.scaffold import adapter as scaffold
+from xpl_cli.scaffold.answers import Answers
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 def adapter(tmp_path: Path) -> Path:
     """A fresh scaffold, to break."""
     folder = tmp_path / "Foo"
-    scaffold.write(scaffold.render(scaffold.Answers(**{**scaffold.defaults(), "name": "Foo"})), folder)
+    scaffold.write(scaffold.render(Answers(**{**scaffold.defaults(), "name": "Foo"})), folder)
     return folder
 
 

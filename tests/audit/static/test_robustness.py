@@ -26,6 +26,7 @@ from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.source import Source
 from xpl_cli.scaffold import adapter as scaffold
+from xpl_cli.scaffold.answers import Answers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 def adapter(tmp_path: Path) -> Path:
     """A fresh scaffold, to break."""
     folder = tmp_path / "policy" / "Foo"
-    scaffold.write(scaffold.render(scaffold.Answers(**{**scaffold.defaults(), "name": "Foo"})), folder)
+    scaffold.write(scaffold.render(Answers(**{**scaffold.defaults(), "name": "Foo"})), folder)
     return folder
 
 
@@ -279,7 +280,7 @@ def test_a_folder_in_place_of_a_file_is_no_file(adapter: Path, name: str) -> Non
 _AS_NOBODY = """
 import os, sys
 from pathlib import Path
-from xpl_cli.audit import engine
+from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import render
 from xpl_cli.audit.rules.model import Gate
 from xpl_cli.audit.rules.options import Options

@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli import __version__
 from xpl_cli.agents.mcp.call import run
-from xpl_cli.agents.mcp.tools import Tool, tools
+from xpl_cli.basics.endings import endings
 from xpl_cli.basics.errors import UserError, no_such
 from xpl_cli.basics.extras import how_to_install
-from xpl_cli.commands.command import endings
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mcp import types
     from mcp.server import Server
+
+    from xpl_cli.agents.mcp.tools import Tool
 
 INSTRUCTIONS: Final = f"""\
 Tools of xpl: robot policies and environments held to one standard. A tool runs the command of the same name, answers
@@ -23,10 +26,11 @@ with its JSON, whose `next` lists the commands that come next, and says how it e
 to integrate, audit, debug and evaluate is told by `xpl skills get NAME --full`; `xpl skills list` names them."""
 
 
-def serve(folder: Path) -> None:
+def serve(tools: Sequence[Tool], folder: Path) -> None:
     """Serve until the client closes the connection.
 
     Args:
+        tools: what is offered.
         folder: working directory of every command.
 
     Raises:
@@ -42,18 +46,18 @@ def serve(folder: Path) -> None:
         ) from None
 
     async def serving() -> None:
-        server = _server(folder)
+        server = _server(tools, folder)
         async with stdio_server() as (reading, writing):
             await server.run(reading, writing, server.create_initialization_options())
 
     anyio.run(serving)
 
 
-def _server(folder: Path) -> Server[Any]:
+def _server(tools: Sequence[Tool], folder: Path) -> Server[Any]:
     from mcp import types
     from mcp.server import Server
 
-    offered = {tool.name: tool for tool in tools()}
+    offered = {tool.name: tool for tool in tools}
 
     async def list_tools(_context: Any, _asked: Any) -> types.ListToolsResult:
         return types.ListToolsResult(tools=[_described(tool) for tool in offered.values()])

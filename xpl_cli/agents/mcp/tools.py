@@ -129,14 +129,13 @@ class Tool:
         return [self.offer.command, "--json", *options, *(["--", *places] if places else [])]
 
 
-def tools() -> tuple[Tool, ...]:
-    """Return every tool, as the commands of this version describe themselves."""
-    import typer
+def tools(root: Any) -> tuple[Tool, ...]:
+    """Return every tool, as the commands of this version describe themselves.
 
-    from xpl_cli.main import app
-
-    root: Any = typer.main.get_command(app)
-    context = root.make_context(app.info.name, [], resilient_parsing=True)
+    Args:
+        root: the whole command line, as typer builds it.
+    """
+    context = root.make_context(root.name, [], resilient_parsing=True)
     return tuple(_tool(name, offer, root.commands[offer.command], context) for name, offer in OFFERS.items())
 
 

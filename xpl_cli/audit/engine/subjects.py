@@ -106,11 +106,12 @@ def _rendered(kind: str, options: tuple[tuple[str, Any], ...], name: str) -> dic
     """Return a scaffold; many subjects share one."""
     from xpl_cli.scaffold import adapter as scaffold
     from xpl_cli.scaffold import environment
+    from xpl_cli.scaffold.answers import Answers
 
     if kind == package.ENV:
         given = {**environment.env_defaults(), **dict(options), "name": name}
         return environment.render_env(environment.EnvAnswers(**given))
-    return scaffold.render(scaffold.Answers(**{**scaffold.defaults(), **dict(options), "name": name}))
+    return scaffold.render(Answers(**{**scaffold.defaults(), **dict(options), "name": name}))
 
 
 def _read(folder: Path, *, good: bool, target: str) -> Subject:

@@ -8,6 +8,7 @@ import typer
 
 
 def mcp(
+    context: typer.Context,
     project: Path = typer.Option(
         Path(), "--dir", metavar="DIR", help="Project that the tools work in; this folder by default."
     ),
@@ -23,13 +24,14 @@ def mcp(
 
     if not project.is_dir():
         raise NotFoundError(f"--dir {project} is no folder")
+    offered = tools(context.find_root().command)
     if as_json:
-        offered = [
+        told = [
             {"name": tool.name, "command": f"xpl {tool.offer.command}", "description": tool.description}
-            for tool in tools()
+            for tool in offered
         ]
-        console.data_json({"schema": "xpl.mcp/1", "tools": offered, "next": []})
+        console.data_json({"schema": "xpl.mcp/1", "tools": told, "next": []})
         return
     from xpl_cli.agents.mcp.server import serve
 
-    serve(project.resolve())
+    serve(offered, project.resolve())

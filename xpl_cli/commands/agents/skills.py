@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 
 app = typer.Typer(help="Skills for coding agents: list, read, install, check.", no_args_is_help=True)
 

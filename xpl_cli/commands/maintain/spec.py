@@ -79,6 +79,7 @@ def check(as_json: bool = _JSON) -> None:
 
 @app.command("compile")
 def compile_(
+    context: typer.Context,
     check: bool = typer.Option(False, "--check", help="Write nothing; fail if something is out of date."),
     as_json: bool = _JSON,
 ) -> None:
@@ -87,7 +88,7 @@ def compile_(
     from xpl_cli.derived import compiler
 
     root = _checkout()
-    files = compiler.derived()
+    files = compiler.derived(context.find_root().command)
     old = [name for name, content in files.items() if not _holds(root / name, content)]
     left_over = compiler.left_over(root)
     for name in old if not check else ():

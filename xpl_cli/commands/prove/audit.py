@@ -11,6 +11,8 @@ import typer
 from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from xpl_cli.audit.formats.listing import Context
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.packages.targets import Target
@@ -85,7 +87,6 @@ def audit(
     from xpl_cli.basics.progress import progress
     from xpl_cli.isolation import sandbox
     from xpl_cli.packages import package
-    from xpl_cli.packages.targets import asked
 
     delivery = Delivery.asked("json" if as_json else report_format, output)
     profile = _profile(profile, shadow=shadow)
@@ -99,7 +100,7 @@ def audit(
         from xpl_cli.audit.physics.simulation import check_tasks
 
         check_tasks(task)
-    targets = asked(paths or (), every=every, changed_since=changed_since)
+    targets = _targets(paths or (), changed_since, every=every)
     sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
     with progress() as say, _new_folder(trace):
         options = Options(
@@ -160,6 +161,18 @@ def audit(
     crashed = any(result.outcome is Outcome.ERROR for report in reports for result in report.results)
     forgiving = ExitCode.INTERNAL if crashed else ExitCode.CLEAN
     raise typer.Exit(int(forgiving if exit_zero else exit_code(reports, Outcome(fail_on))))
+
+
+def _targets(paths: Iterable[Path], changed_since: str | None, *, every: bool) -> list[Target]:
+    """Return the packages that are audited: all that were asked for, or those of them that changed since a commit."""
+    from xpl_cli.packages.targets import asked
+
+    targets = asked(paths, every=every)
+    if changed_since is None:
+        return targets
+    from xpl_cli.audit.engine.changed import select_changed
+
+    return select_changed(changed_since, targets)
 
 
 def _remember(targets: list[Target], reports: list[TargetReport], context: Context) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 
 
 @ends(clean="measured", not_run="something could not be measured")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 
 
 @ends(clean="equal", findings="different", not_run="not playable")

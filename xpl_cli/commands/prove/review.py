@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP
 
 _STATIC_AND_OFFLINE = ("static", "offline")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 
 
 @ends(clean="compared", not_found="no such run", not_run="not comparable")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 
 
 @ends(clean="ranked", not_found="no run there", not_run="the runs are not alike, or a record is damaged")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 
 
 @ends(clean="written", not_found="no run there", not_run="a record is damaged, or the folder cannot be written")

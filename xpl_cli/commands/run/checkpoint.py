@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 from xpl_cli.commands.run.serve import POLICY
 
 if TYPE_CHECKING:

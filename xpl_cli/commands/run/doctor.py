@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 
 
 @ends(clean="nothing is broken", findings="something is broken")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from xpl_cli.commands.command import ends
+from xpl_cli.basics.endings import ends
 
 app = typer.Typer(help="List, check and look at environments.", no_args_is_help=True)
 

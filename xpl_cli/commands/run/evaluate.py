@@ -82,6 +82,7 @@ def evaluate(
     adapter = package.load(policy)
     if out is not None:
         from xpl_cli.evaluation.lanes import backends
+        from xpl_cli.evaluation.lanes.backend import Room
         from xpl_cli.evaluation.runs import evaluate as suite
         from xpl_cli.evaluation.runs import plan
 
@@ -97,7 +98,7 @@ def evaluate(
                 wishes=None if is_silent else plan.Wishes(task, setting, episodes, first, horizon, until_width),
                 resume=resume,
                 serve=serve,
-                room=backends.Room(backend, backends.lanes_of(workers), servers, policy_gpus),
+                room=Room(backend, backends.lanes_of(workers), servers, policy_gpus),
                 films=film,
                 overrides=overrides,
                 python=python,

@@ -13,6 +13,26 @@ if TYPE_CHECKING:
 
     from xpl_cli.evaluation.records.records import Line
 
+LOCAL, RAY = "local", "ray"
+NAMES = (LOCAL, RAY)
+
+
+@dataclass(frozen=True)
+class Room:
+    """Where a run is played, and how much of it at a time.
+
+    Attributes:
+        backend: one of `NAMES`.
+        lanes: episodes at a time; None is as many as there are cores.
+        servers: policy servers that the lanes share; None leaves it to the backend.
+        gpus: of the cluster, for each policy server.
+    """
+
+    backend: str = LOCAL
+    lanes: int | None = 1
+    servers: int | None = None
+    gpus: float = 0.0
+
 
 @dataclass(frozen=True)
 class Job:

@@ -3,35 +3,15 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import UserError
+from xpl_cli.evaluation.lanes.backend import NAMES, RAY
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.lanes.backend import Backend
+    from xpl_cli.evaluation.lanes.backend import Backend, Room
     from xpl_cli.evaluation.lanes.lane import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
-
-LOCAL, RAY = "local", "ray"
-NAMES = (LOCAL, RAY)
-
-
-@dataclass(frozen=True)
-class Room:
-    """Where a run is played, and how much of it at a time.
-
-    Attributes:
-        backend: one of `NAMES`.
-        lanes: episodes at a time; None is as many as there are cores.
-        servers: policy servers that the lanes share; None leaves it to the backend.
-        gpus: of the cluster, for each policy server.
-    """
-
-    backend: str = LOCAL
-    lanes: int | None = 1
-    servers: int | None = None
-    gpus: float = 0.0
 
 
 def lanes_of(workers: str) -> int | None:

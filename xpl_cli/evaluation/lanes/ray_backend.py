@@ -29,7 +29,7 @@ from xpl_cli.evaluation.lanes.ray_actors import Player, PolicyServer, Post, Refu
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from xpl_cli.evaluation.lanes.backends import Room
+    from xpl_cli.evaluation.lanes.backend import Room
     from xpl_cli.evaluation.lanes.lane import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
 

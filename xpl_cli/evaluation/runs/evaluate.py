@@ -12,7 +12,7 @@ from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation import play
 from xpl_cli.evaluation.lanes import backends
-from xpl_cli.evaluation.lanes.backends import Room
+from xpl_cli.evaluation.lanes.backend import Room
 from xpl_cli.evaluation.lanes.lane import Orders
 from xpl_cli.evaluation.lanes.servers import ServerOrders
 from xpl_cli.evaluation.records import records
