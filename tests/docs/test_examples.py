@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import asyncio
 import inspect
+import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -63,6 +65,48 @@ def test_the_model_of_the_first_steps_passes_all_gates_and_plays(tmp_path: Path)
     mistake = next(place for place, block in enumerate(TUTORIAL) if block.language == "diff")
     done = _follow(tmp_path, [*TUTORIAL[:mistake], TUTORIAL[-1]], gates={Gate.STATIC, "all"})
     assert [(words[0], code) for words, code in done] == [("new-policy", 0), ("audit", 0), ("audit", 0), ("eval", 0)]
+
+
+def _tour() -> list[list[str]]:
+    """Return the commands of the README's tour, as words behind `xpl`."""
+    told = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Sixty seconds\n")[2].partition("\n```\n")[0]
+    commands = pages.shell(told.partition("```bash\n")[2])
+    assert all(words[:2] == ["./dev", "xpl"] for words in commands)
+    assert [words[2] for words in commands] == ["new-policy", "audit", "eval", "serve"]
+    return [words[2:] for words in commands]
+
+
+def _served(words: list[str], folder: Path) -> None:
+    """Serve as the tour does, but on a port that is free, until the server is ready; then end it."""
+    place = words.index("--port") + 1
+    command = [sys.executable, "-m", "xpl_cli", *words[:place], "0", *words[place + 1 :]]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True) as server:
+        try:
+            assert server.stdout is not None
+            assert json.loads(server.stdout.readline())["url"].startswith("ws://")
+            server.terminate()
+            assert server.wait(30) in {ExitCode.CLEAN, ExitCode.INTERRUPTED}
+        finally:
+            server.kill()
+
+
+def test_the_tour_of_the_readme_begins_as_written(tmp_path: Path) -> None:
+    """The package is made and its files are clean; the slow test goes all the way."""
+    made, audited, *_ = _tour()
+    assert xpl(*made, cwd=tmp_path).returncode == ExitCode.CLEAN
+    done = xpl(*audited, "--gate", "static", cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_tour_of_the_readme_runs_as_written(tmp_path: Path) -> None:
+    """Every command, in order."""
+    *commands, served = _tour()
+    for words in commands:
+        done = xpl(*words, cwd=tmp_path)
+        assert done.returncode == ExitCode.CLEAN, done.stdout + done.stderr
+    _served(served, tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,78 @@
+"""The map names every room and no other, and the decisions have one form."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import subprocess
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support import pages
+from tests.support.places import ROOT
+
+MAP = ROOT / "docs" / "architecture.md"
+PICTURE = ROOT / "docs" / "assets" / "architecture.svg"
+DECISIONS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
+HEADINGS = ["Context", "Decision", "Consequences", "Tried and dropped"]
+ENGINE = ("xpl", "xpl_cli")
+
+
+def _rooms() -> set[str]:
+    """Return every folder that is a room: those of the checkout, and those of the engine."""
+    listing = ["git", "ls-files", "-z"]
+    done = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True)
+    tops = {name.partition("/")[0] for name in done.stdout.split("\0") if "/" in name}
+    tops = {name for name in tops if not name.startswith(".") or name == ".agents"}
+    inner = {f"{room}/{path.parent.name}" for room in ENGINE for path in (ROOT / room).glob("*/__init__.py")}
+    return {f"{name}/" for name in tops | inner}
+
+
+def test_the_map_has_a_paragraph_for_each_room_and_each_is_there() -> None:
+    """The engine's two in headings, all others at the head of a paragraph."""
+    text = MAP.read_text(encoding="utf-8")
+    told = re.findall(r"^\*\*.*?\*\*(?= (?:is|are|has|holds|[a-z]+s)\b)", text, re.MULTILINE)
+    heads = re.findall(r"^### .*", text, re.MULTILINE)
+    named = [name for line in (*told, *heads) for name in re.findall(r"`([^`]+/)`", line)]
+    assert len(named) == len(set(named))
+    assert set(named) == _rooms()
+
+
+def test_the_picture_of_the_map_has_every_room() -> None:
+    """By its last name: the frames say where it is."""
+    texts: Any = ET.parse(PICTURE).iter("{http://www.w3.org/2000/svg}text")  # noqa: S314 - our own file
+    drawn = {text.text for text in texts if text.get("class") == "name" and text.text.endswith("/")}
+    assert drawn == {f"{room.rstrip('/').rpartition('/')[2]}/" for room in _rooms()}
+
+
+@pytest.mark.parametrize(
+    "path", [MAP, ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DECISIONS], ids=lambda one: one.stem
+)
+def test_modules_and_rooms_that_a_page_names_are_there(path: Path) -> None:
+    """A path of the engine or of a content room, as it is written."""
+    rooms = "|".join(re.escape(room) for room in sorted({name.partition("/")[0] for name in _rooms()}))
+    named = [span for span in pages.spans(path) if re.fullmatch(rf"(?:{rooms})/[\w./-]*", span)]
+    made_elsewhere = ("xpl_cli/_content/", "policy/MyPolicy", "policy/Foo")  # in a wheel, by a command
+    assert [span for span in named if not (ROOT / span).exists() and not span.startswith(made_elsewhere)] == []
+
+
+@pytest.mark.parametrize("path", DECISIONS, ids=lambda path: path.stem)
+def test_a_decision_says_why_what_and_what_was_dropped(path: Path) -> None:
+    """Four headings, each with something below it."""
+    head, *parts = re.split(r"^## ", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert head.startswith(f"# {int(path.name[:4])}. ")
+    assert [part.partition("\n")[0] for part in parts] == HEADINGS
+    assert all(part.partition("\n")[2].strip() for part in parts)
+
+
+def test_every_decision_has_its_number_and_its_place_in_the_index() -> None:
+    """Under its own title, in one list."""
+    index = (ROOT / "docs" / "decisions" / "README.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^- \[(.*)\]\((0.*)\)$", index, re.MULTILINE)
+    titles = [(path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# "), path.name) for path in DECISIONS]
+    assert sorted(listed, key=lambda entry: entry[1]) == titles
+    numbers = [int(path.name[:4]) for path in DECISIONS]
+    assert numbers == list(itertools.islice(itertools.count(1), len(numbers)))
