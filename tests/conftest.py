@@ -16,7 +16,11 @@ from typing import Any
 import pytest
 
 from tests.support.peer import MARK, processes, wait_until
+from xpl_cli.serving import nursery
 from xpl_cli.serving.launch import RunningServer, serving
+
+# No test multiplies matrices, and threads for that cost every process that imports numpy half of its start.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -46,11 +50,20 @@ def write_adapter(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Pat
 @pytest.fixture
 def serve() -> Iterator[Callable[..., RunningServer]]:
     """Return a function that serves an adapter until the test ends, and check that nothing is left then."""
+    nursery.warm()  # it outlives this test, and must not bear its mark
     mark = uuid.uuid4().hex
     os.environ[MARK] = mark
+    served: list[RunningServer] = []
     try:
         with contextlib.ExitStack() as stack:
-            yield lambda folder, **options: stack.enter_context(serving(folder, **options))
+
+            def start(folder: Path, **options: Any) -> RunningServer:
+                served.append(stack.enter_context(serving(folder, **options)))
+                return served[-1]
+
+            yield start
+        # A front end is forked and shows no mark; what it starts does.
+        assert all(server.ended is not None for server in served)
         wait_until(lambda: not processes(mark), "all processes of the server are gone")
     finally:
         del os.environ[MARK]

@@ -6,15 +6,35 @@ typer has no such step, and for values of every other kind, nothing is changed.
 
 from __future__ import annotations
 
+import contextlib
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 from typer.core import TyperCommand, TyperGroup
 
+_NUMBER: Final = re.compile(r"[+-]?[0-9]{1,15}(\.[0-9]{1,15})?")
+
+
+def _number(kind: type[float]) -> Callable[[Any], Any]:
+    """Return what converts plain numbers, and raises ValueError for all that typer had better judge."""
+
+    def convert(value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        if _NUMBER.fullmatch(value) is None:
+            raise ValueError(value)
+        return kind(value)
+
+    return convert
+
+
 _CONVERSIONS: Final[dict[Any, Callable[[Any], Any]]] = {
     str: str,
     Path: Path,
+    int: _number(int),
+    float: _number(float),
     list[str]: lambda values: [str(value) for value in values],
     list[Path]: lambda values: [Path(value) for value in values],
 }
@@ -40,10 +60,17 @@ def _made_plain(parameters: list[Any]) -> list[Any]:
     for parameter in parameters:
         annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
         is_ready = "get_runtime_param" in vars(parameter) or not hasattr(parameter, "get_runtime_param")
+        if annotation in {int, float} and _is_bounded(parameter):
+            continue
         if not is_ready and (annotation is bool or annotation in _CONVERSIONS):
             plain = _Plain(_CONVERSIONS.get(annotation), parameter.get_runtime_param)
             parameter.get_runtime_param = lambda plain=plain: plain
     return parameters
+
+
+def _is_bounded(parameter: Any) -> bool:
+    declared = parameter.type_descriptor.parameter_info
+    return declared.min is not None or declared.max is not None
 
 
 class _Plain:
@@ -62,6 +89,7 @@ class _Plain:
         """Return the value of a parameter; several values that were not given are none."""
         if value is None:
             return () if param.multiple or param.nargs == -1 else None
-        if self._convert is None:
-            return self._usual().coerce(value, param=param, ctx=ctx)
-        return self._convert(value)
+        if self._convert is not None:
+            with contextlib.suppress(ValueError):
+                return self._convert(value)
+        return self._usual().coerce(value, param=param, ctx=ctx)

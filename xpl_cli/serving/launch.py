@@ -16,10 +16,13 @@ from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING, Any
 
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.serving import nursery
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
+
+    from xpl_cli.serving.nursery import Hosted
 
 STOP_S = 10.0
 LOG_LINES = 400
@@ -61,7 +64,7 @@ class RunningServer:
     log: collections.deque[str] = field(default_factory=lambda: collections.deque(maxlen=LOG_LINES))
     stubbed: tuple[str, ...] = ()
     stop_seconds: float | None = None
-    process: subprocess.Popen[bytes] | None = None
+    process: Hosted | None = None
 
     @property
     def ended(self) -> int | None:
@@ -101,7 +104,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     Raises:
         ServerStartError: if it does not become ready.
     """
-    command = [sys.executable, "-m", "xpl_cli", "serve", str(policy), "--port", "0", "--host", "localhost"]
+    command = ["serve", str(policy), "--port", "0", "--host", "localhost"]
     # The server holds our end of its standard input: if this process is killed, the server notices and ends too.
     command.append("--until-stdin-ends")
     for key, value in (overrides or {}).items():
@@ -109,13 +112,8 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     for option, value in (("--python", python), ("--policy-env", env), ("--gpu", gpu)):
         command += [option, value] if value is not None else []
     command += options
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
-    )
+    process = nursery.start(command)
     server = RunningServer(url="", pid=process.pid, process=process)
-    assert process.stdin is not None  # noqa: S101 - for the type checker: PIPE was asked for
-    assert process.stdout is not None  # noqa: S101
-    assert process.stderr is not None  # noqa: S101
     reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
     reader.start()
     try:
@@ -133,7 +131,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
 
 
 def _wait_ready(
-    process: subprocess.Popen[bytes],
+    process: Hosted,
     stdout: IO[bytes],
     timeout: float,
     reader: threading.Thread,
@@ -167,7 +165,7 @@ def _collect(stream: IO[bytes], log: collections.deque[str], echo: bool) -> None
             sys.stderr.write(text + "\n")
 
 
-def _stop(process: subprocess.Popen[bytes]) -> None:
+def _stop(process: Hosted) -> None:
     """End the server in order, and by force if that takes too long. Ctrl-C during this does not leave it behind."""
     if process.poll() is None:
         process.terminate()

@@ -1,0 +1,111 @@
+"""Servers are forked from a process that has imported everything; nothing else may differ from starting them anew."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import uuid
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.support.peer import MARK, processes, wait_until
+from tests.support.places import ROOT
+from xpl_cli import __version__
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.serving import nursery
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl_cli.serving.nursery import Hosted
+
+DEADLINE_S = 60.0
+WAITS = "mcp"
+"""A command that goes on until its standard input ends."""
+TOOL = f"""
+import sys
+from xpl_cli.serving import nursery
+hosted = nursery.start(["{WAITS}"])
+print(hosted.pid, flush=True)
+sys.stdin.read()
+"""
+
+
+def _told(hosted: Hosted) -> tuple[int, str, str]:
+    """Return exit code and both outputs of a command that needs no input."""
+    hosted.stdin.close()
+    out, err = hosted.stdout.read().decode(), hosted.stderr.read().decode()
+    code = hosted.wait(DEADLINE_S)
+    _close(hosted)
+    return code, out, err
+
+
+def _close(hosted: Hosted) -> None:
+    for stream in (hosted.stdin, hosted.stdout, hosted.stderr):
+        stream.close()
+
+
+def test_exit_code_and_outputs_are_those_of_the_command() -> None:
+    """A command that goes well, and one that is refused."""
+    assert _told(nursery.start(["--version"])) == (ExitCode.CLEAN, f"xpl {__version__}\n", "")
+    code, out, err = _told(nursery.start(["serve", "no-such-policy"]))
+    assert (code, out) == (ExitCode.NOT_FOUND, "")
+    assert "no-such-policy" in err
+
+
+def test_folder_and_environment_are_those_of_the_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not those in which the nursery was started."""
+    nursery.warm()
+    (tmp_path / "here.yml").write_text("{}\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert _told(nursery.start(["spec", "validate", "--schema", "policy", "here.yml"]))[0] == ExitCode.FINDINGS
+    monkeypatch.setenv("XPL_DEBUG", "1")
+    monkeypatch.chdir(ROOT)
+    assert _told(nursery.start(["spec", "validate", "--schema", "policy", "here.yml"]))[0] == ExitCode.NOT_FOUND
+
+
+def test_a_signal_ends_it_and_is_told() -> None:
+    """As `subprocess` tells it."""
+    hosted = nursery.start([WAITS])
+    assert hosted.poll() is None
+    with pytest.raises(subprocess.TimeoutExpired):
+        hosted.wait(0.0)
+    hosted.send_signal(signal.SIGKILL)
+    assert hosted.wait(DEADLINE_S) == -signal.SIGKILL
+    assert hosted.poll() == -signal.SIGKILL
+    _close(hosted)
+
+
+def test_a_nursery_that_was_killed_is_replaced() -> None:
+    """The next server starts, and the end of an older one is noticed although nobody knows its exit code."""
+    old = nursery.start([WAITS])
+    process = nursery._nursery(os.getpid())._process
+    process.kill()
+    process.wait()
+    assert _told(nursery.start(["--version"]))[0] == ExitCode.CLEAN
+    assert old.poll() is None
+    old.send_signal(signal.SIGKILL)
+    assert old.wait(DEADLINE_S) != 0
+    _close(old)
+
+
+@pytest.mark.parametrize("end", [None, signal.SIGTERM, signal.SIGKILL], ids=["ends", "SIGTERM", "SIGKILL"])
+def test_nothing_is_left_of_it_however_the_tool_ends(end: signal.Signals | None) -> None:
+    """Neither the nursery nor a command that waits for its input."""
+    mark = uuid.uuid4().hex
+    environment = {**os.environ, MARK: mark, "PYTHONPATH": str(ROOT)}
+    tool = subprocess.Popen(
+        [sys.executable, "-c", TOOL], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert tool.stdin is not None
+    assert tool.stdout is not None
+    with tool:
+        assert int(tool.stdout.readline()) in processes(mark)
+        if end is None:
+            tool.stdin.close()
+        else:
+            tool.send_signal(end)
+    wait_until(lambda: not processes(mark), "all of its processes are gone")
