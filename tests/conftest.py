@@ -23,6 +23,23 @@ from xpl_cli.serving.launch import RunningServer, serving
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave of a test with `sampled(n)` n cases, evenly spread, to the quick run; the others are slow."""
+    groups: dict[tuple[str, Any], list[tuple[pytest.Item, int]]] = {}
+    for item in items:
+        marker = item.get_closest_marker("sampled")
+        if marker is not None:
+            name = item.nodeid.partition("[")[0]
+            groups.setdefault((name, marker.args), []).append((item, *marker.args))
+    for group in groups.values():
+        count = group[0][1]
+        kept = {index * len(group) // count for index in range(count)}
+        for index, (item, _) in enumerate(group):
+            if index not in kept:
+                item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep what audits remember out of the user's cache."""

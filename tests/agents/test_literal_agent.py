@@ -198,6 +198,7 @@ WRITTEN, AROUND, PLAYED = 6, 7, len(literal_agent.steps(SKILL))
 """Steps after which the text is right, what is around the model is right, and all is done."""
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("newcomer", [_linear, _tinted, _mlp])
 def test_the_skill_leads_to_a_sound_package(
     agent: Callable[..., LiteralAgent], newcomer: Callable[[Path], Answers]

@@ -71,6 +71,7 @@ def test_a_pair_that_is_not_offered_says_why() -> None:
 # -- experts and chance ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_frozen_seeds_are_solved_by_the_expert_and_not_by_chance(task: str, setting: str) -> None:

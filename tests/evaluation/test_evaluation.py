@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
 @pytest.mark.parametrize("control", ["joint", "ee"])
 def test_the_expert_solves_a_few_seeds_through_the_server(tmp_path: Path, task: str, control: str) -> None:
@@ -124,6 +125,7 @@ BREAKS_ONCE = """
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("deaths", "code", "failed"), [(1, ExitCode.CLEAN, 0), (9, ExitCode.NOT_RUN, 2)])
 def test_a_trial_that_the_infrastructure_spoils_counts_neither_way(
     write_adapter: Callable[..., Path], tmp_path: Path, deaths: int, code: ExitCode, failed: int
@@ -330,6 +332,7 @@ def test_what_does_not_keep_its_limits_is_guarded(  # noqa: PLR0917 - fixtures a
 SLOW = WILD.replace("def get_action(self):", "def get_action(self):\n            import time; time.sleep(0.5)")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("real_time", "held"), [(True, 4), (False, None)])
 def test_actions_age_unless_the_environment_waits(
     frail: Path, write_adapter: Callable[..., Path], tmp_path: Path, *, real_time: bool, held: int | None

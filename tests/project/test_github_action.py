@@ -308,6 +308,7 @@ HOSTILE = (
 )
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize(
     ("name", "value"),
     [("paths", value) for value in HOSTILE]

@@ -166,6 +166,7 @@ def test_the_next_command_installs_where_there_is_something_to_install(tmp_path:
 # -- the lock ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_lock_renders_it_again(variant: str, tmp_path: Path) -> None:
     """Every answer is kept, so that an update starts from the same files."""

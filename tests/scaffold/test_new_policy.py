@@ -79,6 +79,7 @@ def _state(robot: str) -> dict[str, Any]:
     return {"state": values}
 
 
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("eval_only", [False, True])
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 @pytest.mark.parametrize("robot", embodiment_names())
@@ -359,6 +360,7 @@ def test_a_loop_over_nothing_asks_for_nothing(adapter: Path) -> None:
 # -- names and options -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(
     "name",
     [

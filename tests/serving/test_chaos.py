@@ -164,6 +164,7 @@ SURVIVED = [
 ]
 
 
+@pytest.mark.sampled(36)
 @variants
 @pytest.mark.parametrize(("kind", "direction"), SURVIVED)
 @pytest.mark.parametrize("name", ["update_obs", "infer"])
@@ -217,6 +218,7 @@ LOUD = [
 ]
 
 
+@pytest.mark.sampled(10)
 @variants
 @pytest.mark.parametrize(
     ("fault", "error", "message"),
@@ -341,6 +343,7 @@ def test_a_slow_reader_costs_bounded_memory(server: Server, proxy: Proxy) -> Non
         peer.send("close")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("count", "side"), [(600, 591), (36, 2365)], ids=["many", "large"])
 def test_requests_that_pile_up_cost_bounded_memory(
     server: Server, proxy: Proxy, tmp_path: Path, count: int, side: int
@@ -387,6 +390,7 @@ def test_a_message_in_countless_fragments_holds_up_nobody(server: Server, proxy:
 # -- kill -9 -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(4)
 @variants
 @pytest.mark.parametrize("thinking", [True, False], ids=["thinking", "idle"])
 @pytest.mark.parametrize("kind", KILLS)
@@ -507,6 +511,7 @@ def test_a_second_client_never_gets_between(server: Server, proxy: Proxy, option
         play(second, rng, 5)
 
 
+@pytest.mark.sampled(1)
 @variants
 def test_two_clients_at_once_share_nothing(adapter: Path, options: dict[str, Any]) -> None:
     """Each has a worker; both play under faults."""
@@ -516,6 +521,7 @@ def test_two_clients_at_once_share_nothing(adapter: Path, options: dict[str, Any
         run_together(server, 2, options)
 
 
+@pytest.mark.sampled(1)
 @variants
 def test_clients_of_one_model_share_nothing(write_adapter: Callable[..., Path], options: dict[str, Any]) -> None:
     """Where the adapter declares that several clients may share it: environments of one are not those of another."""

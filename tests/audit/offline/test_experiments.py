@@ -183,6 +183,7 @@ DRAWS = """
 RULES = ("inputs-matter", "undeclared-input", "lists-and-extras")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("draw", "deterministic", "outcomes"),
     [

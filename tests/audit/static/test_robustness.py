@@ -179,6 +179,7 @@ def told(report: GateReport, slug: str) -> list[str | None]:
     return [finding.path for result in report.results if result.slug == slug for finding in result.findings]
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", ["model.py", "deploy.py", "deploy.yml", "policy.yml", "eval.sh", "README.md"])
 @pytest.mark.parametrize("content", [TEXT.encode("utf-16"), b"\xff\xfe\xfd\0\1\2" * 99, b"\0" * 4096, b""])
 def test_no_file_is_needed_to_judge_the_others(adapter: Path, name: str, content: bytes) -> None:

@@ -51,6 +51,7 @@ def test_whole_episodes_of_inspect_robots_carry_every_bit(serve: Serve, plugin: 
         assert entry == wanted
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
 @pytest.mark.parametrize(("robot", "prefixes"), [("franka_single", [""]), ("arx_x5", ["left_", "right_"])])
 def test_inspect_robots_plays_the_demo_policy(
@@ -137,6 +138,7 @@ def test_a_restart_amid_an_episode_is_refused(serve: Serve, plugin: Connect, jou
     assert [event for event in journal.events() if event != "trial_end"] == ["reset", "infer"] * 2
 
 
+@pytest.mark.sampled(1)
 def test_our_client_waits_while_a_third_party_has_the_server(
     serve: Serve, client: Connect, plugin: Connect, journal: Journal
 ) -> None:

@@ -46,6 +46,7 @@ def test_the_oldest_environment_has_the_oldest_websockets(peers: Path, start: Co
     assert versions["numpy"].startswith("1.")
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("envs", [1, 3])
 def test_our_client_plays_whole_episodes(serve: Serve, client: Connect, envs: int) -> None:
     """Blocking or asynchronous, on old libraries or new: every action is the one that the policy computed."""
@@ -60,6 +61,7 @@ def test_our_client_plays_whole_episodes(serve: Serve, client: Connect, envs: in
     ours.ask("close")
 
 
+@pytest.mark.sampled(2)
 def test_our_client_survives_a_cut(serve: Serve, client: Connect) -> None:
     """It comes back to the same server, and the episode goes on."""
     server = serve(ROOT / "policy/demo_policy", overrides={"env_cfg_type": "franka_single"})
@@ -73,6 +75,7 @@ def test_our_client_survives_a_cut(serve: Serve, client: Connect) -> None:
         ours.ask("close")
 
 
+@pytest.mark.sampled(2)
 def test_our_client_notices_a_restart(serve: Serve, client: Connect) -> None:
     """Another server answers at the address: the trial ends loudly."""
     overrides = {"env_cfg_type": "franka_single"}
@@ -88,6 +91,7 @@ def test_our_client_notices_a_restart(serve: Serve, client: Connect) -> None:
         assert restarted.value.kind == "ServerRestartedError"
 
 
+@pytest.mark.sampled(2)
 def test_a_script_that_forgets_close_ends(serve: Serve, client: Connect) -> None:
     """An episode that dies by an exception must not leave a process behind, whatever threads the library starts."""
     ours = client(serve(ROOT / "policy/demo_policy", overrides={"env_cfg_type": "franka_single"}).url)
