@@ -23,11 +23,12 @@ class Raw:
         status: HTTP status of the answer to the opening handshake.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, *headers: str, host: str = "127.0.0.1") -> None:
         self._socket = dial(url)
         key = base64.b64encode(os.urandom(16)).decode()
-        lines = ["GET / HTTP/1.1", "Host: x", "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
-        self._socket.sendall(("\r\n".join([*lines, f"Sec-WebSocket-Key: {key}"]) + "\r\n\r\n").encode())
+        lines = ["GET / HTTP/1.1", f"Host: {host}", "Upgrade: websocket", "Connection: Upgrade"]
+        lines += ["Sec-WebSocket-Version: 13", f"Sec-WebSocket-Key: {key}", *headers]
+        self._socket.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
         head = b""
         while not head.endswith(b"\r\n\r\n"):
             head += self._read(1)

@@ -210,10 +210,11 @@ def _connection_problem(error: Exception, url: str) -> Exception:
 
 
 def _lost_connection(error: Exception) -> Exception:
-    from websockets.exceptions import ConnectionClosed
+    from websockets.exceptions import ConnectionClosed, WebSocketException
 
-    if isinstance(error, ConnectionClosed):
-        if error.rcvd is not None and error.rcvd.code == spec.CLOSE_CODES["server_failed"]:
-            return ServerFailedError(f"the policy server ended: {error.rcvd.reason}")
+    if isinstance(error, WebSocketException):
+        received = error.rcvd if isinstance(error, ConnectionClosed) else None
+        if received is not None and received.code == spec.CLOSE_CODES["server_failed"]:
+            return ServerFailedError(f"the policy server ended: {received.reason}")
         return ConnectionResetError(str(error))
     return error

@@ -21,6 +21,7 @@ from xpl import _spec as spec
 from xpl.client.errors import ServerConnectionError, ServerFailedError
 
 _CHUNK = 1 << 18
+_NO_TOKEN, _REFUSED = 401, 403
 _LOOK_S = 0.5
 """How often an idle connection is looked after."""
 
@@ -101,11 +102,16 @@ class BlockingTransport:
 
     async def send(self, data: bytes, timeout: float | None) -> None:
         """Send a binary message within `timeout` seconds."""
+        from websockets.exceptions import WebSocketException
+
         connected = self._connected()
         connected.settimeout(timeout)
         if self._ended:  # while nobody asked anything
             self._end()
-        self._protocol.send_binary(data)
+        try:
+            self._protocol.send_binary(data)
+        except WebSocketException:  # the server closed right after the handshake, or broke the protocol
+            self._end()
         self._flush()
 
     async def receive(self, timeout: float | None) -> bytes:
@@ -232,9 +238,13 @@ def wrong_address(url: str, error: Exception) -> ServerConnectionError:
 
 def refused_handshake(error: Exception, url: str) -> Exception:
     """Return how a refused handshake is reported: for good, or as an OSError that may be tried again."""
-    status = getattr(getattr(error, "response", None), "status_code", None) or getattr(error, "status_code", None)
-    if status in (401, 403):
+    response = getattr(error, "response", None)
+    status = getattr(response, "status_code", None) or getattr(error, "status_code", None)
+    if status == _NO_TOKEN:
         return ServerConnectionError(f"the policy server at {url} wants another bearer token (HTTP {status})")
+    if status == _REFUSED:
+        told = bytes(getattr(response, "body", None) or b"").decode(errors="replace").strip()
+        return ServerConnectionError(f"the policy server at {url} refuses this client (HTTP {status}): {told:.300}")
     return ConnectionError(str(error))  # something answers there, but no policy server
 
 

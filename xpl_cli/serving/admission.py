@@ -1,4 +1,4 @@
-"""Who may speak to the server at all: bearer token and number of connections; and its two plain HTTP pages."""
+"""Who may speak to the server at all: bearer token, names, number of connections; and its two plain HTTP pages."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ from typing import TYPE_CHECKING, Any
 from picows import WSUpgradeResponse, WSUpgradeResponseWithListener
 
 from xpl import _spec as spec
+from xpl_cli.serving.logbook import log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from multidict import CIMultiDict
     from picows import WSUpgradeRequest
+
+    from xpl_cli.serving.names import Names
 
 _HEALTH, _METRICS = "/healthz", "/metrics"
 
@@ -27,20 +31,43 @@ class Admission:
 
     Args:
         token: what a client has to show, or None.
+        names: what the server goes by, and which pages may speak to it.
         health: returns the server's state.
         metrics: returns the page of metrics, or None if there are none.
-        connections: returns how many connections there are.
+        make_room: tells whether one more connection is possible; may drop one that has said nothing.
     """
 
     token: str | None
+    names: Names
     health: Callable[[], dict[str, Any]]
     metrics: Callable[[], bytes] | None
-    connections: Callable[[], int]
+    make_room: Callable[[], bool]
 
     def refusal(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
-        """Return the answer to a request that is not let in, or None."""
-        if self.token is not None and not self._knows(request.headers.get("Authorization", "")):
+        """Return the answer to a request that is not let in, or None; never raises."""
+        try:
+            return self._refusal(request)
+        except Exception as error:  # noqa: BLE001 - what a stranger sends must not end in a traceback of the library
+            log(f"refused a request that could not be read: {type(error).__name__}: {error}")
+            return _page(HTTPStatus.BAD_REQUEST, "the request cannot be read\n", {})
+
+    def _refusal(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
+        return self._stranger(request.headers) or self._asked_for(request)
+
+    def _stranger(self, headers: CIMultiDict[str]) -> WSUpgradeResponseWithListener | None:
+        if self.token is not None and not self._knows(headers.getall("Authorization", [])):
             return _page(HTTPStatus.UNAUTHORIZED, "a bearer token is needed\n", {"WWW-Authenticate": "Bearer"})
+        foreign = self.names.refuse_origin(headers.getall("Origin", []))
+        # Who shows the token may call this server what it likes: a page of a stranger cannot show it.
+        if foreign is None and self.token is None:
+            foreign = self.names.refuse_host(headers.getall("Host", []))
+        if foreign is not None:
+            return _page(HTTPStatus.FORBIDDEN, foreign + "\n", {})
+        if not all(value.isascii() for value in headers.values()):
+            return _page(HTTPStatus.BAD_REQUEST, "headers must be ASCII\n", {})
+        return None
+
+    def _asked_for(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
         path = os.fsdecode(request.path).partition("?")[0]
         if path == _HEALTH:
             state = self.health()
@@ -49,16 +76,18 @@ class Admission:
             return _page(status, json.dumps(state) + "\n", {"Content-Type": "application/json"})
         if path == _METRICS and self.metrics is not None:
             return _page(HTTPStatus.OK, self.metrics(), {"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
-        if self.connections() >= spec.LIMITS["connections"]:
-            return _page(HTTPStatus.SERVICE_UNAVAILABLE, f"{self.connections()} connections are enough\n", {})
+        if not self.make_room():
+            return _page(HTTPStatus.SERVICE_UNAVAILABLE, f"{self.health()['connections']} connections are enough\n", {})
         if request.headers.get("Upgrade", "").lower() != "websocket":
             return _page(HTTPStatus.NOT_FOUND, f"there is {_HEALTH}, and a policy server for WebSocket clients\n", {})
         return None
 
-    def _knows(self, header: str) -> bool:
-        scheme, _, shown = header.partition(" ")
+    def _knows(self, shown: list[str]) -> bool:
+        if len(shown) != 1:  # of two, a proxy in between may have looked at the other one
+            return False
+        scheme, _, token = shown[0].partition(" ")
         # The time that this takes must not tell how much of it was right.
-        right = hmac.compare_digest(shown.strip().encode(errors="replace"), (self.token or "").encode())
+        right = hmac.compare_digest(token.strip().encode(errors="replace"), (self.token or "").encode())
         return scheme.lower() == "bearer" and right
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from picows import WSCloseCode, WSListener, WSMsgType
 
 from xpl import _spec as spec
-from xpl_cli.serving.pool import log
+from xpl_cli.serving.logbook import log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from xpl.wire.segment import Segment
     from xpl_cli.serving.places import Place
 
-_CLEAN = (1000, 1001)
+_NORMAL = 1000
+_CLEAN = (0, _NORMAL, 1001)
+"""Codes of a goodbye; 0 is what the library calls a close frame without any (RFC 6455, section 7.1.5)."""
 _REASON_BYTES = 123  # RFC 6455, section 5.5
 _DATA = (WSMsgType.BINARY, WSMsgType.TEXT, WSMsgType.CONTINUATION)
 
@@ -82,6 +84,7 @@ class Connection(WSListener):
         self._choked = False
         self._reading = True
         self._clean = False
+        self._spoke = False
         self.is_open = False
         self.packs = False
         self.counts = False
@@ -110,9 +113,10 @@ class Connection(WSListener):
         elif kind in _DATA:
             self._fragment(frame)
         elif kind == WSMsgType.CLOSE:
-            self._clean = int(frame.get_close_code()) in _CLEAN  # type: ignore[call-overload]
+            code = int(frame.get_close_code())  # type: ignore[call-overload]
+            self._clean = code in _CLEAN
             with contextlib.suppress(Exception):  # the peer may be gone before it hears us
-                transport.send_close(frame.get_close_code())
+                transport.send_close(code or _NORMAL)  # type: ignore[arg-type]  # any code will do
             transport.disconnect()
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:  # noqa: ARG002 - the library's signature
@@ -142,6 +146,22 @@ class Connection(WSListener):
         peer = self._raw("peername")
         address = str(peer[0]).removeprefix("::ffff:") if isinstance(peer, tuple) else ""
         return address.startswith("127.") or address == "::1"
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it has not said anything yet."""
+        return not self._spoke
+
+    @property
+    def descriptor(self) -> int:
+        """Number of its socket; -1 if there is none."""
+        raw = self._raw("socket")
+        return -1 if raw is None else int(raw.fileno())
+
+    def cut(self) -> None:
+        """End the connection at once, without a word."""
+        if self._transport is not None:
+            self._transport.underlying_transport.abort()
 
     def expect_answer(self, size: int) -> None:
         """Count a request of so many bytes; a peer that has too many unanswered is not read."""
@@ -197,6 +217,7 @@ class Connection(WSListener):
                 self._whole(whole)
 
     def _whole(self, data: bytes | memoryview) -> None:
+        self._spoke = True
         hello = self._timers.pop("silence", None)
         if hello is not None:
             hello.cancel()

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as spec
 from xpl.wire import codec, packed
 from xpl_cli.serving.line import Job
+from xpl_cli.serving.logbook import log, log_lines
 from xpl_cli.serving.payloads import has_images, pack, without_images
-from xpl_cli.serving.pool import log
 from xpl_cli.serving.session import RequestError, failure_code, method_of, packed_payload
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ class Desk:
         elif error.get("refused"):
             refused = RequestError(spec.ErrorCode.INVALID_FRAME, text)
         else:
-            log(error["traceback"].rstrip())
+            log_lines(error["traceback"])
             shown = error["traceback"] if self._debug else f"{error['type']}: {text}"
             refused = RequestError(failure_code(job.frame), shown, **lacks)
         self.refused(job, refused)
@@ -195,7 +195,7 @@ def refusal(frame: codec.Frame, error: RequestError) -> bytes:
 
 def fault(error: Exception) -> RequestError:
     """Return the error answer for a fault of the server itself."""
-    log("".join(traceback.format_exception(error)).rstrip())
+    log_lines("".join(traceback.format_exception(error)))
     return RequestError(spec.ErrorCode.INTERNAL, f"fault of the server: {type(error).__name__}: {error}")
 
 

@@ -9,7 +9,7 @@ from xpl import _spec as spec
 from xpl.client import agreement
 from xpl.wire.segment import Segment, SegmentError
 from xpl_cli import __version__
-from xpl_cli.serving.pool import log
+from xpl_cli.serving.logbook import log
 from xpl_cli.serving.session import RequestError
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from xpl import _spec as spec
 from xpl.process.link import LinkError
 from xpl_cli.serving.line import Line
+from xpl_cli.serving.logbook import log
 from xpl_cli.serving.session import RequestError
 from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.serving.worker import WorkerDiedError
@@ -264,9 +265,3 @@ class Worker:
 
 def _died(reason: str) -> RequestError:
     return RequestError(spec.ErrorCode.INTERNAL, reason, spec.ErrorReason.WORKER_DIED)
-
-
-def log(text: str) -> None:
-    """Write a line to the server's log, which is standard error."""
-    sys.stderr.write(f"[server] {text}\n")
-    sys.stderr.flush()

@@ -24,8 +24,10 @@ from xpl_cli.isolation import family
 from xpl_cli.isolation.sandbox import isolated
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.serving.connection import Timing
+from xpl_cli.serving.logbook import log
+from xpl_cli.serving.names import LOOPBACK, Names
 from xpl_cli.serving.observe import Observer
-from xpl_cli.serving.pool import STACKS_S, LoadError, log
+from xpl_cli.serving.pool import STACKS_S, LoadError
 from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server import FrontEnd, Settings
 from xpl_cli.serving.stand_in import StandIn
@@ -39,7 +41,6 @@ if TYPE_CHECKING:
 
 SCHEMA = "xpl.serve/1"
 
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _PROGRESS_S = 5.0
 _GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
@@ -57,6 +58,8 @@ class Options:
         tls_cert: certificate chain, PEM.
         tls_key: its key, PEM, where it is not in the same file.
         insecure: listen elsewhere than on loopback without a token.
+        allow_hosts: further names that the server goes by.
+        allow_origins: web pages that may speak to it.
         debug: send tracebacks to clients.
         metrics: offer /metrics.
         trace: file that gets one line for each request.
@@ -76,6 +79,8 @@ class Options:
     tls_cert: Path | None = None
     tls_key: Path | None = None
     insecure: bool = False
+    allow_hosts: Sequence[str] = ()
+    allow_origins: Sequence[str] = ()
     debug: bool = False
     metrics: bool = False
     trace: Path | None = None
@@ -113,11 +118,11 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
 
 
 def _settings(package: Package, config: Mapping[str, Any], options: Options) -> Settings:
-    host = config[spec.Deploy.HOST] or _LOOPBACK[0]
+    host = config[spec.Deploy.HOST] or LOOPBACK[0]
     if options.workers < 1:
         raise UserError(f"--workers must be at least 1, got {options.workers}")
     token = None if options.token_file is None else read_token(options.token_file)
-    if host not in _LOOPBACK and token is None and not options.insecure:
+    if host not in LOOPBACK and token is None and not options.insecure:
         raise UserError(
             f"host is {host!r}: without authentication the server listens on loopback only",
             hint="give it a secret with --token-file, or add --insecure to let every machine that reaches this "
@@ -137,6 +142,7 @@ def _settings(package: Package, config: Mapping[str, Any], options: Options) -> 
         request_timeout=config[spec.Deploy.REQUEST_TIMEOUT_S],
         grace=spec.DEPLOY_DEFAULTS[spec.Deploy.CLOSE_TIMEOUT_S] if close is None else close,
         policy={**agreement.needs(package.manifest, config), **options.stand_in.message},
+        names=Names(host, options.allow_hosts, options.allow_origins),
         token=token,
         tls=server_tls_context(options.tls_cert, options.tls_key),
         debug=options.debug,
@@ -206,13 +212,13 @@ async def _serve(run: _Run) -> str | None:
         if run.observer is not None:
             run.observer.watch(front_end.health)
         try:
-            server = await front_end.listen()
+            servers = await front_end.listen()
         except OSError as error:
             return f"cannot listen on {run.settings.host}:{run.settings.port}: {error.strerror}"
         try:
-            return await _until_ended(run, front_end, server, ending)
+            return await _until_ended(run, front_end, servers, ending)
         finally:
-            server.close()
+            _close(servers)
     finally:
         await asyncio.gather(*(process.stop(grace=1.0) for process in processes))
         for stray in family.end_descendants():
@@ -233,7 +239,7 @@ async def _start(run: _Run, number: int) -> WorkerProcess:
     return process
 
 
-async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, ending: _Ending) -> str | None:
+async def _until_ended(run: _Run, front_end: FrontEnd, servers: list[asyncio.Server], ending: _Ending) -> str | None:
     asked = asyncio.create_task(ending.asked.wait())
     loading = asyncio.create_task(_load(run, front_end))
     await _first(loading, asked)
@@ -252,7 +258,7 @@ async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, e
     gc.freeze()
     gc.set_threshold(10_000, 10, 10)
     front_end.ready()
-    host, port = _address(server, run.settings.host)
+    host, port = _address(servers[0], run.settings.host)
     scheme = "ws" if run.settings.tls is None else "wss"
     ready = {
         "event": spec.ServerState.READY,
@@ -269,10 +275,15 @@ async def _until_ended(run: _Run, front_end: FrontEnd, server: asyncio.Server, e
         reason = front_end.failed.result()
         await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], reason)
         return reason
-    server.close()
+    _close(servers)
     await _first(asyncio.create_task(front_end.drain(run.settings.grace)), asyncio.create_task(ending.insisted.wait()))
     await _dismiss(front_end, ending, _GOING_AWAY, "the policy server was stopped")
     return None
+
+
+def _close(servers: list[asyncio.Server]) -> None:
+    for server in servers:
+        server.close()
 
 
 def _failed(package: Package, reason: str, lacks: Mapping[str, str] | None) -> None:
@@ -331,8 +342,8 @@ async def _tell(front_end: FrontEnd, name: str, say: Any) -> None:
 
 
 def _address(server: asyncio.Server, host: str) -> tuple[str, int]:
-    """Return host and port to connect to. `localhost` has two addresses, and a port that was chosen is free on one."""
+    """Return host and port to connect to. `localhost` has two addresses, and a port that was chosen may be on one."""
     bound, port = server.sockets[0].getsockname()[:2]
-    if host not in _LOOPBACK:
+    if host not in LOOPBACK:
         return host, port
     return (f"[{bound}]" if ":" in bound else bound), port

@@ -13,12 +13,14 @@ from picows import ws_create_server
 
 from xpl import _spec as spec
 from xpl.wire import codec
+from xpl_cli.serving import door
 from xpl_cli.serving.admission import Admission
 from xpl_cli.serving.connection import Connection, Timing
 from xpl_cli.serving.desk import Desk, acknowledged, refusal
 from xpl_cli.serving.greeting import capabilities, greeting, share_memory
+from xpl_cli.serving.logbook import Burst, log
 from xpl_cli.serving.places import Place, Places
-from xpl_cli.serving.pool import Worker, log
+from xpl_cli.serving.pool import Worker
 from xpl_cli.serving.session import RequestError
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
     from picows import WSUpgradeRequest
 
+    from xpl_cli.serving.names import Names
     from xpl_cli.serving.observe import Observer
     from xpl_cli.serving.worker import WorkerProcess
 
@@ -43,6 +46,7 @@ class Settings:
         request_timeout: longest time for one batch.
         grace: how long a place waits for a client whose connection was cut.
         policy: what the policy needs (`xpl.client.agreement`).
+        names: what the server goes by, and which pages may speak to it.
         token: bearer token, or None.
         tls: TLS context, or None.
         debug: send tracebacks to clients.
@@ -56,6 +60,7 @@ class Settings:
     request_timeout: float | None
     grace: float
     policy: dict[str, Any]
+    names: Names
     token: str | None = None
     tls: ssl.SSLContext | None = None
     debug: bool = False
@@ -83,7 +88,11 @@ class FrontEnd:
         self._observer = observer
         self._instance = uuid.uuid4().hex
         self._loop = asyncio.get_running_loop()
-        self._connections: set[Connection] = set()
+        # In the order in which they came.
+        self._connections: dict[Connection, None] = {}
+        self._most, half_open = door.room()
+        self._door = door.Door(half_open)
+        self._dropped = Burst("dropped a connection that had said nothing: there are more than can be served")
         self._waiting: list[tuple[Connection, codec.Frame]] = []
         self._places = Places(len(processes), 1, settings.grace)
         self._started = time.monotonic()
@@ -96,23 +105,43 @@ class FrontEnd:
 
     # -- life ----------------------------------------------------------------------------------------------------------
 
-    async def listen(self) -> asyncio.Server:
-        """Bind the address and start answering."""
+    async def listen(self) -> list[asyncio.Server]:
+        """Bind the address and start answering; a name may stand for several addresses.
+
+        Raises:
+            OSError: if the address cannot be had.
+        """
         settings = self._settings
         metrics = None if self._observer is None else self._observer.page
-        admission = Admission(settings.token, self.health, metrics, lambda: len(self._connections))
+        admission = Admission(settings.token, settings.names, self.health, metrics, self._make_room)
+        trouble = Burst("a connection failed")
+        self._loop.set_exception_handler(lambda _, context: trouble.note(_told(context)))
 
         def admit(request: WSUpgradeRequest) -> Any:
             return admission.refusal(request) or Connection(self, settings.timing)
 
-        return await ws_create_server(
-            admit,
-            settings.host,
-            settings.port,
-            ssl=settings.tls,
-            websocket_handshake_timeout=settings.handshake_timeout,
-            max_frame_size=spec.LIMITS["frame_bytes"],
-        )
+        return [
+            await ws_create_server(
+                admit,
+                sock=listening,
+                ssl=settings.tls,
+                websocket_handshake_timeout=settings.handshake_timeout,
+                max_frame_size=spec.LIMITS["frame_bytes"],
+            )
+            for listening in self._door.sockets(settings.host, settings.port)
+        ]
+
+    def _make_room(self) -> bool:
+        """Tell whether one more connection is possible; the oldest that has said nothing makes room."""
+        if len(self._connections) < self._most:
+            return True
+        silent = next((connection for connection in self._connections if connection.is_silent), None)
+        if silent is None:
+            return False
+        self._dropped.note()
+        del self._connections[silent]
+        silent.cut()
+        return True
 
     def ready(self) -> None:
         """Say that the models are loaded, and answer the hellos that waited for that."""
@@ -186,11 +215,12 @@ class FrontEnd:
 
     def connected(self, connection: Connection) -> None:
         """Count a connection."""
-        self._connections.add(connection)
+        self._connections[connection] = None
+        self._door.passed(connection.descriptor)
 
     def disconnected(self, connection: Connection, *, clean: bool) -> None:
         """Take the connection's place back, and the memory that it shared once nothing in the line uses it."""
-        self._connections.discard(connection)
+        self._connections.pop(connection, None)
         self._changed.set()
         self._leave(connection, clean=clean)
         place, number = connection.place, connection.segment_number
@@ -309,6 +339,11 @@ class FrontEnd:
             return
         log(f"{reason}; {len(self.workers)} of the workers go on")
         self._loop.create_task(worker.process.stop(grace=1.0))
+
+
+def _told(context: dict[str, Any]) -> str:
+    error = context.get("exception")
+    return str(context.get("message")) + ("" if error is None else f" ({type(error).__name__}: {error})")
 
 
 def _not_a_request(kind: str) -> RequestError:

@@ -29,6 +29,12 @@ def serve(
     tls_cert: Path | None = typer.Option(None, metavar="FILE", help="Serve wss:// with this certificate (PEM)."),
     tls_key: Path | None = typer.Option(None, metavar="FILE", help="Key of the certificate, if it is in another file."),
     insecure: bool = typer.Option(False, "--insecure", help="Listen elsewhere than on loopback without a token."),
+    allow_host: list[str] = typer.Option(
+        [], metavar="NAME", help="A further name that clients without a token may call this server by."
+    ),
+    allow_origin: list[str] = typer.Option(
+        [], metavar="URL", help="A web page that may speak to this server, as scheme://name:port."
+    ),
     debug: bool = typer.Option(False, "--debug", help="Send tracebacks to clients."),
     metrics: bool = typer.Option(False, "--metrics", help="Offer /metrics in Prometheus' format on the same port."),
     trace: Path | None = typer.Option(None, metavar="FILE", help="Append one JSON line for each request to FILE."),
@@ -69,6 +75,8 @@ def serve(
         tls_cert=tls_cert,
         tls_key=tls_key,
         insecure=insecure,
+        allow_hosts=allow_host,
+        allow_origins=allow_origin,
         debug=debug,
         metrics=metrics,
         trace=trace,

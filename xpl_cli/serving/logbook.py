@@ -1,0 +1,58 @@
+"""The server's log, which is standard error: each entry begins with `[server]`, whatever strangers had it say."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from xpl_cli.basics.visible import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_LONGEST = 1 << 16
+"""Characters of an entry: whoever makes the server complain decides neither how often nor at what length."""
+_QUIET_S = 60.0
+
+
+def log(text: str) -> None:
+    """Write an entry of one line; line breaks and escape sequences in it are written out."""
+    _write(visible(text[:_LONGEST]))
+
+
+def log_lines(text: str) -> None:
+    """Write an entry of several lines, such as a traceback; those that follow the first are marked as such."""
+    _write("\n[server] | ".join(map(visible, text[:_LONGEST].rstrip("\n").split("\n"))))
+
+
+def _write(text: str) -> None:
+    with contextlib.suppress(OSError, ValueError):  # a full disk, or a reader that is gone: no reason to end
+        sys.stderr.write(f"[server] {text}\n")
+        sys.stderr.flush()
+
+
+class Burst:
+    """Says once what happens many times: at once, and then at most once a minute how often since.
+
+    Args:
+        text: what happens.
+        clock: the time, s.
+    """
+
+    def __init__(self, text: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._text = text
+        self._clock = clock
+        self._told = -_QUIET_S
+        self._untold = 0
+
+    def note(self, detail: str = "") -> None:
+        """Take note of one more."""
+        now = self._clock()
+        if now - self._told < _QUIET_S:
+            self._untold += 1
+            return
+        more = f" ({self._untold} more since this was last said)" if self._untold else ""
+        log(self._text + (f": {detail}" if detail else "") + more)
+        self._told, self._untold = now, 0
