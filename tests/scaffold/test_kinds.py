@@ -129,7 +129,10 @@ def test_no_kind_given_is_the_adapter_it_always_was(tmp_path: Path) -> None:
 
 def test_every_kind_has_its_line_in_the_documentation() -> None:
     """And the help of the command names it."""
-    page, command = (ROOT / "docs" / "new-policy.md").read_text(), ROOT / "xpl_cli" / "commands" / "new_policy.py"
+    page, command = (
+        (ROOT / "docs" / "new-policy.md").read_text(),
+        ROOT / "xpl_cli" / "commands" / "scaffold" / "new_policy.py",
+    )
     for name in kinds.kinds(scaffold.POLICY_TEMPLATE):
         assert f"| `{name}` |" in page
         assert name in command.read_text()
