@@ -21,6 +21,8 @@ _PROC = Path("/proc")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _SET_CHILD_SUBREAPER = 36  # prctl(2)
 _ZOMBIE = "Z"
+LAUNCHERS = 2
+"""Processes above a command that is kept apart (`launch.py`; bubblewrap's are as many)."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,20 @@ def descendants(pid: int) -> list[Member]:
 def with_descendants(pid: int) -> list[int]:
     """Return the numbers of a process and of those below it."""
     return [pid, *(member.pid for member in descendants(pid))]
+
+
+def behind_launcher(pid: int) -> list[int]:
+    """Return a launcher of a command that is kept apart, the first process of its namespace, and the command.
+
+    The list ends with what there is so far: one that has just been started has nothing below it.
+    """
+    known, found = list(_members()), [pid]
+    while len(found) <= LAUNCHERS:
+        children = [member for member in known if member.parent == found[-1]]
+        if not children:
+            break
+        found.append(min(children, key=lambda member: member.started).pid)  # what it adopts later came later
+    return found
 
 
 def resident(pid: int) -> int:

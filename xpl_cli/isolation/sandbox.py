@@ -1,17 +1,17 @@
 """What an adapter may do to the machine: how much memory it may hold, whether it sees a network, where it may write.
 
-A worker always runs in a process group of its own. A limit on memory is held by looking, because what the system offers
-(RLIMIT_AS) counts address space, which GPU libraries reserve in terabytes. Isolation is the system's: namespaces, or
-bubblewrap where those are refused to ordinary programs. Either way is tried before it is relied on.
+A limit on memory is held by looking, because what the system offers (RLIMIT_AS) counts address space, which GPU
+libraries reserve in terabytes. Isolation is the system's: bubblewrap where it is installed, or else
+the same namespaces by our own hand (`launch.py`). What is promised is tried from inside first (`proof.py`).
 """
 
 from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import os
 import re
-import shutil
 import socket
 import subprocess
 import sys
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.isolation import family
+from xpl_cli.isolation import family, plan, seccomp
 
 if TYPE_CHECKING:
     import asyncio
@@ -36,23 +36,12 @@ _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*(?:([KMGT]?)(i?)B?|(%))", re.IGNORECASE)
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 _NO_LIMIT = "none"
 
-_SHARED_MEMORY = "/dev/shm"  # noqa: S108 - a place that the adapter may use, not a file of ours
 _KEPT = {"HF_HOME": ".cache/huggingface", "TORCH_HOME": ".cache/torch", "PYTHONUSERBASE": ".local"}
 """What is found below the home folder, readable as before, although isolated adapters have another home folder."""
 _PROOF_S = 20.0
-_PROOF = """
-import os, socket, sys
-checkout, writable, port = sys.argv[1], sys.argv[2], int(sys.argv[3])
-if os.access(checkout, os.W_OK):
-    sys.exit("the checkout stays writable")
-if not os.access(writable, os.W_OK):
-    sys.exit("the temporary folder is not writable")
-try:
-    socket.create_connection(("127.0.0.1", port), 1.0)
-except OSError:
-    sys.exit(0)
-sys.exit("the network stays in reach")
-"""
+_PROOF = Path(__file__).with_name("proof.py")
+_NAMESPACES = ("user", "pid", "ipc", "net", "mnt", "uts")
+_REFUSED = ("keyctl", "ptrace", "mount", "setns", "unshare", "bpf", "perf_event_open", "userfaultfd", "io_uring_setup")
 
 
 class Held(Protocol):
@@ -139,22 +128,22 @@ def machine_memory() -> int:
 
 @dataclass(frozen=True)
 class Isolation:
-    """A way to run a command without network and with nothing to write to but a temporary folder.
+    """A way to keep a command apart; the process that is started waits for it (`family.kept_apart`).
 
     Attributes:
         way: its name.
         prefix: what is put before the command.
-        folder: the temporary folder.
-        wraps: whether the process that is started stays there and has the command as its child.
+        folder: what it may write to, where it is isolated; None where only processes are kept apart.
     """
 
     way: str
     prefix: tuple[str, ...]
-    folder: Path
-    wraps: bool
+    folder: Path | None
 
     def environment(self, outside: Mapping[str, str]) -> dict[str, str]:
-        """Return the environment of the command: home, temporary files and caches lie in the temporary folder."""
+        """Return the environment of the command: isolated, it has home, temporary files and caches of its own."""
+        if self.folder is None:
+            return dict(outside)
         home = Path(outside.get("HOME", "/"))
         kept = {name: str(home / place) for name, place in _KEPT.items() if (home / place).is_dir()}
         inside = {"HOME": self.folder / "home", "TMPDIR": self.folder / "tmp", "XDG_CACHE_HOME": self.folder / "cache"}
@@ -165,7 +154,7 @@ class Isolation:
 
 @contextlib.contextmanager
 def isolated(checkout: Path) -> Iterator[Isolation]:
-    """Find a way to isolate an adapter, for the length of a `with` block.
+    """Find a way to isolate an adapter, for the length of a `with` block; every promise of it has been tried.
 
     Args:
         checkout: folder of the adapter.
@@ -174,13 +163,13 @@ def isolated(checkout: Path) -> Iterator[Isolation]:
         UserError: if none works here, with the reason of each; exit code 4.
     """
     with tempfile.TemporaryDirectory(prefix="xpl-isolated-") as name:
-        folder = Path(name)
+        folder = Path(name).resolve()
         refused = []
-        for way, (wraps, prefix) in _WAYS.items():
-            found = prefix(checkout, folder)
-            reason = "it is not installed" if found is None else _disproof(found, checkout, folder)
+        for way, prefix in _WAYS.items():
+            found = prefix(checkout=checkout.resolve(), folder=folder)
+            reason = "it is not installed" if found is None else _disproof(found, checkout.resolve(), folder)
             if found is not None and reason is None:
-                yield Isolation(way, tuple(found), folder, wraps)
+                yield Isolation(way, tuple(found), folder)
                 return
             refused.append(f"{way}: {reason}")
     raise UserError(
@@ -188,6 +177,23 @@ def isolated(checkout: Path) -> Iterator[Isolation]:
         hint="allow unprivileged user namespaces, install bubblewrap, or leave --isolate away",
         code=ExitCode.NOT_RUN,
     )
+
+
+def kept_apart(checkout: Path) -> Isolation:
+    """Find a way to run an adapter where it sees and signals no process but its own.
+
+    Raises:
+        UserError: if none works here, with the reason of each; exit code 4.
+    """
+    proof = [sys.executable, "-I", "-S", "-c", _IS_APART, str(Path("/proc/self/ns/pid").readlink())]
+    refused = []
+    for way in (*(name for name in _WAYS if name != _BUBBLEWRAP), *(name for name in _WAYS if name == _BUBBLEWRAP)):
+        found = _WAYS[way](checkout=checkout.resolve(), folder=None)
+        reason = "it is not installed" if found is None else _told(_tried([*found, *proof], checkout))
+        if found is not None and reason is None:
+            return Isolation(way, tuple(found), None)
+        refused.append(f"{way}: {reason}")
+    raise UserError(f"no PID namespace can be had here ({'; '.join(refused)})", code=ExitCode.NOT_RUN)
 
 
 def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> None:
@@ -207,42 +213,54 @@ def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> Non
             pass
 
 
-def _namespaces(checkout: Path, folder: Path) -> list[str]:
-    script = Path(__file__).with_name("namespaces.py")
-    return [sys.executable, "-I", "-S", str(script), str(checkout), *map(str, _writable(folder)), "--"]
-
-
-def _bubblewrap(checkout: Path, folder: Path) -> list[str] | None:
-    program = shutil.which("bwrap")
-    if program is None:
-        return None
-    mounts = ["--ro-bind", "/", "/", "--dev-bind", "/dev", "/dev", "--bind", str(folder), str(folder)]
-    mounts += ["--ro-bind", str(checkout), str(checkout)]
-    return [program, "--unshare-user", "--unshare-net", "--die-with-parent", *mounts, "--"]
-
-
-# Namespaces first: the process that is started is then the adapter's own, not one that waits for it.
-_WAYS: dict[str, tuple[bool, Callable[[Path, Path], list[str] | None]]] = {
-    "namespaces": (False, _namespaces),
-    "bubblewrap": (True, _bubblewrap),
+_BUBBLEWRAP = "bubblewrap"
+_IS_APART = """
+import os, sys
+if os.readlink("/proc/self/ns/pid") == sys.argv[1]:
+    sys.exit("it sees the processes of the machine")
+"""
+_WAYS: dict[str, Callable[..., list[str] | None]] = {
+    _BUBBLEWRAP: plan.by_bubblewrap,
+    "namespaces": plan.by_namespaces,
 }
-
-
-def _writable(folder: Path) -> Sequence[Path]:
-    memory = Path(_SHARED_MEMORY)
-    return [folder, memory] if memory.is_dir() else [folder]
+"""Each returns what is put before a command, given `checkout` and `folder`; None where it is not installed."""
 
 
 def _disproof(prefix: Sequence[str], checkout: Path, folder: Path) -> str | None:
-    """Try to write and to connect behind a prefix; return why it does not isolate, or None if it does."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = str(server.getsockname()[1])
-        command = [*prefix, sys.executable, "-I", "-S", "-c", _PROOF, str(checkout), str(folder), port]
-        run = partial(subprocess.run, capture_output=True, text=True, check=False, timeout=_PROOF_S, cwd=checkout)
-        try:
-            done = run(command)
-        except (OSError, subprocess.TimeoutExpired) as error:
-            return str(error)
+    """Try to break out behind a prefix; return which promise does not hold, or None if all do."""
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        tempfile.NamedTemporaryFile(prefix="xpl-hidden-", dir=_met_at()) as hidden,
+    ):
+        expected = {
+            "checkout": str(checkout),
+            "folder": str(folder),
+            "hidden": hidden.name,
+            "port": server.getsockname()[1],
+            "namespaces": {name: Path(f"/proc/self/ns/{name}").readlink().name for name in _NAMESPACES},
+            "calls": {name: number for name in _REFUSED if (number := seccomp.number(name)) is not None},
+        }
+        # The text and not the file: what is hidden inside may hide the file too.
+        program = [sys.executable, "-I", "-S", "-c", _PROOF.read_text(encoding="utf-8"), json.dumps(expected)]
+        return _told(_tried([*prefix, *program], checkout))
+
+
+def _met_at() -> str | None:
+    """Return a folder where programs of this machine meet, if it may be written to."""
+    return next((path for path in plan.MASKED if os.access(path, os.W_OK)), None)
+
+
+def _tried(command: Sequence[str], checkout: Path) -> subprocess.CompletedProcess[str] | str:
+    run = partial(subprocess.run, capture_output=True, text=True, check=False, timeout=_PROOF_S, cwd=checkout)
+    try:
+        return run(command, stdin=subprocess.DEVNULL, start_new_session=True)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return str(error)
+
+
+def _told(done: subprocess.CompletedProcess[str] | str) -> str | None:
+    if isinstance(done, str):
+        return done
     if done.returncode == 0:
         return None
     lines = done.stderr.strip().splitlines()

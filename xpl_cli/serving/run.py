@@ -21,7 +21,7 @@ from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import progress
 from xpl_cli.isolation import family
-from xpl_cli.isolation.sandbox import isolated
+from xpl_cli.isolation.sandbox import isolated, kept_apart
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.serving.connection import Timing
 from xpl_cli.serving.logbook import log
@@ -68,6 +68,7 @@ class Options:
         working_directory: of the adapter; its own folder by default.
         memory_limit: what each worker may hold; None means what the machine has.
         isolate: keep the adapter from the network, and from writing to anything but a temporary folder.
+        apart: let the adapter see and signal no process but its own.
         renew: build the model anew for every client.
     """
 
@@ -89,6 +90,7 @@ class Options:
     working_directory: Path | None = None
     memory_limit: MemoryLimit | None = None
     isolate: bool = False
+    apart: bool = False
     renew: bool = False
 
 
@@ -108,7 +110,11 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     except UserError as error:
         _failed(package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))})
         raise
-    confined = isolated(package.path) if options.isolate else contextlib.nullcontext()
+    confined: contextlib.AbstractContextManager[Isolation | None] = contextlib.nullcontext()
+    if options.isolate:
+        confined = isolated(package.path)
+    elif options.apart:
+        confined = contextlib.nullcontext(kept_apart(package.path))
     with _trace(options.trace) as trace, confined as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
         run = _Run(package, config, settings, options, python, observer, isolation)
@@ -209,6 +215,9 @@ async def _serve(run: _Run) -> str | None:
         for number in range(run.options.workers):
             processes.append(await _start(run, number))  # noqa: PERF401 - those before one that fails are ended
         front_end = FrontEnd(processes, run.settings, run.observer)
+        for worker in front_end.workers.values():
+            # What clients share with it lies where an isolated worker sees nothing of the machine.
+            worker.shares_memory = run.isolation is None or run.isolation.folder is None
         if run.observer is not None:
             run.observer.watch(front_end.health)
         try:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
 _BUFFER = 1 << 22
+_SIGNALLED = 128
+"""What a launcher adds to the number of the signal that ended what it had started."""
 
 
 class WorkerDiedError(Exception):
@@ -61,6 +63,7 @@ class WorkerProcess:
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(channel, self._read)
         self.pid = process.pid
+        self._found = [self.pid]
         self.last_line = ""
         self.died: asyncio.Future[str] = self._loop.create_future()
 
@@ -75,7 +78,7 @@ class WorkerProcess:
             cwd: working directory of the adapter.
             gpu: device made visible to it.
             label: put before every line that it prints.
-            isolation: how it is kept from the network and from writing, or None.
+            isolation: how it is kept apart, or None.
         """
         ours, theirs = socket.socketpair()
         ours.settimeout(0.0)
@@ -106,7 +109,7 @@ class WorkerProcess:
                 cwd=cwd,
                 start_new_session=True,  # a group of its own, so that its children end with it
             )
-        return cls(process, ours, label, wrapped=isolation is not None and isolation.wraps)
+        return cls(process, ours, label, wrapped=isolation is not None)
 
     def send(self, head: dict[str, Any], buffers: Sequence[Data], on_answer: Answered) -> None:
         """Send a message; the answer arrives later, or never if the worker dies.
@@ -175,6 +178,8 @@ class WorkerProcess:
     async def ended(self) -> str:
         """Wait for the process to end and return how it did."""
         code = await self._process.wait()
+        if self._wrapped and code > _SIGNALLED:
+            code = _SIGNALLED - code
         if code >= 0:
             return f"the worker ended with exit code {code}"
         names = {number.value: number.name for number in signal.Signals}
@@ -186,9 +191,10 @@ class WorkerProcess:
             self.kill(f"the worker could not be watched: {type(error).__name__}: {error}")
 
     def _interpreter(self) -> int:
-        """Return the process that runs the adapter: the one that was started, or the one below it."""
-        below = family.descendants(self.pid) if self._wrapped else ()
-        return next((member.pid for member in below if member.parent == self.pid), self.pid)
+        """Return the process that runs the adapter: the one that was started, or the last one below it."""
+        if self._wrapped and len(self._found) <= family.LAUNCHERS:
+            self._found = family.behind_launcher(self.pid)
+        return self._found[-1]
 
     def _write(self) -> None:
         """Send what there is to send, now or when the worker has read some of it."""

@@ -20,6 +20,7 @@ from xpl_cli.lifecycle import interpreter
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.served.probe import Probe
 
 LIMIT_S = 600.0
@@ -50,7 +51,7 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
         "watch": watch,
         **choice.stand_in.message,
     }
-    with _place(package.path, isolate=options.isolate) as (prefix, folder, environment):
+    with _place(package.path, options) as (prefix, folder, environment):
         asked, told = folder / "script", folder / "answers"
         asked.write_bytes(b"".join(packed.encode(order)))
         start = SDK_START + "from xpl.worker.inprocess import main; main(*sys.argv[2:])"
@@ -70,16 +71,18 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
 
 
 @contextlib.contextmanager
-def _place(checkout: Path, *, isolate: bool) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
+def _place(checkout: Path, options: Options) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
     """Yield what is put before a command, a folder that it may write to, and its environment; as a server has them."""
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     environment.pop("PYTHONHOME", None)
-    if isolate:
+    if options.isolate:
         with sandbox.isolated(checkout) as isolation:
+            assert isolation.folder is not None  # noqa: S101 - for the type checker: isolated ones have one
             yield isolation.prefix, isolation.folder, isolation.environment(environment)
-    else:
-        with tempfile.TemporaryDirectory(prefix="xpl-") as folder:
-            yield (), Path(folder), environment
+        return
+    prefix = sandbox.kept_apart(checkout).prefix if options.apart else ()
+    with tempfile.TemporaryDirectory(prefix="xpl-") as folder:
+        yield prefix, Path(folder), environment
 
 
 def _run(command: list[str], cwd: Path, environment: dict[str, str], log: Path) -> str:

@@ -26,6 +26,7 @@ class Options:
         stub_missing: stub modules that are not installed where nothing else helps.
         memory_limit: what the adapter's processes may hold, as for `xpl serve`.
         isolate: keep the adapter from the network and from writing.
+        apart: let the adapter see and signal no process but its own.
         tasks: tasks in which the physics gate drives the adapter; empty for its own choice.
         episodes: whole episodes over which it measures success; None for what the manifest claims, or else a few.
         video: folder for films of what it plays; None to film nothing.
@@ -46,6 +47,7 @@ class Options:
     stub_missing: bool = False
     memory_limit: str = "none"
     isolate: bool = False
+    apart: bool = False
     tasks: tuple[str, ...] = ()
     episodes: int | None = None
     video: Path | None = None
@@ -54,6 +56,12 @@ class Options:
     progress: Progress = field(default_factory=Progress)
 
     @property
+    def kept_apart(self) -> bool:
+        """Whether the adapter's processes have a launcher above them (`xpl_cli.isolation.launch`)."""
+        return self.isolate or self.apart
+
+    @property
     def confinement(self) -> tuple[str, ...]:
         """Options of `xpl serve` that keep the adapter within bounds."""
-        return ("--memory-limit", self.memory_limit, *(("--isolate",) if self.isolate else ()))
+        kept = ("--isolate",) if self.isolate else ("--apart",) if self.apart else ()
+        return ("--memory-limit", self.memory_limit, *kept)

@@ -68,7 +68,7 @@ class Service:
             with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
                 seen._ask(probe, server.url)
                 seen.processes = family.descendants(server.pid)
-                seen._look_around(server.pid)
+                seen._look_around(server.pid, kept_apart=probe.options.kept_apart)
         except ServerStartError as error:
             raise NotRun(f"the server did not start: {error}") from None
         seen.code, seen.stop_seconds = server.ended, server.stop_seconds or 0.0
@@ -123,11 +123,13 @@ class Service:
         except ClientError as error:
             self.trouble = str(error)
 
-    def _look_around(self, front_end: int) -> None:
-        workers = {member.pid for member in self.processes if member.parent == front_end and member.group == member.pid}
+    def _look_around(self, front_end: int, *, kept_apart: bool) -> None:
+        started = [member.pid for member in self.processes if member.parent == front_end and member.group == member.pid]
+        own = {pid for one in started for pid in (family.behind_launcher(one) if kept_apart else [one])}
+        groups = {member.group for member in self.processes if member.pid in own}
         for member in self.processes:
             # The worker leads its group; a child that leads one, or that the front end had to adopt, has left.
-            if member.group not in workers or (member.group == member.pid and member.parent != front_end):
+            if member.group not in groups or (member.group == member.pid and member.pid not in own):
                 self.left_group.append((member, member.command))
             self.listening += [(address, member) for address in _listening(member.pid)]
 

@@ -14,6 +14,7 @@ POLICY_ENV = typer.Option(
 
 MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
 ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
+APART_HELP = "Run the adapter where it sees and signals no process but its own; --isolate does so, too."
 
 
 def serve(
@@ -51,6 +52,7 @@ def serve(
     chdir: Path | None = typer.Option(None, metavar="DIR", help="The adapter's working directory; its own by default."),
     memory_limit: str = typer.Option("none", metavar="SIZE", help=MEMORY_HELP),
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
+    apart: bool = typer.Option(False, "--apart", help=APART_HELP),
     renew: bool = typer.Option(False, "--renew", help="Build the model anew for every client, as if served afresh."),
     _as_json: bool = typer.Option(False, "--json", help="Changes nothing: what is printed is JSON either way."),
 ) -> None:
@@ -85,6 +87,7 @@ def serve(
         working_directory=chdir,
         memory_limit=MemoryLimit.parse(memory_limit),
         isolate=isolate,
+        apart=apart,
         renew=renew,
     )
     run_server(package.load(policy).without(unset), overrides, options)

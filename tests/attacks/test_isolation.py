@@ -1,0 +1,188 @@
+"""Attempts to break out of `--isolate`, by every way that arranges it, as root and as a plain user."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.support import breakout
+from xpl import Client
+from xpl_cli.isolation import plan, sandbox, seccomp
+
+if TYPE_CHECKING:
+    from xpl_cli.serving.launch import RunningServer
+
+_NOBODY = 65534
+_SHARED = Path("/dev/shm")  # noqa: S108 - what is tried
+
+
+def _python_of(user: str) -> list[str]:
+    """Return a Python that a user can run, with what makes it this user's; skips where there is none."""
+    if user == "root":
+        if os.geteuid() != 0:
+            pytest.skip("only root can be root")
+        return [sys.executable]
+    if os.geteuid() != 0:
+        return [sys.executable]
+    if shutil.which("setpriv") is None:
+        pytest.skip("no setpriv to become a plain user")
+    become = ["setpriv", f"--reuid={_NOBODY}", f"--regid={_NOBODY}", "--clear-groups"]
+    readable = [*become, "test", "-r", str(Path(plan.__file__).with_name("launch.py"))]
+    if subprocess.run(readable, check=False).returncode:
+        pytest.skip("a plain user cannot read this checkout")
+    for python in (sys.executable, "/usr/bin/python3"):
+        asks = [
+            *become,
+            "sh",
+            "-c",
+            f"exec {python} -I -S -c 'import ctypes, multiprocessing'",
+        ]  # as this user finds it
+        if not subprocess.run(asks, check=False, capture_output=True).returncode:
+            return [*become, python]
+    pytest.skip("a plain user can run no Python of this machine")
+
+
+@contextlib.contextmanager
+def _left_outside(mark: str) -> Iterator[dict[str, Any]]:
+    """Put what a machine has outside: files, sockets, a process."""
+    with contextlib.ExitStack() as stack:
+        places = [place for place in ("/tmp", "/dev/shm", "/var/tmp", "/run") if os.access(place, os.W_OK)]  # noqa: S108
+        hidden = [stack.enter_context(tempfile.NamedTemporaryFile(dir=place, prefix=mark)).name for place in places]
+        elsewhere = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=Path.home(), prefix=f".{mark}")))
+        elsewhere.chmod(0o755)
+        listeners = []
+        for address in (f"\0{mark}", str(elsewhere / "socket"), f"/tmp/{mark}.socket"):  # noqa: S108
+            listener = stack.enter_context(socket.socket(socket.AF_UNIX))
+            listener.bind(address)
+            listener.listen()
+            listeners.append(address.replace("\0", "@"))
+        stack.callback(lambda: Path(f"/tmp/{mark}.socket").unlink())  # noqa: S108
+        port = stack.enter_context(socket.create_server(("::", 0), family=socket.AF_INET6, dualstack_ipv6=True))
+        victim = stack.enter_context(subprocess.Popen([sys.executable, "-c", "input()", mark], stdin=subprocess.PIPE))
+        stack.callback(victim.kill)
+        yield {
+            "hidden": hidden,
+            "sockets": listeners,
+            "port": port.getsockname()[1],
+            "victim": mark,
+            "pid": victim.pid,
+            "alive": victim,
+        }
+
+
+@pytest.fixture(scope="module", params=["bubblewrap", "namespaces"])
+def way(request: pytest.FixtureRequest) -> str:
+    """Return the name of a way to isolate."""
+    name: str = request.param
+    return name
+
+
+@pytest.fixture(
+    scope="module", params=["root", pytest.param("user", marks=pytest.mark.slow if os.geteuid() == 0 else ())]
+)
+def outcome(request: pytest.FixtureRequest, way: str) -> Iterator[dict[str, Any]]:
+    """Return what all attacks came to, tried one after the other by one user behind one way."""
+    become = _python_of(request.param)
+    mark = f"breakout-{uuid.uuid4().hex[:12]}"
+    with tempfile.TemporaryDirectory(prefix="xpl-") as top, _left_outside(mark) as outside:
+        checkout, folder = Path(top, "checkout"), Path(top, "folder")
+        for path in (checkout, folder):
+            path.mkdir()
+            (path / "tmp").mkdir()
+        (checkout / "model.py").write_text("class Model: ...\n", encoding="utf-8")
+        if become[-1] != sys.executable or len(become) > 1:
+            for path in (Path(top), *Path(top).rglob("*")):
+                os.chown(path, _NOBODY, _NOBODY)
+        prefix = sandbox._WAYS[way](checkout=checkout, folder=folder)
+        if prefix is None:
+            pytest.skip(f"{way} is not installed")
+        alive = outside.pop("alive")
+        known = {
+            **outside,
+            "checkout": str(checkout),
+            "folder": str(folder),
+            "shm_key": int(mark[-6:], 16),
+            "gpu": plan._devices(),
+            "calls": {name: seccomp.number(name) for name in seccomp.SYSCALLS},
+        }
+        script = Path(breakout.__file__).read_text(encoding="utf-8")
+        inside = [become[-1], "-I", "-S", "-c", script, json.dumps(known)]
+        done = subprocess.run(
+            [*become, *prefix[1:], *inside], capture_output=True, text=True, check=False, cwd=checkout, timeout=120
+        )
+        if done.returncode == 125 or "bwrap:" in done.stderr:
+            pytest.skip(f"this kernel forbids it to this user: {done.stderr.strip()}")
+        assert done.returncode == 0, done.stderr
+        told: dict[str, Any] = json.loads(done.stdout)
+        told["victim_lives"] = alive.poll() is None
+        told["oom_scores"] = [Path(f"/proc/{pid}/oom_score_adj").read_text("ascii") for pid in (alive.pid, os.getpid())]
+        told["left"] = [str(path) for path in (_SHARED / "xpl-left", Path("/tmp/xpl-left")) if path.exists()]  # noqa: S108
+        told["left"] += [path.name for path in checkout.iterdir() if path.name == "left.txt"]
+        segments = Path("/proc/sysvipc/shm").read_text(encoding="ascii").split()
+        told["outlived"] = str(known["shm_key"]) in segments
+        yield told
+
+
+@pytest.mark.parametrize("name", list(breakout.ATTACKS))
+def test_an_attack_from_inside_is_held(outcome: dict[str, Any], name: str) -> None:
+    """Refused, or without an effect outside."""
+    assert outcome[name] is None
+
+
+def test_nothing_is_left_outside(outcome: dict[str, Any]) -> None:
+    """No file, no shared memory of either kind, and every process of the user lives, with the oom score that it had."""
+    assert outcome["left"] == []
+    assert not outcome["outlived"]
+    assert outcome["victim_lives"]
+    assert "777\n" not in outcome["oom_scores"]
+
+
+def test_an_honest_program_works_inside(outcome: dict[str, Any]) -> None:
+    """Children, pipes, its own loopback, shared memory of its own, temporary files."""
+    assert outcome["work"] == []
+
+
+MODEL = """
+    import mujoco
+    import numpy as np
+
+
+    class Model:
+        def __init__(self, config):
+            self.model = mujoco.MjModel.from_xml_string(
+                "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+            )
+
+        def infer(self, obs):
+            data = mujoco.MjData(self.model)
+            for _ in range(100):
+                mujoco.mj_step(self.model, data)
+            return [float(data.qpos[2]), float(np.linalg.norm(np.ones((64, 64)) @ np.ones(64)))]
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("way")
+def test_numpy_and_mujoco_work_inside(
+    write_adapter: Callable[..., Path], serve: Callable[..., RunningServer], monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    """With their threads, and arrays that come over the link in place of shared memory."""
+    pytest.importorskip("mujoco")
+    monkeypatch.setattr(sandbox, "_WAYS", {way: sandbox._WAYS[way]})
+    server = serve(write_adapter(MODEL), options=("--isolate",))
+    with Client(server.url) as client:
+        height, norm = client.infer({})
+    assert height < 0
+    assert norm == 64 * 8
