@@ -18,7 +18,8 @@ from xpl_cli.agents.review.change import Change, Touched
 from xpl_cli.agents.review.description import TEMPLATE
 from xpl_cli.agents.review.harm import HARMS, harm
 from xpl_cli.audit.formats import Context
-from xpl_cli.audit.rules.model import Finding, Gate, GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages.targets import Target
 from xpl_cli.standard import spec

@@ -17,8 +17,9 @@ from tests.support.told import Command, fault
 from xpl_cli.agents.status import memory, standing
 from xpl_cli.agents.status.steps import GATES
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.model import Finding, Gate, GateReport, Outcome, Profile, Result, TargetReport
-from xpl_cli.audit.rules.profiles import Choice
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.profiles import Choice, Profile
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import ExitCode, NotFoundError

@@ -12,7 +12,8 @@ from tests.support.rules import made_adapter
 from xpl_cli.audit.engine import cache, engine
 from xpl_cli.audit.engine.fixes import plan_all
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.model import Gate, Outcome, Result
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome, Result
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.static import advice
 from xpl_cli.audit.static.source import Source

@@ -10,7 +10,8 @@ import pytest
 
 from tests.support.peer import xpl
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.model import Gate, GateReport, NotRun, Outcome, Result, TargetReport, exit_code
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import GateReport, NotRun, Outcome, Result, TargetReport, exit_code
 from xpl_cli.basics.errors import ExitCode, UserError
 
 if TYPE_CHECKING:

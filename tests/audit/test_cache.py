@@ -13,7 +13,8 @@ import pytest
 
 from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import cache, engine
-from xpl_cli.audit.rules.model import Gate, GateReport, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import GateReport, Outcome
 from xpl_cli.audit.rules.options import Options
 
 

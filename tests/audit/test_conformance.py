@@ -10,7 +10,8 @@ import pytest
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.engine.subjects import Subject, build, subjects
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers

@@ -13,7 +13,8 @@ from tests.support.peer import xpl
 from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.facts import Facts
-from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.registry import RegistryError
 from xpl_cli.basics.errors import ExitCode

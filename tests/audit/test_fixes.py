@@ -15,7 +15,8 @@ from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import engine, fixes
 from xpl_cli.audit.engine.subjects import Subject, build, subjects
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.model import Edit, Finding, Fix, Gate, GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
 

@@ -10,7 +10,8 @@ import pytest
 from tests.support.peer import xpl
 from tests.support.rules import made_adapter
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.rules.model import Gate, Outcome, Result
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome, Result
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode
 

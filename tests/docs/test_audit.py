@@ -15,10 +15,10 @@ from tests.support.peer import xpl
 from tests.support.places import ROOT
 from tests.support.rules import made_adapter
 from xpl_cli.audit.formats import FORMATS
-from xpl_cli.audit.physics.figures import claims
-from xpl_cli.audit.physics.loop import Course
+from xpl_cli.audit.physics.claims import claims
 from xpl_cli.audit.physics.simulation import Simulation
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.figures import Course
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.served.probe import Probe
 from xpl_cli.basics.errors import ExitCode

@@ -16,7 +16,7 @@ import pytest
 from tests.support import pages
 from tests.support.pages import ROOT, Block
 from tests.support.peer import xpl
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.serving.launch import serving
 

@@ -21,7 +21,7 @@ from tests.support.pages import ROOT, Block
 from tests.support.peer import xpl
 from xpl_cli.audit.formats import FORMATS
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.derived import commands, compiler, rules
 from xpl_cli.main import app

@@ -17,7 +17,7 @@ from tests.support.peer import wait_until
 from xpl import Client
 from xpl.client import PolicyServerError
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.isolation import family, sandbox

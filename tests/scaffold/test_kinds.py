@@ -22,7 +22,8 @@ from xpl import _spec as sdk
 from xpl.client import PolicyServerError
 from xpl.decoding import decode_rows, ensemble, within_limits
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold

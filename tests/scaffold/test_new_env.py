@@ -19,7 +19,8 @@ from tests.support.places import ROOT
 from xpl import _spec as spec
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages import environments

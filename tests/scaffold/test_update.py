@@ -18,7 +18,8 @@ import yaml
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.yaml.edit import Document, EditError

@@ -15,7 +15,7 @@ import pytest
 
 from tests.support.places import ROOT
 from xpl_cli.audit.engine.engine import audit
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress

@@ -17,7 +17,7 @@ from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.adopt.values import Values
-    from xpl_cli.audit.static.adapter import Function
+    from xpl_cli.audit.static.function import Function
 
 _CHUNK: Final = re.compile(r"chunk|horizon|replan|n_action|action_steps|num_actions", re.IGNORECASE)
 _HISTORY: Final = re.compile(r"history|n_obs|obs_steps|window", re.IGNORECASE)

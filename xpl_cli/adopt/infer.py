@@ -10,6 +10,7 @@ from xpl_cli.adopt import actions, documents, inputs, runtime
 from xpl_cli.adopt.facts import Evidence, Fact, Finding, Question, certain
 from xpl_cli.adopt.values import Values
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.static.adapter import Adapter
 from xpl_cli.basics.errors import UserError
 from xpl_cli.standard import spec
 
@@ -78,7 +79,7 @@ def _findings(source: Source, given: Mapping[str, Fact], notes: list[str]) -> It
     yield from runtime.scripts(source)
     yield from runtime.methods(source)
     try:
-        values = Values(source, source.adapter)
+        values = Values(source, Adapter.of(source))
     except (NotRun, NotApplicable) as problem:
         notes.append(f"what the model reads and answers is not known: {problem}")
         return

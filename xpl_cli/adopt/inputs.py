@@ -19,7 +19,7 @@ from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.adopt.values import Values
-    from xpl_cli.audit.static.adapter import Function
+    from xpl_cli.audit.static.function import Function
 
 _PACKS: Final = re.compile(r"_*pack(_\w+)?_state")
 _LOOKS: Final = re.compile(r"image|camera|rgb|img|frame|view|cam_|color|colour", re.IGNORECASE)

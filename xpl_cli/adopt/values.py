@@ -19,7 +19,8 @@ from xpl_cli.audit.static.manifests import key_line
 from xpl_cli.audit.static.syntax import called, constant, key_read, last, self_attribute, targets
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Adapter, Function
+    from xpl_cli.audit.static.adapter import Adapter
+    from xpl_cli.audit.static.function import Function
     from xpl_cli.audit.static.source import Source
     from xpl_cli.audit.static.syntax import KeyRead
 

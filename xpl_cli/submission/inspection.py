@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.environments import check
 from xpl_cli.evaluation.records import fingerprints, records

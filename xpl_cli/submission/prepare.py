@@ -162,8 +162,9 @@ def described(run: Run) -> dict[str, str]:
 def _audited(request: Request, runs: Sequence[Run]) -> tuple[TargetReport, ExitCode]:
     """Carry the adapter through all gates with the real model, configured as in the runs."""
     from xpl_cli.audit.engine.engine import audit
-    from xpl_cli.audit.rules.model import Profile, exit_code
+    from xpl_cli.audit.rules.model import exit_code
     from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.profiles import Profile
     from xpl_cli.packages.package import POLICY
 
     options = Options(

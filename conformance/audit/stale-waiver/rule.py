@@ -8,7 +8,7 @@ from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, Outcome, rule
 from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.engine.waivers import Waiver
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.static.manifests import key_line
 from xpl_cli.audit.static.source import Source
 

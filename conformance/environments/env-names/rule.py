@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.manifests import robots
+from xpl_cli.audit.rules.names import robots
 from xpl_cli.audit.static.source import Source
 
 _NAME = "env.yml"

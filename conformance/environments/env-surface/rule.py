@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from xpl.environment import Environment
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.adapter import Adapter, Function, symbols
+from xpl_cli.audit.static.adapter import Adapter, symbols
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import dotted, parameters
 from xpl_cli.standard import spec

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.physics.figures import USUAL_EPISODES, claims, measure
-from xpl_cli.audit.physics.simulation import ENVIRONMENT, Simulation
+from xpl_cli.audit.physics.claims import USUAL_EPISODES, claims, measure
+from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.audit.rules.figures import ENVIRONMENT
 
 
 @rule(code="XPL311", slug="claimed-success", gate="mujoco", requirement="XPL-SIM-11", profile="full")

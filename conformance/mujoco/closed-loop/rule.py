@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.physics.simulation import ENVIRONMENT, Simulation
+from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.audit.rules.figures import ENVIRONMENT
 from xpl_cli.audit.served.probe import blame
 
 

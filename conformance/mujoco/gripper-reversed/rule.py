@@ -8,8 +8,9 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.physics.figures import MIRRORED, claims, measure, measure_mirrored
+from xpl_cli.audit.physics.claims import claims, measure, measure_mirrored
 from xpl_cli.audit.physics.loop import Rollout
+from xpl_cli.audit.physics.mirrors import MIRRORED
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 

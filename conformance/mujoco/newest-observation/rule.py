@@ -32,7 +32,7 @@ def newest_observation(simulation: Simulation) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    found = reactions(simulation, simulation.show)
+    found = reactions(simulation)
     if all(reaction.lags for reaction in found):
         late = all(reaction.late for reaction in found)
         yield blame(

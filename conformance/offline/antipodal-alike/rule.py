@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.inputs import antipodal, turned
 from xpl_cli.audit.offline.rotations import LARGE, rotation_difference
 from xpl_cli.audit.offline.semantics import Episode, Semantics
+from xpl_cli.audit.served.inputs import antipodal, turned
 from xpl_cli.audit.served.probe import Probe, blame
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.inputs import with_grippers
 from xpl_cli.audit.served.compare import structure_problem
+from xpl_cli.audit.served.inputs import with_grippers
 from xpl_cli.audit.served.probe import Probe, blame
 
 _OPENINGS = np.linspace(spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN, 5)

@@ -7,10 +7,10 @@ from typing import Any
 
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.inputs import turned
 from xpl_cli.audit.offline.rotations import HALF_TURNS, NEARLY, ORDINARY, first_turns, rotation_difference
 from xpl_cli.audit.offline.semantics import Semantics, answers_poses
 from xpl_cli.audit.served.compare import answers, same, structure_problem
+from xpl_cli.audit.served.inputs import turned
 from xpl_cli.audit.served.probe import Probe, blame
 
 _FOLLOWS, _LOST = 0.1, 0.5

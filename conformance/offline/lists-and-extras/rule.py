@@ -9,8 +9,8 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.inputs import only
 from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.inputs import only
 from xpl_cli.audit.served.probe import Probe, blame
 
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.faulty import judge, missing
-from xpl_cli.audit.offline.inputs import present
 from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.inputs import present
 from xpl_cli.audit.served.probe import Probe
 
 _MADE_UP = "{faults}, the policy goes on with a made-up value of {name} instead of stopping"

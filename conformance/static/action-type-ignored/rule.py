@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, dotted, last, texts
 
@@ -38,7 +39,7 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Raising where a warning was printed is safe for runs whose type was served.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     if adapter.is_sdk and "decode" not in adapter.methods:
         return  # the base class decodes either type
     functions = adapter.reach(*adapter.methods)

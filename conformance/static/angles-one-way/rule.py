@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Function
+from xpl_cli.audit.static.adapter import Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.sides import IN, OUT, conversions, words
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last
@@ -40,7 +41,7 @@ def angles_one_way(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: the network may have been trained with mixed units.
     """
-    found = list(conversions(source.adapter, _kind))
+    found = list(conversions(Adapter.of(source), _kind))
     if not found or any(not entry.side for entry in found):
         return
     done = {side: {entry.kind for entry in found if entry.side == side} for side in (IN, OUT)}

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import always_raises, constant, enclosing, names, targets, texts
 
@@ -38,7 +39,7 @@ def arm_keys(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     functions = adapter.reach(*ACTING)
     found = [(function, written) for function in functions if (written := _written(function)) is not None]
     if not found or any(map(_writes_plain, functions)) or _refuses(adapter):

@@ -6,8 +6,9 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
 from xpl_cli.audit.static.aliases import Change, Sharing, stored
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, enclosing, last, names, self_attribute, targets, texts
 
@@ -38,7 +39,7 @@ def asking_changes(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     observing = adapter.reach(*OBSERVING)
     elsewhere = {id(function.node) for function in [*observing, *adapter.reach(*RESETTING, *LOADING)]}
     acting = [function for function in adapter.reach(*ACTING) if id(function.node) not in elsewhere]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
 from xpl_cli.audit.static.blanks import blanks
 from xpl_cli.audit.static.source import Source
 
@@ -37,7 +37,7 @@ def blank_camera(source: Source) -> Iterator[Finding]:
     optional = declared.get("optional") if isinstance(declared, dict) else None
     if isinstance(optional, list) and any(str(entry).startswith(f"{sdk.Obs.VISION}.") for entry in optional):
         raise NotApplicable("the manifest declares an optional camera, for which a stand-in may be meant")
-    for function in source.adapter.reach(*OBSERVING, *ACTING):
+    for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
         for blank in blanks(function):
             if blank.is_image and not blank.is_masked:
                 yield Finding(

@@ -6,7 +6,7 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
 from xpl_cli.audit.static.colour import swaps
 from xpl_cli.audit.static.source import Source
 
@@ -33,7 +33,7 @@ def channel_swap(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: weights that were trained on exchanged channels need them so.
     """
-    for function in source.adapter.reach(*OBSERVING, *ACTING):
+    for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
         for swap in swaps(function):
             if swap.claims_bgr or swap.decoded:
                 way = "frames that arrive encoded have" if swap.decoded else "every frame has"

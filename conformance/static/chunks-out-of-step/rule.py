@@ -6,7 +6,7 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Function
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.loops.functions import ENDS, EXECUTES, around, chunks, does, hands_on, loops
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, last, names, targets

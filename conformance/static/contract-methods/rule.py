@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit.static.adapter import Adapter
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, last
 
@@ -38,7 +39,7 @@ def contract_methods(source: Source) -> Iterator[Finding]:
     name = sdk.File.MODEL_PY
     tree = source.tree(name)
     try:
-        adapter = source.adapter
+        adapter = Adapter.of(source)
     except NotRun:
         yield Finding(
             f"{name} has no class {sdk.MODEL_CLASS}: the server has nothing to construct",

@@ -9,7 +9,8 @@ from typing import Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.manifests import key_line, required_input
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import (
@@ -67,7 +68,7 @@ def declared_otherwise(source: Source) -> Iterator[Finding]:
     """
     if source.is_ecosystem:
         raise NotApplicable("an adapter without policy.yml declares nothing")
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     yield from _inputs(source, adapter)
     yield from _refused(source, adapter)
     yield from _chunk(source, adapter)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Edit, Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Function
 from xpl_cli.audit.static.edits import replaced, written
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last, targets
 

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, RESETTING, Function
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, RESETTING, Adapter
 from xpl_cli.audit.static.episode import is_memo, mentioned, read
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, last, names, parameters, targets
 
@@ -36,7 +37,7 @@ def first_episode_kept(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Setting it to None in `reset` is safe.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     functions = adapter.reach(*OBSERVING, *ACTING)
     resetting = adapter.reach(*RESETTING)
     if not adapter.is_closed and not resetting:

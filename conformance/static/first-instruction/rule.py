@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACT_BATCH, UPDATE_BATCH, Function
+from xpl_cli.audit.static.adapter import ACT_BATCH, UPDATE_BATCH, Adapter
 from xpl_cli.audit.static.episode import mentioned
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant, enclosing, key_read, parameters, self_attribute, targets
 
@@ -37,7 +38,7 @@ def first_instruction(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     reading = mentioned(adapter.reach(ACT_BATCH))
     for name in (UPDATE_BATCH, ACT_BATCH, "predict"):
         function = adapter.method(name)

@@ -9,7 +9,8 @@ from itertools import accumulate
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Function
+from xpl_cli.audit.static.adapter import Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant, texts
 
@@ -55,16 +56,16 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     seen: set[tuple[str, int]] = set()
-    for function in source.adapter.reach(*source.adapter.methods):
+    for function in Adapter.of(source).reach(*Adapter.of(source).methods):
         for node, message in (*_cut_values(function), *_layout(function), *_tables(function)):
             place = (function.file, id(function.node))
             if place not in seen:
                 seen.add(place)
                 yield _finding(source, function.file, node, message)
-    for node in source.tree(source.adapter.file).body:
+    for node in source.tree(Adapter.of(source).file).body:
         if isinstance(node, (ast.Assign, ast.AnnAssign)):
             for inner, message in _masks(ast.walk(node)):
-                yield _finding(source, source.adapter.file, inner, message)
+                yield _finding(source, Adapter.of(source).file, inner, message)
 
 
 def _finding(source: Source, file: str, node: ast.AST, message: str) -> Finding:

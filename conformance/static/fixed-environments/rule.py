@@ -9,7 +9,8 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Function, symbols
+from xpl_cli.audit.static.adapter import symbols
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import FunctionNode, called, constant, dotted, last, names, self_attribute, targets
 from xpl_cli.standard import spec

@@ -6,7 +6,7 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Setting
+from xpl_cli.audit.static.adapter import Adapter, Setting
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called
 
@@ -33,7 +33,7 @@ def flag_from_text(source: Source) -> Iterator[Finding]:
     No automatic fix: what else may arrive is not known here.
     """
     found: dict[str, list[tuple[Setting, ast.Call]]] = {}
-    for setting in source.adapter.settings:
+    for setting in Adapter.of(source).settings:
         call = setting.function.up.get(setting.read.node)
         if isinstance(call, ast.Call) and called(call) == "bool" and call.args == [setting.read.node]:
             found.setdefault(setting.function.file, []).append((setting, call))

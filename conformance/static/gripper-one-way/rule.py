@@ -8,7 +8,8 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.sides import IN, OUT, conversions, words
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last, targets
@@ -40,7 +41,7 @@ def gripper_one_way(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: the network may answer in another convention than it observes.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     found = list(conversions(adapter, _kind))
     sides = {entry.side for entry in found}
     if len(sides) != 1 or "" in sides:

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, enclosing, last
 
@@ -42,7 +43,7 @@ def hash_dependent(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in source.adapter.reach(*LOADING, *OBSERVING, *ACTING, *RESETTING):
+    for function in Adapter.of(source).reach(*LOADING, *OBSERVING, *ACTING, *RESETTING):
         for call in function.of(ast.Call):
             told = _told(call, function)
             if told is not None:

@@ -7,7 +7,7 @@ from typing import Final
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.rules.registry import find
-from xpl_cli.audit.static.adapter import Function
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.loops.functions import loops
 from xpl_cli.audit.static.loops.judge import differences, parted
 from xpl_cli.audit.static.loops.values import Unclear

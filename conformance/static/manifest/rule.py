@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.manifests import key_line, renamed, robots, schema_findings
+from xpl_cli.audit.rules.names import robots
+from xpl_cli.audit.static.manifests import key_line, renamed, schema_findings
 from xpl_cli.audit.static.source import Source
 
 

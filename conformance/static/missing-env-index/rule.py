@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import UPDATE_BATCH, Function
+from xpl_cli.audit.static.adapter import UPDATE_BATCH, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import LOOPS, KeyRead, constant, enclosing, key_read, texts
 
@@ -37,7 +38,7 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    function = source.adapter.method(UPDATE_BATCH)
+    function = Adapter.of(source).method(UPDATE_BATCH)
     if function is None or _asks_first(function):
         return
     reads = [

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import LOADING, Setting
+from xpl_cli.audit.static.adapter import LOADING, Adapter, Setting
 from xpl_cli.audit.static.manifests import key_line
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant, enclosing, is_conditional
@@ -38,8 +38,8 @@ def missing_settings(source: Source) -> Iterator[Finding]:
     known = {str(key) for key in source.deploy} | set(spec.schema("deploy")["properties"])
     scripts = ""
     reported: set[str] = set()
-    loading = {id(function.node) for function in source.adapter.reach(*LOADING)}
-    for setting in source.adapter.settings:
+    loading = {id(function.node) for function in Adapter.of(source).reach(*LOADING)}
+    for setting in Adapter.of(source).settings:
         key = setting.read.key
         if not setting.read.required or key in known or key in reported or id(setting.function.node) not in loading:
             continue

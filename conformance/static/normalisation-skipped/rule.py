@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, dotted, last, parameters, targets
 
@@ -37,7 +38,7 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: a policy that was trained without normalisation says so in its configuration.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     settled: set[str] | None = None
     reported: set[str] = set()
     for function in adapter.reach(*OBSERVING, *ACTING):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import Setting
+from xpl_cli.audit.static.adapter import Adapter, Setting
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, targets
 from xpl_cli.standard import spec
@@ -39,7 +39,7 @@ def null_defeats_default(source: Source) -> Iterator[Finding]:
     package = spec.data("package")
     given = {name.strip("[]") for names in package["scripts"].values() for name in names}
     nulls = {key for key, value in source.deploy.items() if value is None} - given
-    for setting in source.adapter.settings:
+    for setting in Adapter.of(source).settings:
         read = setting.read
         if read.key not in nulls or read.default is None or constant(read.default) is None:
             continue

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import UPDATE, UPDATE_BATCH
+from xpl_cli.audit.static.adapter import UPDATE, UPDATE_BATCH, Adapter
 from xpl_cli.audit.static.aliases import Change, Held, Sharing
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import parameters
@@ -39,7 +39,7 @@ def observation_changed(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Writing `a = a - b` instead of `a -= b` is safe wherever nobody relied on the change.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     sharing = Sharing(adapter)
     for name, place in _GIVEN.items():
         function = adapter.method(name)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Edit, Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
 from xpl_cli.audit.static.edits import replaced, same_quotes
 from xpl_cli.audit.static.keys import entries, is_number, near
 from xpl_cli.audit.static.source import Source
@@ -40,7 +40,7 @@ def observation_names(source: Source) -> Iterator[Finding]:
     """
     known = _names()
     spellings = {other: name for name, others in spec.data("conventions")["readers"].items() for other in others}
-    for function in source.adapter.reach(*OBSERVING, *ACTING):
+    for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
         for entry in entries(function):
             names = known.get(entry.group, ())
             other = spellings.get(entry.name)

@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import LOADING, Function
+from xpl_cli.audit.static.adapter import LOADING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import assigned, called, key_read, last, leaves, names, parameters, targets
 
@@ -38,7 +39,7 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in source.adapter.reach(*LOADING):
+    for function in Adapter.of(source).reach(*LOADING):
         listed = [node for node in function.nodes if last(called(node)) in _LISTS]
         for node, wanted in (*_prefixes(function, listed), *_patterns(listed)):
             yield Finding(

@@ -6,7 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, is_conditional
 
@@ -32,7 +33,7 @@ def print_per_inference(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    for function in _always(source.adapter):
+    for function in _always(Adapter.of(source)):
         for node in function.nodes:
             if called(node) in {"print", "pprint"} and not is_conditional(node, function.node, function.up):
                 yield Finding(

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
 from xpl_cli.audit.static.episode import mentioned
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, dotted, enclosing, last, parameters, targets
 
@@ -38,7 +39,7 @@ def process_state(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     resetting = adapter.reach(*RESETTING)
     forgotten = {node.id for function in resetting for node in function.of(ast.Name)}
     renewing = [*adapter.reach(*LOADING), *resetting]

@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Function
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, enclosing, last, names, targets
 
@@ -37,7 +38,7 @@ def quaternion_order(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Adding `scalar_first=True` needs SciPy 1.14; `q[..., [3, 0, 1, 2]]` does the same everywhere.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     observing, acting = adapter.reach(*OBSERVING), adapter.reach(*ACTING)
     if not any("quat" in source.text(file).lower() for file in {function.file for function in [*observing, *acting]}):
         return

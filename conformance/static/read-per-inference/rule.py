@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, dotted, enclosing, is_conditional, last
 
@@ -53,7 +54,7 @@ def read_per_inference(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     at_start = {id(function.node) for name in LOADING if (function := adapter.method(name))}
     for function in _always(adapter, at_start):
         for call in function.of(ast.Call):

@@ -6,8 +6,9 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter, Function
-from xpl_cli.audit.static.episode import Write, is_memo, mentioned, read, writes
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter
+from xpl_cli.audit.static.episode import is_memo, mentioned, read
+from xpl_cli.audit.static.function import Function, Write, writes
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, is_conditional, last, self_attribute, targets
 
@@ -36,7 +37,7 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     place = adapter.method(RESET) or adapter.method(RESETTING[-1])
     resetting = adapter.reach(*RESETTING)
     if not adapter.is_closed and place is None:

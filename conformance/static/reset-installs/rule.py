@@ -6,7 +6,8 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, enclosing, self_attribute, targets, texts
 
@@ -33,7 +34,7 @@ def reset_installs(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Calling `reset` at the end of construction is safe where it needs nothing else.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     if not adapter.is_closed:
         return  # a base class that is not here may set it, or call reset
     resetting = [RESET] if adapter.is_sdk else RESETTING

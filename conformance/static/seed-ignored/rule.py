@@ -41,7 +41,7 @@ def seed_ignored(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     found = [setting for setting in adapter.settings if setting.read.key == _SEED]
     for setting in found:
         yield from _replaced(source, setting)

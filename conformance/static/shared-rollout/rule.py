@@ -6,8 +6,9 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACT_BATCH, UPDATE_BATCH, Adapter, Function
-from xpl_cli.audit.static.episode import Write, is_memo, read, writes
+from xpl_cli.audit.static.adapter import ACT_BATCH, UPDATE_BATCH, Adapter
+from xpl_cli.audit.static.episode import is_memo, read
+from xpl_cli.audit.static.function import Function, Write, writes
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import LOOPS, parameters
 
@@ -34,7 +35,7 @@ def shared_rollout(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     for name in (UPDATE_BATCH, ACT_BATCH):
         function = adapter.method(name)
         loop = _loop(adapter, function) if function is not None else None

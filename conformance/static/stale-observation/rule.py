@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import RESET, Function
+from xpl_cli.audit.static.adapter import RESET
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.loops.functions import EXECUTES, UPDATES, around, asked, does, hands_on, loops
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import targets

@@ -39,7 +39,7 @@ def training_mode(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: some networks sample by their dropout on purpose.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     loaded = _loaded(adapter)
     if not loaded:
         raise NotApplicable("the adapter loads no weights itself")

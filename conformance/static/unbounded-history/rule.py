@@ -6,8 +6,9 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter, Function
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
 from xpl_cli.audit.static.episode import is_memo
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, enclosing, last, self_attribute, targets
 
@@ -37,7 +38,7 @@ def unbounded_history(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Safe where only the newest entries are read.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     for holder, one in (("self", adapter), *((f"self.{name}", other) for name, other in adapter.components.items())):
         functions = one.reach(*OBSERVING, *ACTING) if one is adapter else one.reach(*_used(adapter, holder))
         grown = [write for function in functions for write in function.writes if _adds(write.node)]

@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, last, names, targets
 
@@ -36,7 +37,7 @@ def unknown_name(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Replacing `.get(name, default)` by `[name]` raises where the name is unknown, as it should.
     """
-    for function in source.adapter.reach(*LOADING, *OBSERVING, *ACTING):
+    for function in Adapter.of(source).reach(*LOADING, *OBSERVING, *ACTING):
         for node, name, instead in (*_defaults(function), *_first(function)):
             yield Finding(
                 f"an unknown {name} is taken for {instead}: the run is filed under a name that the policy never heard",

@@ -39,7 +39,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Deleting a key that nobody reads changes nothing, but a misspelt one should be renamed.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     if adapter.config_escapes:
         raise NotApplicable("the whole configuration is handed on to another package, which may read any key")
     standard = set(spec.schema("deploy")["properties"])

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import LOADING, Adapter, Function
+from xpl_cli.audit.static.adapter import LOADING, Adapter
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, dotted, last, names, parameters
 
@@ -37,7 +38,7 @@ def working_directory(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     given = _given(adapter)
     for function in adapter.reach(*LOADING):
         resolved = list(_resolved(function, given.get(id(function.node), set()), adapter))

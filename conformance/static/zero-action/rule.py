@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
 from xpl_cli.audit.static.blanks import blanks
 from xpl_cli.audit.static.source import Source
 
@@ -32,7 +32,7 @@ def zero_action(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     observing = {id(function.node) for function in adapter.reach(*OBSERVING)}
     for function in adapter.reach(*ACTING):
         if id(function.node) in observing:

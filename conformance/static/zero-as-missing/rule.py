@@ -9,8 +9,9 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Function
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
 from xpl_cli.audit.static.edits import replaced, written
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, last, names, parameters, self_attribute
 
@@ -46,7 +47,7 @@ def zero_as_missing(source: Source) -> Iterator[Finding]:
     ## Fix safety
     `x if x is not None else default` differs from `x or default` for 0, false and empty texts, which is the point.
     """
-    adapter = source.adapter
+    adapter = Adapter.of(source)
     for setting in adapter.settings:
         read, function = setting.read, setting.function
         test = function.up.get(read.node)
@@ -75,7 +76,7 @@ def zero_as_missing(source: Source) -> Iterator[Finding]:
 
 def _components(source: Source) -> list[Function]:
     """Return what the objects do that the adapter's constructor makes of classes of its own."""
-    parts = source.adapter.components.values()
+    parts = Adapter.of(source).components.values()
     return [function for part in parts for name, function in part.methods.items() if name not in LOADING]
 
 

@@ -10,9 +10,9 @@ from typing import Any
 from jsonschema import Draft202012Validator
 
 from xpl_cli.audit.formats import Context
-from xpl_cli.audit.physics.figures import Figure
-from xpl_cli.audit.physics.loop import Course
-from xpl_cli.audit.rules.model import Edit, Finding, Fix, Gate, GateReport, Outcome, Result, TargetReport, Waived
+from xpl_cli.audit.rules.figures import Course, Figure
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, Result, TargetReport, Waived
 from xpl_cli.audit.rules.registry import Rule
 
 HERE = Path(__file__).parent

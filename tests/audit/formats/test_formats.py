@@ -25,7 +25,8 @@ from xpl_cli.audit.formats.human import on_terminal
 from xpl_cli.audit.formats.listing import in_repository, listed
 from xpl_cli.audit.formats.painted import Terminal
 from xpl_cli.audit.formats.steps import next_commands
-from xpl_cli.audit.rules.model import Edit, Finding, Fix, Gate, GateReport, Outcome, TargetReport, exit_code
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, TargetReport, exit_code
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.standard.validate import validate

@@ -25,7 +25,8 @@ from xpl_cli.audit.formats.markdown import code, escaped
 from xpl_cli.audit.formats.rdjson import byte_column
 from xpl_cli.audit.formats.sarif import artifact
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.model import Edit, Finding, Fix, Gate, GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, Result, TargetReport
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), min_size=1)
 

@@ -13,9 +13,11 @@ from xpl.action import pack, unpack
 from xpl.embodiment import get_embodiment
 from xpl.observation import ObservationError, get_image, get_instruction, pack_state
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.offline import faulty, inputs, limits, rotations
-from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.offline import faulty, limits, rotations
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.served import inputs
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers

@@ -9,7 +9,8 @@ import pytest
 from tests.audit.offline.mutation.mutants import MUTANTS, VARIANTS, Mutant
 from tests.audit.offline.mutation.trial import SUBJECT, tried
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 
 if TYPE_CHECKING:

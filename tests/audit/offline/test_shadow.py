@@ -15,8 +15,10 @@ from xpl.worker.lacking import is_third_party, lacking
 from xpl.worker.shadow import ShadowError, UndividedError, shadow_of
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import as_json, render
-from xpl_cli.audit.rules.model import Gate, GateReport, Outcome, Profile, exit_code
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import GateReport, Outcome, exit_code
 from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers

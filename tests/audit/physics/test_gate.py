@@ -19,11 +19,14 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import as_json, render
 from xpl_cli.audit.formats.listing import Context
 from xpl_cli.audit.physics.conventions import mistakes
-from xpl_cli.audit.physics.figures import World
-from xpl_cli.audit.physics.loop import Course, Query, Rollout, jumps_of_chunks
+from xpl_cli.audit.physics.loop import Query, Rollout, jumps_of_chunks
+from xpl_cli.audit.physics.mirrors import World
 from xpl_cli.audit.physics.simulation import Simulation
-from xpl_cli.audit.rules.model import Gate, NotApplicable, Outcome, Profile
+from xpl_cli.audit.rules.figures import Course
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import NotApplicable, Outcome
 from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.served.probe import Probe
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import ExitCode

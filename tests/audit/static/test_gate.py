@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.rules.model import Gate, GateReport, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import GateReport, Outcome
 from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.static.adapter import Adapter
 from xpl_cli.audit.static.manifests import deleted
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.shell import parse
@@ -224,8 +226,8 @@ def test_rules_share_the_functions_of_a_file(adapter: Path) -> None:
     """What a function computes of itself is computed once, whether a rule comes by the class or by the file."""
     source = Source(adapter)
     by_file = {function.name: function for function in source.functions("model.py")}
-    assert by_file["encode"] is source.adapter.methods["encode"]
-    assert by_file["encode"].owner is source.adapter.node
+    assert by_file["encode"] is Adapter.of(source).methods["encode"]
+    assert by_file["encode"].owner is Adapter.of(source).node
     (adapter / "broken.py").write_text("def f(:\n")
     assert source.functions("broken.py") == ()
 

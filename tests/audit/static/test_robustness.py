@@ -21,7 +21,8 @@ import pytest
 from tests.support.places import ROOT
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import FORMATS, Context, render
-from xpl_cli.audit.rules.model import Gate, GateReport, Outcome, TargetReport
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.source import Source
@@ -283,7 +284,7 @@ import os, sys
 from pathlib import Path
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import render
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 adapter, options = Path(sys.argv[1]), Options(gates=(Gate.STATIC,))
 engine.audit(adapter, "policy", options)  # imports what another user may be unable to read

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.agents.review import form
 from xpl_cli.agents.review.change import ADDED
-from xpl_cli.audit.rules.model import Gate, GateReport, Outcome, Profile
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import GateReport, Outcome
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:

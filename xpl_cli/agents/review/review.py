@@ -12,7 +12,8 @@ from xpl_cli.agents.review.change import CHANGED, change_since
 from xpl_cli.agents.review.harm import Harm, harm
 from xpl_cli.audit.engine.engine import audit_all
 from xpl_cli.audit.formats.listing import Context, Listed, listed
-from xpl_cli.audit.rules.model import Gate, Outcome, exit_code
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome, exit_code
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.progress import Progress

@@ -10,7 +10,7 @@ from xpl_cli.agents.status.memory import recall
 from xpl_cli.agents.status.runs import Course, Recorded, recorded
 from xpl_cli.agents.status.steps import State, Step, steps
 from xpl_cli.audit.engine import cache
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.static.source import Source
 from xpl_cli.packages import package
 

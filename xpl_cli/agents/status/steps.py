@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli import __version__
-from xpl_cli.audit.rules.model import Gate, NotRun, Outcome, Profile
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import NotRun, Outcome
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.errors import UserError
 from xpl_cli.packages import package
 from xpl_cli.standard import spec

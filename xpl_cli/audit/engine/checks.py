@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.facts import wanted
-from xpl_cli.audit.rules.model import NotApplicable, NotRun, Outcome, Profile, Result
+from xpl_cli.audit.rules.model import NotApplicable, NotRun, Outcome, Result
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import RegistryError, needed
 
 if TYPE_CHECKING:

@@ -20,7 +20,9 @@ from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.engine.waivers import waive
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.fingerprint import fingerprint
-from xpl_cli.audit.rules.model import Gate, GateReport, Outcome, Profile, Result, TargetReport
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import Entry, find, select
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.progress import Progress

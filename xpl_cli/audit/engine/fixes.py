@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
 from xpl_cli.audit.engine.engine import audit_all
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.progress import Progress

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.offline.rehearsal import Rehearsal
     from xpl_cli.audit.offline.semantics import Semantics
     from xpl_cli.audit.physics.simulation import Simulation
-    from xpl_cli.audit.rules.model import Gate
+    from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.rules.profiles import Choice
     from xpl_cli.audit.served.probe import Probe

@@ -15,7 +15,7 @@ from xpl import get_embodiment
 from xpl.simulator.process import EnvLostError, EnvProcess, EnvRaisedError, message
 from xpl.simulator.worker import CLOSE, MAKE, RUN
 from xpl_cli.audit.rules.model import Finding, Fix, NotApplicable, NotRun
-from xpl_cli.audit.static.manifests import robots
+from xpl_cli.audit.rules.names import robots
 from xpl_cli.basics.errors import UserError
 from xpl_cli.environments.check import unsupported
 from xpl_cli.lifecycle import interpreter

@@ -5,7 +5,8 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.rules.model import Gate, GateReport, Outcome, TargetReport
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:

@@ -10,13 +10,13 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
-from xpl_cli.audit.offline.inputs import state_keys
 from xpl_cli.audit.served.compare import brief
+from xpl_cli.audit.served.inputs import state_keys
 from xpl_cli.audit.served.probe import blame
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.offline.inputs import Observation
     from xpl_cli.audit.rules.model import Finding, Fix
+    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.session import Session
 
 

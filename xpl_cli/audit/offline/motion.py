@@ -15,7 +15,7 @@ from xpl_cli.audit.served.compare import structure_problem
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.offline.inputs import Observation
+    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.session import Session
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
 from xpl.embodiment import get_embodiment
-from xpl_cli.audit.offline import inputs
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import difference, same
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.audit.offline.inputs import Observation
+    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.session import Session
 

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from xpl_cli.audit.physics.loop import Course, Watch
+    from xpl_cli.audit.physics.loop import Watch
+    from xpl_cli.audit.rules.figures import Course
 
 
 @contextlib.contextmanager

@@ -11,33 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
-from xpl_cli.audit.offline import inputs
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import same
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from xpl_cli.audit.offline.inputs import Observation
+    from xpl_cli.audit.physics.loop import Show
     from xpl_cli.audit.physics.simulation import Simulation
+    from xpl_cli.audit.served.inputs import Observation
 
 _CONSTANT = (sdk.Obs.INSTRUCTION, sdk.Obs.PRIVILEGED)
 """Inputs that stay what they are in an episode, or whose form no standard tells."""
-TRIED = (1, 2, 3)
+_TRIED = (1, 2, 3)
 """Questions before which an observation is changed; the first one has none before it."""
-
-
-@dataclass(frozen=True)
-class Show:
-    """What is shown in a loop.
-
-    Attributes:
-        observations: of every control step.
-        asked: steps at which an answer is asked for.
-    """
-
-    observations: tuple[Observation, ...]
-    asked: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -62,21 +50,22 @@ class Reaction:
         return not self.newest and (self.older or self.late)
 
 
-def reactions(simulation: Simulation, show: Show) -> list[Reaction]:
+def reactions(simulation: Simulation) -> list[Reaction]:
     """Return how a policy reacts, up to the first answer that follows the newest observation.
 
     Raises:
         NotApplicable: if nothing can be changed, or no answer depends on it.
         NotRun: if the same observations are answered differently.
     """
+    show = simulation.show(max(_TRIED) + 2)
     names = _changeable(simulation, show.observations[0])
-    if len(show.asked) <= TRIED[0] + 1:
+    if len(show.asked) <= _TRIED[0] + 1:
         raise NotApplicable("the loop has too few chunks")
     usual = _replayed(simulation, show, show.observations)
     if not same(usual, _replayed(simulation, show, show.observations)):
         raise NotRun("the policy answers the same observations differently: same-seed-same-motion says how")
     found = []
-    for question in [number for number in TRIED if number + 1 < len(show.asked)]:
+    for question in [number for number in _TRIED if number + 1 < len(show.asked)]:
         step = show.asked[question]
         changed = _replayed(simulation, show, _with_change(show, step, names))
         newest, late = (not same(usual[place], changed[place]) for place in (question, question + 1))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from xpl.embodiment import Embodiment
+    from xpl_cli.audit.rules.figures import Course
     from xpl_cli.audit.served.session import Session
 
 Watch = Callable[[Any], None]
@@ -27,24 +28,16 @@ _SOUND_ENDS = ("success", "max_steps")
 
 
 @dataclass(frozen=True)
-class Course:
-    """What is driven.
+class Show:
+    """What is shown in a loop.
 
     Attributes:
-        task: a task of the environment.
-        embodiment: the robot.
-        action_type: joint or end-effector control.
-        setting: a setting of the environment; None for its first.
+        observations: of every control step.
+        asked: steps at which an answer is asked for.
     """
 
-    task: str
-    embodiment: str
-    action_type: str
-    setting: str | None = None
-
-    def __str__(self) -> str:
-        setting = "" if self.setting is None else f", {self.setting}"
-        return f"{self.task} ({self.embodiment}, {self.action_type}{setting})"
+    observations: tuple[dict[str, Any], ...]
+    asked: tuple[int, ...]
 
 
 @dataclass(frozen=True)

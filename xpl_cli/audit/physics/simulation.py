@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.embodiment import get_embodiment
-from xpl_cli.audit.physics.lag import TRIED, Show
-from xpl_cli.audit.physics.loop import Course, Driver, Rollout
+from xpl_cli.audit.physics.loop import Driver, Rollout, Show
 from xpl_cli.audit.physics.own_loop import Stage
+from xpl_cli.audit.rules.figures import ENVIRONMENT, Course
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.environments import check
@@ -20,11 +20,11 @@ from xpl_cli.packages import environments
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.audit.physics.figures import Figure, World
+    from xpl_cli.audit.physics.mirrors import World
+    from xpl_cli.audit.rules.figures import Figure
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.session import Session
 
-ENVIRONMENT = "mujoco"
 STEPS, CHUNKS, MOST_STEPS = 40, 4, 240
 """Control steps of one loop, and chunks, at least; and how many steps at most: short enough for every pull request."""
 _FIRST_SEED = 0
@@ -193,9 +193,11 @@ class Simulation:
             **{sdk.Deploy.ENV_CFG_TYPE: course.embodiment, sdk.Deploy.ACTION_TYPE: course.action_type}
         )
 
-    @cached_property
-    def show(self) -> Show:
-        """What the policy is shown in the first chunks of the first course.
+    def show(self, questions: int) -> Show:
+        """Return what the policy is shown in the first course, up to a question.
+
+        Args:
+            questions: how many are asked, where the course has as many.
 
         Raises:
             NotRun: if the loop did not come to its end.
@@ -203,7 +205,7 @@ class Simulation:
         shown: list[dict[str, Any]] = []
         with self.steady() as session:
             played = self._play(session, self.first, (_FIRST_SEED,), shown=shown)
-        asked = tuple(query.step for query in _sound(played).queries[0][: max(TRIED) + 2])
+        asked = tuple(query.step for query in _sound(played).queries[0][:questions])
         return Show(tuple(shown[: asked[-1] + 1]), asked)
 
     @contextlib.contextmanager

@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 import xpl_cli
-from xpl_cli.audit.rules.model import Gate
+from xpl_cli.audit.rules.gates import Gate
 
 _LIBRARIES = {Gate.STATIC: (), Gate.OFFLINE: ("numpy", "pillow"), Gate.MUJOCO: ("numpy", "mujoco-core")}
 

@@ -15,8 +15,9 @@ from xpl_cli.basics.errors import ExitCode
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from xpl_cli.audit.physics.figures import Figure
-    from xpl_cli.audit.rules.profiles import Choice
+    from xpl_cli.audit.rules.figures import Figure
+    from xpl_cli.audit.rules.gates import Gate
+    from xpl_cli.audit.rules.profiles import Choice, Profile
 
 _NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
@@ -30,25 +31,6 @@ class Outcome(StrEnum):
     NOT_APPLICABLE = "not_applicable"
     NOT_RUN = "not_run"
     ERROR = "error"
-
-
-class Gate(StrEnum):
-    """The gates of an audit, cheapest first."""
-
-    STATIC = "static"
-    OFFLINE = "offline"
-    MUJOCO = "mujoco"
-
-
-class Profile(StrEnum):
-    """What a gate that serves the adapter runs on, and with it which rules are required.
-
-    `full` loads the real model. `shadow` skips that and puts a function of the encoded inputs in place of `predict`:
-    rules about the values of actions have nothing to judge then.
-    """
-
-    FULL = "full"
-    SHADOW = "shadow"
 
 
 class NotApplicable(Exception):  # noqa: N818 - an outcome, not an error

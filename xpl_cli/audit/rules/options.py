@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from xpl_cli.audit.rules.model import Gate, Profile
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.progress import Progress
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.rules.profiles import Profile
 
 
 @dataclass(frozen=True)

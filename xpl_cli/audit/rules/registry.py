@@ -9,7 +9,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from xpl_cli.audit.rules.model import Finding, Gate, Profile
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Finding
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import no_such
 from xpl_cli.standard import spec

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment
-from xpl_cli.audit.rules.model import Finding, Gate, NotApplicable, NotRun
-from xpl_cli.audit.rules.profiles import Lacking
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun
 from xpl_cli.audit.served.checkpoints import Checkpoint
+from xpl_cli.audit.served.choosing import Lacking
 from xpl_cli.audit.served.compare import same
 from xpl_cli.audit.served.servers import Servers
 from xpl_cli.packages import environments, package

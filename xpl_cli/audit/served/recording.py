@@ -36,7 +36,7 @@ from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from xpl_cli.audit.rules.model import Gate
+    from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.packages.package import Package
 

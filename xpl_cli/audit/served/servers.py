@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, Self
 from xpl import Client
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
-from xpl_cli.audit.rules.model import Gate, NotApplicable, NotRun
-from xpl_cli.audit.rules.profiles import Choice, Lacking
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.served import choosing
+from xpl_cli.audit.served.choosing import Lacking
 from xpl_cli.audit.served.recording import tape
 from xpl_cli.audit.served.session import Recorder, Session
 from xpl_cli.packages import package
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.profiles import Choice
 
 PATIENCE = {sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1}
 """How long an audit waits for a server that has said that it is ready."""
@@ -44,7 +47,7 @@ class Servers(ABC):
         self.options = options
         self.config = target.config(options.overrides)
         self.recorder = Recorder(None if options.trace is None else lambda: tape(target, options, gate))
-        self.choice = Choice.first(options)
+        self.choice = choosing.first(options)
         self._open = contextlib.ExitStack()
         self._server: RunningServer | None = None
         self._problem: ServerStartError | None = None
@@ -71,7 +74,7 @@ class Servers(ABC):
             try:
                 self._server = self.start_server()
             except ServerStartError as error:
-                raise NotRun(self.choice.told(error)) from None
+                raise NotRun(choosing.told(self.choice, error)) from None
         if self.ended is not None:
             raise NotRun(f"the server has ended: {self.ended}")
         return self._server
@@ -88,7 +91,7 @@ class Servers(ABC):
             try:
                 return self._open.enter_context(self._tried())
             except ServerStartError as error:
-                other = self.choice.after(error, self.options)
+                other = choosing.after(self.choice, error, self.options)
                 if other is None:
                     self._problem = error
                     raise

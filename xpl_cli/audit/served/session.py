@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Self
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl.wire import codec
-from xpl_cli.audit.rules.profiles import Lacking
 from xpl_cli.audit.served import recording
+from xpl_cli.audit.served.choosing import Lacking
 from xpl_cli.audit.served.compare import error_code
 
 if TYPE_CHECKING:

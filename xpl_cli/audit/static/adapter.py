@@ -6,12 +6,12 @@ import ast
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.static.function import Function, Symbols
 from xpl_cli.audit.static.syntax import (
-    FunctionNode,
     KeyRead,
     called,
     dotted,
@@ -23,10 +23,7 @@ from xpl_cli.audit.static.syntax import (
 )
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.episode import Write
     from xpl_cli.audit.static.source import Source
-
-_Node = TypeVar("_Node", bound=ast.AST)
 
 UPDATE, UPDATE_BATCH, ACT, ACT_BATCH, RESET = sdk.CONTRACT_METHODS
 LOADING: Final = ("__init__", "load")
@@ -38,50 +35,6 @@ _SDK_CLASS, _TEMPLATE = "Policy", "ModelTemplate"
 _TEMPLATE_GIVES: Final = ("__init__", RESET)
 _HARMLESS: Final = frozenset(("dict", "copy", "deepcopy", "isinstance", "len", "str", "repr", "print", "bool", "get"))
 """Calls that take a configuration and read no key of it that matters."""
-
-
-@dataclass(frozen=True)
-class Function:
-    """A function or method and where it stands."""
-
-    file: str
-    node: FunctionNode
-    owner: ast.ClassDef | None = None
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return self.node.name
-
-    @cached_property
-    def nodes(self) -> tuple[ast.AST, ...]:
-        """Everything in it, the outermost first."""
-        return tuple(ast.walk(self.node))
-
-    @cached_property
-    def kinds(self) -> dict[type[ast.AST], list[ast.AST]]:
-        """Its nodes by their type, each list in the order of `nodes`."""
-        found: dict[type[ast.AST], list[ast.AST]] = {}
-        for node in self.nodes:
-            found.setdefault(type(node), []).append(node)
-        return found
-
-    def of(self, *kinds: type[_Node]) -> list[_Node]:
-        """Return its nodes of some types."""
-        found = [node for kind in kinds for node in self.kinds.get(kind, ())]
-        return cast("list[_Node]", found)
-
-    @cached_property
-    def writes(self) -> tuple[Write, ...]:
-        """Where it changes attributes of `self`."""
-        from xpl_cli.audit.static.episode import writes
-
-        return tuple(writes([self]))
-
-    @cached_property
-    def up(self) -> dict[ast.AST, ast.AST]:
-        """The parent of each of its nodes."""
-        return {child: parent for parent in self.nodes for child in ast.iter_child_nodes(parent)}
 
 
 @dataclass(frozen=True)
@@ -115,12 +68,15 @@ class Adapter:
 
     @classmethod
     def of(cls, source: Source) -> Adapter:
-        """Find the class.
+        """Find the class; whoever asks again for one that was found gets the same.
 
         Raises:
             NotRun: if model.py does not parse or does not define it.
             NotApplicable: if model.py takes it from a package that is not part of the adapter.
         """
+        if cls in source.views:
+            known: Adapter = source.views[cls]
+            return known
         wanted = sdk.MODEL_CLASS
         source.tree(sdk.File.MODEL_PY)
         found = symbols(source, sdk.File.MODEL_PY).classes.get(wanted)
@@ -128,7 +84,8 @@ class Adapter:
             raise NotApplicable(f"model.py takes {wanted} from a package that is not part of the adapter")
         if found is None:
             raise NotRun(f"model.py defines no class {wanted}")
-        return cls.described(source, *found)
+        source.views[cls] = made = cls.described(source, *found)
+        return made
 
     @classmethod
     def described(cls, source: Source, file: str, node: ast.ClassDef) -> Adapter:
@@ -293,14 +250,6 @@ class Adapter:
         if isinstance(call.func, ast.Name):
             return symbols(self.source, function.file).functions.get(call.func.id)
         return None
-
-
-@dataclass(frozen=True)
-class Symbols:
-    """What the names of one file mean, as far as the boundary defines it."""
-
-    classes: dict[str, tuple[str, ast.ClassDef]] = field(default_factory=dict)
-    functions: dict[str, Function] = field(default_factory=dict)
 
 
 def symbols(source: Source, file: str) -> Symbols:

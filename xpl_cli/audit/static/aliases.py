@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Final, Literal
 from xpl_cli.audit.static.syntax import SCOPES, called, constant, last, parameters, self_attribute
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Adapter, Function
+    from xpl_cli.audit.static.adapter import Adapter
+    from xpl_cli.audit.static.function import Function
 
 _VIEW_METHODS: Final = frozenset(
     (

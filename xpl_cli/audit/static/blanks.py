@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from xpl_cli.audit.static.syntax import always_raises, called, constant, dotted, last, names, texts
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Function
+    from xpl_cli.audit.static.function import Function
 
 _MAKERS: Final = frozenset(("zeros", "zeros_like", "full", "ones", "new"))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from xpl_cli.audit.static.syntax import called, constant, enclosing, last, names, targets, texts
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Function
+    from xpl_cli.audit.static.function import Function
 
 _READS_BGR: Final = frozenset(("imread", "read", "retrieve", "VideoCapture"))
 """Functions of OpenCV that read standard files and videos, and give BGR."""

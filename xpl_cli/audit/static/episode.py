@@ -4,71 +4,20 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
-from xpl_cli.audit.static.syntax import called, dotted, enclosing, last, self_attribute, targets, texts
+from xpl_cli.audit.static.function import GROWING
+from xpl_cli.audit.static.syntax import called, dotted, enclosing, last, self_attribute, texts
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Function
+    from xpl_cli.audit.static.function import Function, Kind, Write
 
-_GROWING: Final = frozenset(
-    ("append", "appendleft", "extend", "extendleft", "insert", "add", "update", "put", "push", "setdefault")
-)
 _SHRINKING: Final = frozenset(("clear", "pop", "popleft", "popitem", "remove", "discard"))
 
 _BOOKKEEPING: Final = re.compile(
     r"latenc|timing|elapsed|profil|debug|_log|metric|n(?:um)?_calls|call_count|request|warn", re.IGNORECASE
 )
 _REPORTS: Final = frozenset(("print", "log", "info", "debug", "warning"))
-
-Kind = Literal["assigned", "keyed", "grown"]
-
-
-@dataclass(frozen=True)
-class Write:
-    """One place where a method changes an attribute.
-
-    Attributes:
-        kind: `assigned` anew, `keyed` (one entry of it), or `grown` (changed in a way that depends on what was there).
-    """
-
-    attribute: str
-    kind: Kind
-    function: Function
-    node: ast.stmt | ast.expr
-
-    @property
-    def line(self) -> int:
-        """Where it stands in its file."""
-        return self.node.lineno
-
-
-def writes(functions: list[Function]) -> Iterator[Write]:
-    """Yield every change of an attribute of `self` in these functions."""
-    for function in functions:
-        for node in function.nodes:
-            if isinstance(node, (ast.Assign, ast.AnnAssign, ast.AugAssign, ast.NamedExpr)):
-                plain: Kind = "grown" if isinstance(node, ast.AugAssign) else "assigned"
-                for target in targets(node):
-                    attribute = self_attribute(target)
-                    if attribute is not None:
-                        yield Write(attribute, "keyed" if _has_key(target) else plain, function, node)
-            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _GROWING:
-                attribute = self_attribute(node.func.value)
-                if attribute is not None:
-                    keyed = _has_key(node.func.value) or node.func.attr == "setdefault"
-                    yield Write(attribute, "keyed" if keyed else "grown", function, node)
-
-
-def _has_key(node: ast.expr) -> bool:
-    """Tell whether an entry of the attribute is meant: `self.x[k]`, `self.x[k].y`, `self.x.setdefault(k, [])`."""
-    return any(
-        isinstance(child, ast.Subscript)
-        or (isinstance(child, ast.Call) and last(called(child)) in {"setdefault", "get"})
-        for child in ast.walk(node)
-    )
 
 
 def mentioned(functions: list[Function]) -> set[str]:
@@ -138,7 +87,7 @@ def _is_only_changed(node: ast.Attribute, function: Function) -> bool:
     method = function.up.get(node)
     call = function.up.get(method) if isinstance(method, ast.Attribute) else None
     if isinstance(call, ast.Call) and call.func is method and isinstance(method, ast.Attribute):
-        return method.attr in _GROWING | _SHRINKING and isinstance(function.up.get(call), ast.Expr)
+        return method.attr in GROWING | _SHRINKING and isinstance(function.up.get(call), ast.Expr)
     target = function.up.get(node)
     return isinstance(target, ast.Subscript) and isinstance(target.ctx, (ast.Store, ast.Del))
 

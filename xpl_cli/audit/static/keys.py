@@ -12,7 +12,7 @@ from xpl import _spec as sdk
 from xpl_cli.audit.static.syntax import constant, targets
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Function
+    from xpl_cli.audit.static.function import Function
 
 Path = tuple[str | None, ...]
 """Keys from the outermost to the innermost; None for a key that is made at run time."""

@@ -157,8 +157,3 @@ def _lines(node: yaml.Node) -> Iterator[int]:
         yield node.end_mark.line
     else:
         yield node.end_mark.line - 1
-
-
-def robots() -> frozenset[str]:
-    """Return every name that stands for an embodiment of the standard, aliases included."""
-    return frozenset(name for key, entry in sdk.EMBODIMENTS.items() for name in (key, *entry.get("aliases", ())))

@@ -12,7 +12,8 @@ from xpl_cli.audit.static.adapter import ACTING, OBSERVING
 from xpl_cli.audit.static.syntax import enclosing, targets
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Adapter, Function
+    from xpl_cli.audit.static.adapter import Adapter
+    from xpl_cli.audit.static.function import Function
 
 IN, OUT = "in", "out"
 _OBSERVED: Final = re.compile(r"obs|observation|state|qpos|proprio\w*|current")

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.static import reading
+from xpl_cli.audit.static.function import Function, Symbols
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.shell import Command, parse
 from xpl_cli.packages.package import ENV
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Adapter, Function, Symbols
     from xpl_cli.audit.static.syntax import FunctionNode
 
 _SOURCE_SUFFIXES = frozenset((".py", ".sh", ".yml", ".yaml", ".md", ".toml", ".txt", ".cfg", ".json"))
@@ -34,8 +34,12 @@ class Source:
 
     That is the files directly in its folder, the local modules that model.py, deploy.py and process_data.py reach (into
     a subfolder only one step, so that vendored trees are not looked at), and the Python files that process_data.sh
-    calls. Paths are relative to the
-    folder, with forward slashes.
+    calls. Paths are relative to the folder, with forward slashes.
+
+    Attributes:
+        path: the adapter's folder.
+        memory: what the names of each file mean (`adapter.symbols`), kept for whoever asks again.
+        views: what others made of the whole, by its type, likewise.
     """
 
     path: Path
@@ -52,6 +56,7 @@ class Source:
     _functions: dict[int, Function] = field(default_factory=dict)
     _defined: dict[str, tuple[Function, ...]] = field(default_factory=dict)
     memory: dict[str, Symbols] = field(default_factory=dict)
+    views: dict[type, Any] = field(default_factory=dict)
 
     @cached_property
     def files(self) -> tuple[str, ...]:
@@ -153,8 +158,6 @@ class Source:
 
     def function(self, name: str, node: FunctionNode, owner: ast.ClassDef | None = None) -> Function:
         """Return a function of a Python file; whoever asks for it shares what it computes once."""
-        from xpl_cli.audit.static.adapter import Function
-
         if id(node) not in self._functions:
             self._functions[id(node)] = Function(name, node, owner)
         return self._functions[id(node)]
@@ -296,17 +299,6 @@ class Source:
         if name not in self._commands:
             self._commands[name] = parse(self.text(name))
         return self._commands[name]
-
-    @cached_property
-    def adapter(self) -> Adapter:
-        """The class `Model` and what it reaches.
-
-        Raises:
-            NotRun: if model.py does not parse or does not define it.
-        """
-        from xpl_cli.audit.static.adapter import Adapter
-
-        return Adapter.of(self)
 
     @cached_property
     def conversion_files(self) -> tuple[str, ...]:

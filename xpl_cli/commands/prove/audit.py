@@ -80,8 +80,10 @@ def audit(
     from xpl_cli.audit.engine.engine import audit_all
     from xpl_cli.audit.formats.delivery import Delivery
     from xpl_cli.audit.formats.listing import Context
-    from xpl_cli.audit.rules.model import Gate, Outcome, Profile, exit_code
+    from xpl_cli.audit.rules.gates import Gate
+    from xpl_cli.audit.rules.model import Outcome, exit_code
     from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.profiles import Profile
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError, one_of
     from xpl_cli.basics.progress import progress

@@ -49,8 +49,10 @@ def review(
     from xpl_cli.audit.engine import cache
     from xpl_cli.audit.formats import FORMATS, Context
     from xpl_cli.audit.formats.delivery import Delivery
-    from xpl_cli.audit.rules.model import Gate, Outcome, Profile
+    from xpl_cli.audit.rules.gates import Gate
+    from xpl_cli.audit.rules.model import Outcome
     from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.profiles import Profile
     from xpl_cli.basics import console
     from xpl_cli.basics import output as output_file
     from xpl_cli.basics.errors import one_of

@@ -75,7 +75,8 @@ def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
 def _audited(folder: Path) -> dict[str, Any]:
     """Return what the static gate, which runs nothing of the adapter, says of it now."""
     from xpl_cli.audit.engine.engine import audit
-    from xpl_cli.audit.rules.model import Gate, Outcome
+    from xpl_cli.audit.rules.gates import Gate
+    from xpl_cli.audit.rules.model import Outcome
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.packages import package
 

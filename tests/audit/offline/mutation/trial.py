@@ -21,7 +21,8 @@ from tests.audit.offline.mutation.mutants import MUTANTS, Mutant
 from xpl_cli.audit.engine import providers
 from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.rules.facts import Facts
-from xpl_cli.audit.rules.model import Gate, Outcome
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.registry import select
 

@@ -17,7 +17,7 @@ from xpl_cli.audit.static.loops.values import Choices, Raised, Unclear, binary, 
 from xpl_cli.audit.static.loops.world import Event, Kind, Opaque, PolicyFailed, Scenario, Token, World
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Function
+    from xpl_cli.audit.static.function import Function
 
 _UNSEEN: Final = 2
 """Rounds of a loop whose condition nobody knows."""

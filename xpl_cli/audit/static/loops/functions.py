@@ -8,11 +8,12 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.static.adapter import ACT, ACT_BATCH, UPDATE, UPDATE_BATCH, Function, symbols
+from xpl_cli.audit.static.adapter import ACT, ACT_BATCH, UPDATE, UPDATE_BATCH, symbols
 from xpl_cli.audit.static.syntax import called, constant, enclosing, parameters, targets
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
+    from xpl_cli.audit.static.function import Function
     from xpl_cli.audit.static.source import Source
 
 _TASK_ENV: Final = spec.data("package")["task_env"]

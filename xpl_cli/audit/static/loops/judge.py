@@ -15,7 +15,8 @@ from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.static.adapter import RESET, Function, symbols
+from xpl_cli.audit.static.adapter import RESET, symbols
+from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.loops.distance import unmatched
 from xpl_cli.audit.static.loops.follow import follow
 from xpl_cli.audit.static.loops.functions import wanted

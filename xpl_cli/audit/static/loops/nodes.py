@@ -17,10 +17,11 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.static.adapter import Function, symbols
+from xpl_cli.audit.static.adapter import symbols
 from xpl_cli.audit.static.syntax import FunctionNode, constant, own, parameters
 
 if TYPE_CHECKING:
+    from xpl_cli.audit.static.function import Function
     from xpl_cli.audit.static.source import Source
 
 ENVIRONMENT: Final = "<environment>"

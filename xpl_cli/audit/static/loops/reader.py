@@ -13,7 +13,7 @@ from xpl_cli.audit.static.loops.values import Choices, Unclear, binary, built_in
 from xpl_cli.audit.static.loops.world import OPERATIONS, Kind, Opaque, Token, World, changed
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.adapter import Function
+    from xpl_cli.audit.static.function import Function
     from xpl_cli.audit.static.syntax import FunctionNode
 
 Resolve = Callable[[str, str], "Function | ast.expr | None"]
