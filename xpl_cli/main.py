@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -82,35 +83,52 @@ def _root(
 
 
 def run() -> NoReturn:
-    """Run the command line; never shows a traceback for a mistake of the user."""
+    """Run the command line of this process."""
     # A supervisor's SIGTERM ends a command the way Ctrl-C does, so that every `finally` still runs.
     signal.signal(signal.SIGTERM, _interrupt)
+    sys.exit(main(sys.argv[1:]))
+
+
+def main(arguments: list[str]) -> int:
+    """Run a command and return its exit code; never shows a traceback for a mistake of the user.
+
+    Args:
+        arguments: the command line after `xpl`.
+    """
     try:
-        ended = app(prog_name="xpl", standalone_mode=False)
+        ended = app(args=arguments, prog_name="xpl", standalone_mode=False)
     except UserError as error:
-        _fail(error)
+        return _told(error, arguments)
     except _UsageError as error:
-        _fail(failures.of_usage(error))
+        return _told(failures.of_usage(error), arguments)
     except (KeyboardInterrupt, typer.Abort):
-        _fail(UserError("interrupted", code=ExitCode.INTERRUPTED))
+        _ignore_interrupts()
+        return _told(UserError("interrupted", code=ExitCode.INTERRUPTED), arguments)
     except BrokenPipeError:
         # The reader of our output went away, as `head` does: not a failure worth a message.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(ExitCode.CLEAN)
+        return ExitCode.CLEAN
     except Exception as error:
         if os.environ.get("XPL_DEBUG"):
             raise
-        _fail(failures.of_fault(error))
-    sys.exit(ended if isinstance(ended, int) else ExitCode.CLEAN)
+        return _told(failures.of_fault(error), arguments)
+    return ended if isinstance(ended, int) else ExitCode.CLEAN
 
 
 def _interrupt(_signal: int, _frame: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _fail(error: UserError) -> NoReturn:
-    """End with an error: for people on stderr, and for who asked for JSON and has no answer yet also on stdout."""
-    if failures.wants_json(sys.argv[1:]) and not console.has_answered():
+def _ignore_interrupts() -> None:
+    """Let whoever presses Ctrl-C again still see the sentence, and the exit code that goes with it."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _told(error: UserError, arguments: list[str]) -> int:
+    """Tell an error, on stderr and to who asked for JSON and has no answer yet also on stdout; return its exit code."""
+    if failures.wants_json(arguments) and not console.has_answered():
         console.data_json(failures.document(error))
-    sys.stderr.write(failures.lines(error))
-    sys.exit(error.code)
+    console.note(failures.lines(error).removesuffix("\n"))
+    return error.code

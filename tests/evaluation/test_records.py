@@ -93,7 +93,7 @@ def _damaged(lines: list[Any]) -> list[Any]:
         (lambda lines: [{**lines[0], "embodiment": "piper"}, *lines[1:]], "it was changed"),
         (lambda lines: lines[1:], "must be the plan"),
         (lambda lines: [*lines[:3], [1], *lines[3:]], "no line of"),
-        (lambda lines: [*lines[:3], {"kind": "note"}, *lines[3:]], "neither a machine nor an episode"),
+        (lambda lines: [*lines[:3], {"kind": "note"}, *lines[3:]], "whose kind is one of"),
     ],
     ids=["twice", "beyond", "other seed", "other plan", "no plan", "list", "other kind"],
 )
@@ -109,7 +109,7 @@ def test_damage_before_the_last_line_is_refused(folder: Path) -> None:
     content = (folder / records.FILE).read_bytes().splitlines(keepends=True)
     content[3] = content[3][:50] + b"\n"
     (folder / records.FILE).write_bytes(b"".join(content))
-    with pytest.raises(RecordError, match="line 4 is damaged"):
+    with pytest.raises(RecordError, match="line 4 is no line of"):
         records.read(folder)
 
 

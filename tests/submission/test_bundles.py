@@ -145,7 +145,6 @@ class TestConsistency:
             (lambda lines: lines[-1].update(success=None, failure="infrastructure"), "was given up after 1 attempts"),
             (lambda lines: lines[-1].update(wall_seconds=0.0), "waiting for the policy"),
             (lambda lines: lines[-1]["inference"].update(histogram=[1]), "histogram"),
-            (lambda lines: lines[-1].update(score=2.0), "score"),
             (lambda lines: lines.pop(), "1 of its episodes were not played"),
         ],
     )

@@ -1,9 +1,14 @@
-"""Output: data on stdout or in the file that was asked for, everything else on stderr."""
+r"""Output: data on stdout or in the file that was asked for, everything else on stderr.
+
+Names, messages and evidence may come from anybody. What would steer a terminal, turn the direction of writing or cannot
+be encoded is written out as `\u001b`, in everything that passes here; that form is also valid in JSON.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import re
 import sys
 from io import StringIO
 from typing import TYPE_CHECKING, Any
@@ -12,6 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import TextIO
+
+
+_STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
+"""Control characters but tab and line end, marks of writing direction, line separators, halves of surrogate pairs."""
 
 
 class _Output:
@@ -29,8 +38,18 @@ class _Output:
 _output = _Output()
 
 
+def harmless(text: str) -> str:
+    """Return a text with whatever would steer a terminal written out."""
+    return _STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
 def data(text: str) -> None:
     """Write an answer."""
+    painted(harmless(text))
+
+
+def painted(text: str) -> None:
+    """Write an answer with colours for a terminal; what strangers gave to it has to be harmless already."""
     _output.is_used = True
     stream = _stream()
     stream.write(text if text.endswith("\n") else text + "\n")
@@ -65,7 +84,7 @@ def rich(renderable: Any) -> None:
 
 def note(text: str) -> None:
     """Write a remark to stderr."""
-    sys.stderr.write(f"{text}\n")
+    sys.stderr.write(f"{harmless(text)}\n")
     sys.stderr.flush()
 
 

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from xpl_cli.basics import console
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -38,11 +40,15 @@ def progress() -> Iterator[Progress]:
         yield Progress(step=_line)
         return
     from rich.console import Console
+    from rich.text import Text
 
     with Console(stderr=True, highlight=False).status("") as status:
-        yield Progress(step=status.update, detail=status.update)
+
+        def show(text: str) -> None:
+            status.update(Text(console.harmless(text)))
+
+        yield Progress(step=show, detail=show)
 
 
 def _line(text: str) -> None:
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()
+    console.note(text)

@@ -7,7 +7,9 @@ import re
 from xpl_cli.basics.errors import UserError
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?", re.IGNORECASE)
+_MOST_DIGITS = 18
 _POWERS = {"": 0, "K": 1, "M": 2, "G": 3, "T": 4}
+_TOLD = (("T", 4), ("G", 3), ("M", 2), ("k", 1))
 
 
 def parse_size(text: str, option: str) -> int:
@@ -21,8 +23,14 @@ def parse_size(text: str, option: str) -> int:
         UserError: if it is no size.
     """
     found = _SIZE.fullmatch(text.strip())
-    if found is None:
-        raise UserError(f"{option} takes a size such as 500MB, 20GiB or a number of bytes, got {text!r}")
+    if found is None or len(found[1]) > _MOST_DIGITS:
+        raise UserError(f"{option} takes a size such as 500MB, 20GiB or a number of bytes, got {text[:80]!r}")
     number, unit, binary = found.groups()
     base = 1024 if binary else 1000
     return int(float(number) * float(base ** _POWERS[unit.upper()]))
+
+
+def told_size(size: int) -> str:
+    """Return a number of bytes in words, such as 8.2 GB."""
+    unit, power = next(((name, power) for name, power in _TOLD if size >= 1000**power), _TOLD[-1])
+    return f"{size / 1000**power:.3g} {unit}B"

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.sizes import told_size
 from xpl_cli.isolation import family, plan, seccomp
 
 if TYPE_CHECKING:
@@ -109,12 +110,6 @@ class MemoryLimit:
     def _exceeded(self, used: int) -> str:
         limit = told_size(self.size)
         return f"the adapter used {told_size(used)}, more than the limit of {limit} (--memory-limit {self.asked})"
-
-
-def told_size(size: int) -> str:
-    """Return a number of bytes in words, such as 8.2 GB."""
-    unit = next((name for name in "TGM" if size >= _UNITS[name]), "M")
-    return f"{size / _UNITS[unit]:.3g} {unit}B"
 
 
 def machine_memory() -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from xpl_cli.basics.errors import NotFoundError, UserError
-from xpl_cli.isolation.sandbox import told_size
+from xpl_cli.basics.sizes import told_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

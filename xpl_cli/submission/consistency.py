@@ -1,4 +1,4 @@
-"""Whether the records of a run agree with their schema, with their plan and with themselves."""
+"""Whether the records of a run agree with their plan and with themselves."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.evaluation.records import fingerprints
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
-from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl_cli.evaluation.records.records import Line, Run
 
-_SCHEMA = "record"
 _SUCCESS_OF = {None: (True, None), "task": (False,), "policy": (False, None), INFRASTRUCTURE: (None,)}
 """What `success` may be for each class of failure."""
 _SLACK_S = 0.01
@@ -26,12 +24,11 @@ _SLACK_S = 0.01
 def problems(run: Run) -> Iterator[str]:
     """Yield what is wrong with the records of a run, one sentence each.
 
-    That the plan is what the run is named after, that episodes are of the plan and none is final twice, is what
-    `records.read` sees to.
+    That lines are as their schema says, that the plan is what the run is named after, that episodes are of the plan and
+    none is final twice, is what `records.read` sees to.
     """
     if run.torn:
         yield "the last line of its records is torn: an episode was lost in a crash; `xpl eval --resume` plays it"
-    yield from _schema(run)
     for digest, facts in run.machines.items():
         if fingerprints.digest_of(facts) != digest:
             yield f"machine {digest[:12]} does not have the facts that it is named after"
@@ -42,18 +39,6 @@ def problems(run: Run) -> Iterator[str]:
     missing = sum(cell.unplayed for cell in cells(run))
     if missing:
         yield f"{missing} of its episodes were not played; `xpl eval --resume` plays them"
-
-
-def _schema(run: Run) -> Iterator[str]:
-    """Yield what the schema says of lines, each line as a file holds it."""
-    machines = [{"kind": "machine", "machine": digest, "facts": facts} for digest, facts in run.machines.items()]
-    for line in (run.plan, *machines, *run.attempts):
-        for problem in validate(line, _definition(line)):
-            yield f"{_name(line)}: {problem}"
-
-
-def _definition(line: Line) -> str:
-    return f"{_SCHEMA}#/$defs/{line['kind']}"
 
 
 def _name(line: Line) -> str:

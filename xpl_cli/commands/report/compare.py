@@ -7,12 +7,15 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.report import reading
+from xpl_cli.commands.report.reading import SKIP_BAD_LINES
 
 
-@ends(clean="compared", not_found="no such run", not_run="not comparable")
+@ends(clean="compared", not_found="no such run", not_run="not comparable, or a record is damaged")
 def compare(
     first: Path = typer.Argument(..., metavar="A", help="Folder of a run, such as runs/foo."),
     second: Path = typer.Argument(..., metavar="B", help="Folder of another run."),
+    skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Tell whether one of two recorded runs is better, on the episodes that both played, and how sure that is."""
@@ -20,10 +23,9 @@ def compare(
 
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.evaluation.records import records
     from xpl_cli.evaluation.statistics import comparison, verdicts
 
-    runs = [records.read(path) for path in (first, second)]
+    runs = reading.runs([first, second], skip=skip_bad_lines)
     if runs[0].folder.resolve() == runs[1].folder.resolve():
         raise UserError(f"{first} and {second} are the same run", hint="name two runs")
     result = comparison.compare(*runs)

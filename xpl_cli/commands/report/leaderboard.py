@@ -7,6 +7,8 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.report import reading
+from xpl_cli.commands.report.reading import SKIP_BAD_LINES
 
 
 @ends(clean="ranked", not_found="no run there", not_run="the runs are not alike, or a record is damaged")
@@ -21,6 +23,7 @@ def leaderboard(
     ),
     robodojo: Path | None = typer.Option(None, metavar="DIR", help="Write each run's _result.json as RoboDojo does."),
     robotwin: Path | None = typer.Option(None, metavar="DIR", help="Write each run's _result.txt as RoboTwin does."),
+    skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Rank runs by success rate, and tell which of them these episodes do not tell apart."""
@@ -28,9 +31,8 @@ def leaderboard(
 
     from xpl_cli.basics import console
     from xpl_cli.evaluation.leaderboard import board, export, field, ranking, written
-    from xpl_cli.evaluation.records import records
 
-    found = [records.read(path) for path in runs]
+    found = reading.runs(runs, skip=skip_bad_lines)
     result = ranking.rank(field.gather(found, common=common, anyway=anyway))
     for name, folder in (("robodojo", robodojo), ("robotwin", robotwin)):
         if folder is not None:

@@ -7,6 +7,8 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.report import reading
+from xpl_cli.commands.report.reading import SKIP_BAD_LINES
 
 
 @ends(clean="written", not_found="no run there", not_run="a record is damaged, or the folder cannot be written")
@@ -20,6 +22,7 @@ def report(
         False, "--serve", help="Show the page of one run, which may still grow, on this machine."
     ),
     port: int = typer.Option(0, min=0, max=65535, help="Port for --serve; 0: any that is free."),
+    skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object for each run, one a line."),
 ) -> None:
     """Write a run's report: index.html in one file, report.md, report.json, table.csv and episodes.csv."""
@@ -27,7 +30,6 @@ def report(
 
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.evaluation.records import records
     from xpl_cli.evaluation.report import written
 
     if (serve or out is not None) and len(runs) > 1:
@@ -35,7 +37,7 @@ def report(
     if serve:
         _serve(runs[0], port)
         return
-    for run in [records.read(path) for path in runs]:
+    for run in reading.runs(runs, skip=skip_bad_lines):
         folder = out or run.folder / written.FOLDER
         document = written.write(run, folder, int(embed * 1e6))
         if as_json:

@@ -45,7 +45,8 @@ def rank(field: Field) -> dict[str, Any]:
         ],
         "rows": rows,
     }
-    return {**result, "notes": [*field.sentences(), *refusals, *_notes(result)]}
+    skipped = cautions.of_skipped([line for run in field.runs for line in run.skipped])
+    return {**result, "notes": [*skipped, *field.sentences(), *refusals, *_notes(result)]}
 
 
 def labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -18,18 +18,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from xpl import _spec as sdk
+from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.records.fingerprints import digest_of
+from xpl_cli.evaluation.records.lines import Line, LineError, NotJsonError, parsed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+__all__ = ["FILE", "SCHEMA", "Line", "RecordError", "Run", "Slot", "Writer", "named", "now", "read", "slots"]
 
 FILE = "records.jsonl"
 SCHEMA = "xpl.record/1"
 _NEWLINE = b"\n"
-
-Line = dict[str, Any]
-"""A line of the file, as the schema has it."""
+_LONGEST = 80
 
 
 class RecordError(UserError):
@@ -67,6 +69,7 @@ class Run:
         attempts: every line of an episode, in the order in which they came, the final ones too.
         finals: the final line of each episode that has one, by index in ascending order.
         torn: whether the last line was cut short.
+        skipped: lines that are none of a record, or not of this run, and why; empty unless they were to be skipped.
     """
 
     folder: Path
@@ -75,6 +78,7 @@ class Run:
     attempts: list[Line] = field(default_factory=list)
     finals: dict[int, Line] = field(default_factory=dict)
     torn: bool = False
+    skipped: tuple[str, ...] = ()
 
 
 def slots(plan: Mapping[str, Any]) -> list[Slot]:
@@ -96,27 +100,27 @@ def now() -> str:
     return dt.datetime.now(dt.UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def read(path: Path) -> Run:
+def read(path: Path, *, skip: bool = False) -> Run:
     """Read a run.
 
     Args:
         path: the run's folder, or its records.jsonl.
+        skip: leave bad lines out and name them in the answer, instead of refusing the run; the first line is never
+            left out.
 
     Raises:
         NotFoundError: there is none.
-        RecordError: a line is damaged, contradicts the plan, or makes an episode final again.
+        RecordError: a line is none of a record, contradicts the plan, or makes an episode final again.
     """
     file = path if path.name == FILE else path / FILE
+    bad: list[_BadLineError] = []
     try:
-        content = file.read_bytes()
+        found = _parse(file, _content(file), bad.append if skip else _refuse)[0]
     except (FileNotFoundError, NotADirectoryError):
         raise NotFoundError(f"{path} holds no recorded run: {file} is missing") from None
-    except OSError as error:
-        raise RecordError(f"{file} cannot be read: {error.strerror or error}") from None
-    found = _parse(file, content)[0]
     if found is None:
         raise RecordError(f"{file} has no first line yet: the run was ended before it began")
-    return found
+    return replace(found, skipped=tuple(map(str, bad)))
 
 
 class Writer:
@@ -139,7 +143,9 @@ class Writer:
         self._file = folder / FILE
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            # Not blocking: whoever opens a pipe waits for its other end.
+            flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NONBLOCK
+            self._descriptor = os.open(self._file, flags, 0o644)
         except OSError as error:
             raise RecordError(f"{self._file} cannot be written: {error.strerror or error}") from None
         try:
@@ -183,7 +189,7 @@ class Writer:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise RecordError(f"{self._file} is being written by another process") from None
-        found, whole = _parse(self._file, self._file.read_bytes())
+        found, whole = _parse(self._file, _content(self._file), _refuse)
         os.truncate(self._descriptor, whole)
         if found is None:
             self._append(dict(plan))
@@ -208,11 +214,39 @@ class Writer:
             raise RecordError(f"{self._file} cannot be written: {error.strerror or error}") from None
 
 
-def _parse(file: Path, content: bytes) -> tuple[Run | None, int]:
-    """Return the run in a file's content, None where not even its first line is whole, and the length that counts.
+class _BadLineError(RecordError):
+    """A line that is none of a record, or not of its run."""
+
+
+def _refuse(problem: _BadLineError) -> None:
+    raise problem
+
+
+def _content(file: Path) -> bytes:
+    """Return what a record's file holds.
 
     Raises:
-        RecordError: see `read`.
+        FileNotFoundError, NotADirectoryError: it is not there.
+        RecordError: it cannot be read, or is no file.
+    """
+    try:
+        return files.content(file)
+    except (FileNotFoundError, NotADirectoryError):
+        raise
+    except OSError as error:
+        raise RecordError(f"{file} cannot be read: {error.strerror or error}") from None
+
+
+def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> tuple[Run | None, int]:
+    """Return the run in a file's content, None where not even its first line is whole, and the length that counts.
+
+    Args:
+        file: for sentences.
+        content: what it holds.
+        met: what to do about a bad line that is not the first; it counts for nothing if this returns.
+
+    Raises:
+        RecordError: the first line is none of a plan.
     """
     *whole, rest = content.split(_NEWLINE)
     torn, length = bool(rest), len(content) - len(rest)
@@ -221,24 +255,36 @@ def _parse(file: Path, content: bytes) -> tuple[Run | None, int]:
     for number, raw in enumerate(whole, 1):
         where = f"{file}, line {number}"
         try:
-            line = json.loads(raw)
-        except ValueError:
+            line = parsed(raw)
+        except LineError as error:
             # A machine that loses its power may keep a file's new length without all of its content.
-            if number == len(whole) and not rest:
+            if isinstance(error, NotJsonError) and number == len(whole) and not rest:
                 return (None if run is None else _sorted(run, torn=True)), length - len(raw) - 1
-            raise RecordError(f"{where} is damaged: it is not JSON") from None
-        try:
+            problem = _BadLineError(f"{where} is no line of {SCHEMA}: {error}", hint=_hint(number))
             if run is None:
-                run = Run(file.parent, _plan(line, where))
-                places = slots(run.plan)
-            elif line["kind"] == "machine":
-                run.machines[line["machine"]] = line["facts"]
-            else:
-                _check(line, places, run, where)
-                _take(line, run)
-        except (KeyError, TypeError) as error:
-            raise RecordError(f"{where} is no line of {SCHEMA}: {type(error).__name__} {error}") from None
+                raise problem from None
+            met(problem)
+            continue
+        if run is None:
+            run = Run(file.parent, _plan(line, where))
+            places = slots(run.plan)
+            continue
+        try:
+            _add(line, places, run, where)
+        except _BadLineError as error:
+            error.hint = _hint(number)
+            met(error)
     return (None if run is None else _sorted(run, torn=torn)), length
+
+
+def _hint(number: int) -> str | None:
+    """Return what can be done about a bad line; without its plan a run is nothing."""
+    if number == 1:
+        return None
+    return (
+        "--skip-bad-lines of `xpl report`, `xpl compare` and `xpl leaderboard` leaves it out; without the line in the "
+        "file, `xpl eval --resume` plays its episode again"
+    )
 
 
 def _sorted(run: Run, *, torn: bool) -> Run:
@@ -246,26 +292,41 @@ def _sorted(run: Run, *, torn: bool) -> Run:
 
 
 def _plan(line: Line, where: str) -> Line:
-    if line["kind"] != "run" or line["schema"] != SCHEMA:
+    if line["kind"] != "run":
         raise RecordError(f"{where} must be the plan of a run, of schema {SCHEMA}")
     if line["run"] != named(line)["run"]:
         raise RecordError(f"{where}: the plan is not the one that the run is named after; it was changed")
     return line
 
 
+def _add(line: Line, places: list[Slot], run: Run, where: str) -> None:
+    """Add what a line after the first tells.
+
+    Raises:
+        _BadLineError: it does not go with the plan, or with the lines before it.
+    """
+    if line["kind"] == "machine":
+        run.machines[line["machine"]] = line["facts"]
+        return
+    _check(line, places, run, where)
+    _take(line, run)
+
+
 def _check(line: Line, places: list[Slot], run: Run, where: str) -> None:
-    """Raise a RecordError unless a line is of an episode that may still be played."""
+    """Raise a _BadLineError unless a line is of an episode that may still be played."""
     if line.get("kind") != "episode":
-        raise RecordError(f"{where} is neither a machine nor an episode")
+        raise _BadLineError(f"{where} is neither a machine nor an episode")
     index = line.get("index")
     if not isinstance(index, int) or not 0 <= index < len(places):
-        raise RecordError(f"{where}: there is no episode {index} in the plan, which has {len(places)}")
+        raise _BadLineError(
+            f"{where}: there is no episode {str(index)[:_LONGEST]} in the plan, which has {len(places)}"
+        )
     slot = places[index]
     told, planned = (line["task"], line["setting"], line[sdk.Deploy.SEED]), (slot.task, slot.setting, slot.seed)
     if told != planned:
-        raise RecordError(f"{where}: episode {index} of the plan is {planned}, got {told}")
+        raise _BadLineError(f"{where}: episode {index} of the plan is {planned}, got {told}")
     if index in run.finals:
-        raise RecordError(f"{where}: episode {index} has a final line already")
+        raise _BadLineError(f"{where}: episode {index} has a final line already")
 
 
 def _take(line: Line, run: Run) -> None:

@@ -9,6 +9,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Protocol
 
 from xpl import _spec as sdk
+from xpl_cli.basics import console
 from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.intervals import wilson
 
@@ -124,8 +125,7 @@ class _Lines:
         self._tally.add(line, left)
         again = "" if line["final"] else ", is played again"
         error = f" ({line['error']})" if line.get("error") else ""
-        sys.stderr.write(f"{_place(line)}: {line['end_reason']}{error}{again}; {self._tally.text()}\n")
-        sys.stderr.flush()
+        console.note(f"{_place(line)}: {line['end_reason']}{error}{again}; {self._tally.text()}")
 
 
 class _Terminal:

@@ -50,6 +50,15 @@ def of_course(beyond: int, machines: int) -> list[str]:
     return notes
 
 
+def of_skipped(lines: Sequence[str]) -> list[str]:
+    """Return what should be known of a run of which lines were left out because they are bad."""
+    if not lines:
+        return []
+    return [
+        f"{were(len(lines), 'line')} left out of the record, as if nobody had written them: {'; '.join(lines[:3])}."
+    ]
+
+
 def scope() -> str:
     """Return what intervals are about at all."""
     return (

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records.cells import cells, matched, outcome, score
-from xpl_cli.evaluation.statistics import intervals, verdicts
+from xpl_cli.evaluation.statistics import cautions, intervals, verdicts
 from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs
 from xpl_cli.evaluation.statistics.matching import differences
 
@@ -98,7 +98,8 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
         "overall": {**_row(None, None, matches), "adjusted_p_value": None},
     }
     stops = any(plan.get("until_width") is not None for plan in sides)
-    return {**result, "verdict": verdicts.verdict(result), "notes": verdicts.notes(result, stops=stops)}
+    notes = [*cautions.of_skipped((*first.skipped, *second.skipped)), *verdicts.notes(result, stops=stops)]
+    return {**result, "verdict": verdicts.verdict(result), "notes": notes}
 
 
 def _matches(first: Run, second: Run) -> list[_Matches]:

@@ -58,7 +58,7 @@ def summarise(run: Run, method: str = "wilson") -> dict[str, Any]:
         "contrasts": _contrasts(found),
         "course": course(run, sum(cell.beyond for cell in found)),
     }
-    return {**summary, "notes": cautions.of_summary(summary, found)}
+    return {**summary, "notes": [*cautions.of_skipped(run.skipped), *cautions.of_summary(summary, found)]}
 
 
 def _rows(measured: Sequence[_Measured]) -> dict[str, Any]:

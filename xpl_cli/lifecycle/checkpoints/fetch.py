@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.isolation.sandbox import told_size
+from xpl_cli.basics.sizes import told_size
 from xpl_cli.lifecycle.checkpoints import store as stores
 from xpl_cli.lifecycle.checkpoints.specification import digest_of
 from xpl_cli.lifecycle.checkpoints.transfer import Bounds

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.extras import how_to_install
+from xpl_cli.basics.sizes import told_size
 from xpl_cli.isolation import sandbox
-from xpl_cli.isolation.sandbox import told_size
 from xpl_cli.lifecycle.doctor.check import Check, Status
 
 _SHARED = Path("/dev/shm")  # noqa: S108 - what is asked about; nothing stays there

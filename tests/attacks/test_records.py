@@ -1,0 +1,301 @@
+"""Records that a stranger wrote: a bad line is named by its number, and refused or left out, whatever it holds."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.support.commands import problem, xpl
+from tests.support.runs import synthetic
+from xpl_cli.evaluation.leaderboard import board, field, ranking
+from xpl_cli.evaluation.records import lines, records
+from xpl_cli.evaluation.records.records import RecordError
+from xpl_cli.evaluation.report import written
+from xpl_cli.standard import spec
+from xpl_cli.standard.validate import validate
+
+BAD = 4
+"""Number of the line that is made bad, counted from 1: an episode's, with others after it."""
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a run of 8 episodes, all of which were played."""
+    return synthetic(tmp_path_factory.mktemp("sound") / "run", episodes=2)
+
+
+def _lines(folder: Path) -> list[bytes]:
+    return (folder / records.FILE).read_bytes().splitlines()
+
+
+def _changed(source: Path, target: Path, line: bytes | dict[str, Any], number: int = BAD) -> Path:
+    """Return a copy of a run in which one line is another one."""
+    found = _lines(source)
+    found[number - 1] = line if isinstance(line, bytes) else json.dumps(line).encode()
+    target.mkdir(exist_ok=True)
+    (target / records.FILE).write_bytes(b"".join(one + b"\n" for one in found))
+    return target
+
+
+def _set(path: str, value: Any) -> Callable[[dict[str, Any]], Any]:
+    """Return what puts a value at a place such as `inference.count`."""
+
+    def change(line: dict[str, Any]) -> None:
+        *way, last = path.split(".")
+        for name in way:
+            line = line[name]
+        line[last] = value
+
+    return change
+
+
+def _nested(levels: int) -> Any:
+    value: Any = 0
+    for _ in range(levels):
+        value = [value]
+    return value
+
+
+NAN, INFINITY = float("nan"), float("inf")
+COUNTS: list[Any] = [-1, 1.5, 1.0, True, "1", None, []]
+NAMES: list[Any] = ["", None, 1, [], {}, "\ud800", "other"]
+WRONG: dict[str, list[Any]] = {
+    **dict.fromkeys(("index", "attempt", "seed", "steps"), COUNTS),
+    **dict.fromkeys(("task", "setting"), NAMES),
+    "score": [-0.1, 1.1, "0.5", True, [], {}, NAN, INFINITY, -INFINITY],
+    "wall_seconds": [-1, "1", None, NAN, INFINITY],
+    "success": [1, 0, "true", [], ""],
+    "failure": ["", "other", True, 0, [], {}],
+    "final": [1, 0, None, "true"],
+    "machine": ["", "x" * 64, "A" * 64, None, 1],
+    "kind": ["", "run", "other", None, 1, [], {}, "episode\0"],
+    "started": ["", "yesterday", "2026-13-45T99:99:99Z", 1, None],
+    "corrections": [[], {"a": -1}, {"a": 1.0}, {"a": None}, "x"],
+    "inference.count": [-1, 1.0, "1", None],
+    "inference.histogram": [{}, [-1], [1.0], [None], "x"],
+    "layout": [[], "x", {"a": NAN}, {"a": INFINITY}, {"\ud800": 1}, {"a": "\udfff"}, {"a": _nested(70)}, _nested(500)],
+    "stages": [[], {"a": 1}, {"a": None}],
+    "trace": ["x", {}, {"path": 1, "digest": "0" * 64}, {"path": "a", "digest": "0"}],
+    "embodiment": ["two words"],
+    "action_type": ["torque"],
+    "more": [1],
+    "error": [None],
+    "safety": [[]],
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_value_that_cannot_be_is_refused_by_line_and_left_out_by_request(
+    name: str, sound: Path, tmp_path: Path
+) -> None:
+    """Types, ranges, words, other keys: all that the schema says, and numbers and texts that are none."""
+    for value in WRONG[name]:
+        line = json.loads(_lines(sound)[BAD - 1])
+        _set(name, value)(line)
+        run = _changed(sound, tmp_path / "run", line)
+        with pytest.raises(RecordError, match=f"line {BAD}"):
+            records.read(run)
+        found = records.read(run, skip=True)
+        assert len(found.skipped) == 1
+        assert f"line {BAD}" in found.skipped[0]
+        assert len(found.attempts) == len(_lines(sound)) - 3
+
+
+@pytest.mark.parametrize("number", [2, BAD])
+def test_a_key_that_is_missing_is_refused(number: int, sound: Path, tmp_path: Path) -> None:
+    """Each key that the schema requires, of machines and episodes."""
+    line = json.loads(_lines(sound)[number - 1])
+    for key in spec.schema("record")["$defs"][line["kind"]]["required"]:
+        run = _changed(sound, tmp_path / "run", {one: line[one] for one in line if one != key}, number)
+        with pytest.raises(RecordError, match=f"line {number}"):
+            records.read(run)
+
+
+RAW = {
+    "nothing": b"",
+    "a number": b"1",
+    "a list": b"[]",
+    "null": b"null",
+    "half a line": b'{"kind": "episode"',
+    "two lines in one": b"{}{}",
+    "not UTF-8": b'{"kind": "\xff\xfe"}',
+    "a surrogate in UTF-8": b'{"kind": "\xed\xa0\x80"}',
+    "UTF-16": '{"kind": "episode"}'.encode("utf-16"),
+    "zeros": bytes(100),
+    "an integer of 4,300 digits and more": b'{"kind": "episode", "index": ' + b"9" * 5000 + b"}",
+    "a number beyond all floats": b'{"kind": "machine", "machine": "' + b"0" * 64 + b'", "facts": {"a": 1e999}}',
+    "a hundred thousand brackets": b"[" * 100_000 + b"]" * 100_000,
+    "a hundred thousand maps": b'{"kind":' * 100_000,
+    "a line of five million bytes": b'{"kind": "' + b"x" * 5_000_000 + b'"}',
+    "a key of a thousand brackets": b'{"kind": "episode", "a": ' + b"[" * 1000 + b"]" * 1000 + b"}",
+}
+
+
+@pytest.mark.parametrize("name", RAW)
+def test_bytes_that_are_no_line_are_refused_wherever_they_stand(name: str, sound: Path, tmp_path: Path) -> None:
+    """As the first line, in the middle and at the end, where only what is no JSON at all counts as torn."""
+    run = _changed(sound, tmp_path / "run", RAW[name])
+    with pytest.raises(RecordError, match=f"line {BAD}"):
+        records.read(run)
+    assert f"line {BAD}" in records.read(run, skip=True).skipped[0]
+    with pytest.raises(RecordError, match="line 1"):
+        records.read(_changed(sound, tmp_path / "run", RAW[name], 1), skip=True)
+    last = _changed(sound, tmp_path / "run", RAW[name], len(_lines(sound)))
+    try:
+        lines.parsed(RAW[name])
+    except lines.NotJsonError:
+        assert records.read(last).torn
+    except lines.LineError:
+        with pytest.raises(RecordError, match=f"line {len(_lines(sound))}"):
+            records.read(last)
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a device", "a folder", "a loop of links", "no rights", "too large"])
+def test_what_is_no_file_is_refused_and_nothing_waits(kind: str, tmp_path: Path) -> None:
+    """`xpl report` of a pipe that nobody writes to, and of whatever else can bear the name."""
+    run = tmp_path / "run"
+    run.mkdir()
+    file = run / records.FILE
+    if kind == "a pipe":
+        os.mkfifo(file)
+    elif kind == "a folder":
+        file.mkdir()
+    elif kind == "no rights":
+        if os.geteuid() == 0:
+            pytest.skip("nothing is forbidden to root")
+        file.touch(0)
+    elif kind == "too large":
+        with file.open("wb") as stream:
+            stream.truncate(1 << 40)
+    else:
+        file.symlink_to(file if kind == "a loop of links" else "/dev/zero")
+    for command in (["report"], ["leaderboard"], ["compare", str(run)], ["report", "--serve"]):
+        ended = xpl(*command, run)
+        assert problem(ended, (4,)) is None, ended
+        assert "error: " in ended.stderr
+
+
+def test_every_command_that_reads_records_names_the_line(sound: Path, tmp_path: Path) -> None:
+    """All of them refuse the run; `report`, `compare` and `leaderboard` leave the line out if they are told to."""
+    line = json.loads(_lines(sound)[BAD - 1]) | {"score": -1}
+    run = _changed(sound, tmp_path / "run", line)
+    reading: tuple[list[str | Path], ...] = (["report", run], ["compare", run, sound], ["leaderboard", run, sound])
+    others: tuple[list[str | Path], ...] = (
+        ["submit", "--check", "demo_policy", run],
+        ["eval", "demo_policy", "--env", "mujoco", "--resume", "--out", run],
+    )
+    for command in (*reading, *others):
+        ended = xpl(*command, folder=tmp_path)
+        assert problem(ended, (4,)) is None, (command, ended)
+        assert f"line {BAD}" in ended.stderr
+        assert "--skip-bad-lines" in ended.stderr
+    for command in reading:
+        ended = xpl(*command, "--skip-bad-lines", *(["--anyway"] if command[0] == "leaderboard" else []))
+        assert ended.code == 0, ended
+        assert f"line {BAD}" in ended.stderr
+    assert "left out of the record" in (run / "report" / written.MARKDOWN).read_text(encoding="utf-8")
+
+
+HOSTILE = (
+    "\0",
+    "\x1b[31m\x1b]0;x\x07",
+    "<script>alert(1)</script>",
+    "=cmd|' /C calc'!A0",
+    "a\r\nb",
+    "\u202eabc",
+    "|`*_[x](y)",
+)
+
+
+@pytest.mark.parametrize("name", HOSTILE, ids=[repr(name) for name in HOSTILE])
+def test_names_of_any_kind_break_neither_reports_nor_boards(name: str, tmp_path: Path) -> None:
+    """What the schema allows as the name of a task or setting can be shown in every form."""
+    run = synthetic(tmp_path / "run", tasks=(f"t{name}", name), settings=(f"s{name}",), episodes=2)
+    other = synthetic(tmp_path / "other", tasks=(f"t{name}", name), settings=(f"s{name}",), episodes=2, seed=1)
+    commands: tuple[list[str | Path], ...] = (
+        ["report", run],
+        ["compare", run, other],
+        ["leaderboard", run, other, "--out", tmp_path / "board"],
+    )
+    for command in commands:
+        for more in ([], ["--json"]):
+            ended = xpl(*command, *more)
+            assert ended.code == 0, ended
+            assert "\x1b" not in ended.stdout
+            assert "\0" not in ended.stdout
+    page = (run / "report" / written.PAGE).read_text(encoding="utf-8")
+    assert "<script>alert(1)" not in page
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+def _tried(data: st.DataObject, sound: Path, folder: Path) -> None:
+    """Put any value at any place of any line: what is read of it is valid, and makes a report and a ranking."""
+    number = data.draw(st.integers(2, len(_lines(sound))))
+    line = json.loads(_lines(sound)[number - 1])
+    line[data.draw(st.sampled_from(sorted(line)) | st.text(max_size=6))] = data.draw(values)
+    run = _changed(sound, folder / "run", line, number)
+    found = records.read(run, skip=True)
+    assert all(f"line {number}" in skipped for skipped in found.skipped)
+    assert all(validate(one, lines.definition(one["kind"])) == [] for one in found.attempts)
+    document = written.write(found, run / "report", 0)
+    json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
+    ranked = ranking.rank(field.gather([found], anyway=True))
+    for form in (board.text, board.as_csv, board.as_markdown):
+        assert form(ranked)
+
+
+drawn = given(data=st.data())
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@drawn
+def test_whatever_stands_in_a_line_is_left_out_or_can_be_reported(
+    data: st.DataObject, sound: Path, tmp_path: Path
+) -> None:
+    """Some values of any kind, at any place; the slow test tries many."""
+    _tried(data, sound, tmp_path)
+
+
+@pytest.mark.slow
+@settings(max_examples=1500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@drawn
+def test_a_thousand_values_are_left_out_or_can_be_reported(data: st.DataObject, sound: Path, tmp_path: Path) -> None:
+    """Values of any kind, at any place of any line."""
+    _tried(data, sound, tmp_path)
+
+
+def test_the_compiled_schema_says_what_the_other_validator_says(sound: Path) -> None:
+    """Two validators of one schema agree on every line above, and the fast one knows every kind of line."""
+    assert set(lines.KINDS) == {reference["$ref"].rpartition("/")[2] for reference in spec.schema("record")["oneOf"]}
+    # The other one has no opinion on times, and neither of them on what is no JSON.
+    tried = [(name, value) for name, found in WRONG.items() if name not in ("kind", "started") for value in found]
+    for name, value in tried:
+        line = json.loads(_lines(sound)[BAD - 1])
+        _set(name, value)(line)
+        try:
+            raw = json.dumps(line, allow_nan=False, ensure_ascii=False).encode()
+        except ValueError:
+            continue
+        if "[" * 70 not in raw.decode():
+            assert _is_line(raw) != bool(validate(line, lines.definition("episode"))), (name, value)
+
+
+def _is_line(raw: bytes) -> bool:
+    try:
+        lines.parsed(raw)
+    except lines.LineError:
+        return False
+    return True

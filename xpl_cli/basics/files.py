@@ -1,0 +1,66 @@
+"""Files that others wrote, read without waiting for anybody and never beyond a bound."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from typing import IO, TYPE_CHECKING
+
+from xpl_cli.basics.sizes import told_size
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MOST_BYTES = 256 << 20
+"""What no file that people or tools write for us comes near, and what a machine can still hold in memory."""
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def opened(path: Path, most: int = MOST_BYTES) -> IO[bytes]:
+    """Open a regular file for reading; whatever else the path leads to is refused, and nothing waits for a writer.
+
+    Args:
+        path: the file.
+        most: bytes that it may hold.
+
+    Raises:
+        OSError: it cannot be opened, is no regular file, or is too large; `strerror` is fit for a sentence.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError:  # a name that holds NUL
+        raise OSError(errno.EINVAL, "no file can have that name", str(path)) from None
+    stream = os.fdopen(descriptor, "rb") if is_regular(descriptor) else None
+    if stream is None:
+        mode = os.fstat(descriptor).st_mode
+        os.close(descriptor)
+        kind = next((name for matches, name in _KINDS if matches(mode)), "something else")
+        raise OSError(errno.EINVAL, f"expected a file, got {kind}", str(path))
+    size = os.fstat(descriptor).st_size
+    if size > most:
+        stream.close()
+        raise OSError(errno.EFBIG, f"it holds {told_size(size)}, more than the limit of {told_size(most)}", str(path))
+    return stream
+
+
+def content(path: Path, most: int = MOST_BYTES) -> bytes:
+    """Return what a regular file holds.
+
+    Raises:
+        OSError: as `opened`.
+    """
+    with opened(path, most) as stream:
+        return stream.read(most)
+
+
+def is_regular(descriptor: int) -> bool:
+    """Tell whether what was opened is a regular file."""
+    return stat.S_ISREG(os.fstat(descriptor).st_mode)

@@ -1,0 +1,34 @@
+"""What the commands that read recorded runs share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from xpl_cli.evaluation.records.records import Run
+
+SKIP_BAD_LINES = typer.Option(
+    False, "--skip-bad-lines", help="Leave out lines of a record that are none, and name them, instead of refusing it."
+)
+
+
+def runs(paths: Sequence[Path], *, skip: bool) -> list[Run]:
+    """Read runs; lines that were left out are named on stderr.
+
+    Raises:
+        NotFoundError: one of them is not there.
+        RecordError: one of them is damaged.
+    """
+    from xpl_cli.basics import console
+    from xpl_cli.evaluation.records import records
+
+    found = [records.read(path, skip=skip) for path in paths]
+    for run in found:
+        for line in run.skipped:
+            console.note(f"left out: {line}")
+    return found

@@ -1,0 +1,171 @@
+"""One line of a record, read strictly: text, JSON, numbers that are numbers, and all that the schema says of it.
+
+Runs are read with ten thousand lines and more, so that what every line goes through is compiled from the schema. The
+validator with the better sentences reads only what that one refuses.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+Line = dict[str, Any]
+"""A line of the file, as the schema has it."""
+
+KINDS: Final = ("run", "machine", "episode")
+MOST_BYTES: Final = 4 << 20
+"""What no line comes near: one with a layout of a thousand things has 100 kB."""
+
+_SCHEMA: Final = "record"
+_DEPTH: Final = 64
+_EACH: Final = "*"
+_LONGEST: Final = 300
+
+
+class LineError(ValueError):
+    """A line that is none of a record; says why in one sentence."""
+
+
+class NotJsonError(LineError):
+    """Bytes that are no JSON at all: what may be left of a line that a crash cut short."""
+
+
+def parsed(raw: bytes) -> Line:
+    """Return a line.
+
+    Args:
+        raw: its bytes, without the end of the line.
+
+    Raises:
+        NotJsonError: it is no JSON.
+        LineError: it is no line of a record.
+    """
+    if len(raw) > MOST_BYTES:
+        raise LineError(f"it has {len(raw)} bytes, more than the {MOST_BYTES} that a line may have")
+    try:
+        text = raw.decode()
+        line: Any = _READER.decode(text)
+    except LineError:
+        raise
+    except (json.JSONDecodeError, UnicodeDecodeError):
+        raise NotJsonError("it is not JSON") from None
+    except RecursionError:
+        raise LineError("it is nested too deeply") from None
+    except ValueError:
+        raise LineError("it holds an integer with too many digits") from None
+    if text.count("[") + text.count("{") > _DEPTH and _is_deeper(line, _DEPTH):
+        raise LineError(f"it is nested more than {_DEPTH} levels deep")
+    if "\\u" in text and not _is_text(line):
+        raise LineError("it holds half of a surrogate pair, which is no text")
+    kind = line.get("kind") if isinstance(line, dict) else None
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise LineError(f"expected a map whose kind is one of {', '.join(KINDS)}, got {_shown(kind or line)}")
+    if not _validator(kind)(line) or not all(_are_integers(line, path) for path in _integers(kind)):
+        raise LineError(_reason(line, kind))
+    found: Line = line
+    return found
+
+
+def definition(kind: str) -> str:
+    """Return the schema of a kind of line, as `standard.validate` takes it."""
+    return f"{_SCHEMA}#/$defs/{kind}"
+
+
+def _finite(text: str) -> float:
+    """Return a number; JSON has neither infinity nor NaN, but its readers make them of 1e999 and of these names."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise LineError(f"it holds {_shown(text)}, which is no finite number")
+    return value
+
+
+_READER: Final = json.JSONDecoder(parse_float=_finite, parse_constant=_finite)
+
+
+def _is_deeper(value: Any, levels: int) -> bool:
+    if not isinstance(value, (dict, list)):
+        return False
+    inner = value.values() if isinstance(value, dict) else value
+    return levels == 0 or any(_is_deeper(entry, levels - 1) for entry in inner)
+
+
+def _is_text(line: Any) -> bool:
+    try:
+        json.dumps(line, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+@cache
+def _validator(kind: str) -> Callable[[Any], bool]:
+    """Return what tells whether a line of a kind is as the schema says."""
+    import jsonschema_rs
+
+    schemas = [spec.schema(name) for name in spec.schema_names()]
+    registry = jsonschema_rs.Registry([(schema["$id"], schema) for schema in schemas])
+    wanted = {"$ref": f"{spec.schema(_SCHEMA)['$id']}#/$defs/{kind}"}
+    found: Callable[[Any], bool] = jsonschema_rs.Draft202012Validator(
+        wanted, registry=registry, validate_formats=True
+    ).is_valid
+    return found
+
+
+@cache
+def _integers(kind: str) -> tuple[tuple[str, ...], ...]:
+    """Return where the schema has integers in a line of a kind: to JSON Schema 2.0 is one, to Python it is not."""
+    return tuple(_places(spec.schema(_SCHEMA)["$defs"][kind], ()))
+
+
+def _places(schema: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    reference = schema.get("$ref", "")
+    if reference.startswith("#/$defs/"):
+        schema = spec.schema(_SCHEMA)["$defs"][reference.removeprefix("#/$defs/")]
+    kinds = schema.get("type", ())
+    if "integer" in ([kinds] if isinstance(kinds, str) else kinds):
+        yield path
+    for name, inner in schema.get("properties", {}).items():
+        yield from _places(inner, (*path, name))
+    for key in ("items", "additionalProperties"):
+        if isinstance(inner := schema.get(key), dict):
+            yield from _places(inner, (*path, _EACH))
+
+
+def _are_integers(value: Any, path: tuple[str, ...]) -> bool:
+    """Tell whether what stands at a path of a valid line are integers; what need not be there may be missing."""
+    for place, name in enumerate(path):
+        if name == _EACH:
+            inner = value.values() if isinstance(value, dict) else value
+            rest = path[place + 1 :]
+            if not rest:
+                return not any(type(entry) is float for entry in inner)
+            return all(_are_integers(entry, rest) for entry in inner)
+        value = value.get(name)
+        if value is None:
+            return True
+    return type(value) is not float
+
+
+def _reason(line: Line, kind: str) -> str:
+    """Return why a line is not as the schema says."""
+    from xpl_cli.standard.validate import validate
+
+    problems = validate(line, definition(kind))
+    said = str(problems[0]) if problems else "a time is not written as 2026-01-31T12:00:00Z"
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    return f"{said if len(said) <= _LONGEST else f'{said[:_LONGEST]} ...'}{more}"
+
+
+def _shown(value: Any) -> str:
+    try:
+        text = json.dumps(value)
+    except (TypeError, ValueError, RecursionError):
+        text = type(value).__name__
+    return text if len(text) <= 60 else f"{text[:60]} ..."
