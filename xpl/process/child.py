@@ -1,7 +1,7 @@
 """A process of our own that answers messages over a private descriptor: how it starts, serves, ends with its parent.
 
-Standard library only. Workers of policies (`xpl.worker.main`) and of environments (`xpl.simulator.worker`) are such
-processes.
+Standard library only. Workers of policies (`xpl.worker.main`) and of environments (`xpl.simulator.worker`), and the
+processes that run an adapter's evaluation loop (`xpl.loop.worker`), are such processes.
 """
 
 from __future__ import annotations
@@ -39,12 +39,34 @@ importable. Its first argument is the SDK's folder; further code may follow. Pyt
 def serve(descriptor: int, handle: Handle) -> NoReturn:
     """Answer messages that arrive on a descriptor until it is closed, then end.
 
+    Args:
+        descriptor: our end of a socket pair (`joined`).
+        handle: returns head and buffers of the answer to the head and the buffers of a message.
+    """
+    stream = joined(descriptor)
+    try:
+        while True:
+            message = stream.receive()
+            if message is None:
+                end()
+            answer = handle(*link.decode(message))
+            del message  # what it holds may be large, and the next one may be long in coming
+            stream.send(*answer)
+    except link.LinkError as error:
+        sys.stderr.write(f"[worker] {error}\n")
+    except OSError:
+        pass
+    end()
+
+
+def joined(descriptor: int) -> Channel:
+    """Return the link to the parent, and prepare this process for it.
+
     What runs here may print: standard output is joined to standard error, so the link stays clean. A thread watches the
     link, so that the process ends with its parent even while it computes. SIGUSR1 prints where it is.
 
     Args:
         descriptor: our end of a socket pair.
-        handle: returns head and buffers of the answer to the head and the buffers of a message.
     """
     os.dup2(2, 1)
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
@@ -54,20 +76,7 @@ def serve(descriptor: int, handle: Handle) -> NoReturn:
     channel = socket.socket(fileno=descriptor)
     channel.settimeout(None)
     threading.Thread(target=_watch, args=(descriptor,), daemon=True).start()
-    stream = Channel(channel)
-    try:
-        while True:
-            message = stream.receive()
-            if message is None:
-                _end()
-            answer = handle(*link.decode(message))
-            del message  # what it holds may be large, and the next one may be long in coming
-            stream.send(*answer)
-    except link.LinkError as error:
-        sys.stderr.write(f"[worker] {error}\n")
-    except OSError:
-        pass
-    _end()
+    return Channel(channel)
 
 
 def _watch(descriptor: int) -> None:
@@ -76,10 +85,10 @@ def _watch(descriptor: int) -> None:
     poll.register(descriptor, 0)  # a hang-up is reported unasked
     while not any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll()):
         pass
-    _end()
+    end()
 
 
-def _end() -> NoReturn:
+def end() -> NoReturn:
     """End at once, with all child processes: the parent is gone, the main thread may be deep inside foreign code."""
     if os.getpid() == os.getpgrp():  # the parent starts this process as the leader of a group of its own
         os.killpg(os.getpgrp(), signal.SIGKILL)

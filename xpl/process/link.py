@@ -69,6 +69,11 @@ def encode(head: Any, buffers: Sequence[Data] = ()) -> list[Data]:
     return pieces
 
 
+def joined(pieces: Sequence[Data]) -> Sequence[Data]:
+    """Return the pieces of a message as one where it is small: each that is sent wakes the other side."""
+    return [b"".join(pieces)] if sum(map(len, pieces)) <= _SCRATCH else pieces
+
+
 def decode(message: Data) -> tuple[Any, list[memoryview]]:
     """Return the head and the buffers of one message; the buffers are read-only views of it.
 
@@ -101,9 +106,14 @@ def _lengths(prefix: Data) -> tuple[int, int]:
 
 
 class Inbox:
-    """Cuts a stream into messages, without I/O: read into `space()`, then say how much came."""
+    """Cuts a stream into messages, without I/O: read into `space()`, then say how much came.
 
-    def __init__(self) -> None:
+    Args:
+        largest: most bytes of a message's body; one that announces more is none.
+    """
+
+    def __init__(self, largest: int = BODY_LIMIT) -> None:
+        self._largest = largest
         self._scratch = bytearray(_SCRATCH)
         self._kept = 0
         self._message: bytearray | None = None
@@ -139,7 +149,10 @@ class Inbox:
         messages: list[Data] = []
         self._kept = 0
         while len(view) >= PREFIX_BYTES:
-            total = PREFIX_BYTES + sum(_lengths(view))
+            header, body = _lengths(view)
+            if body > self._largest:
+                raise LinkError(f"a message of {body} bytes was announced, more than the {self._largest} it may have")
+            total = PREFIX_BYTES + header + body
             if total > len(view):
                 if total > _SCRATCH:
                     self._message, self._filled, self._total = bytearray(min(total, _STEP)), len(view), total
@@ -169,10 +182,7 @@ class Channel:
             LinkError: if it cannot be sent; nothing was sent then.
             OSError: if the other end is gone.
         """
-        pieces = encode(head, buffers)
-        if sum(map(len, pieces)) <= _SCRATCH:
-            pieces = [b"".join(pieces)]
-        for piece in pieces:
+        for piece in joined(encode(head, buffers)):
             self._socket.sendall(piece)
 
     def receive(self) -> Data | None:

@@ -18,9 +18,10 @@ from xpl import get_embodiment, rollout
 from xpl.action import ActionError
 from xpl.client import ClientError
 from xpl.simulator.process import EnvLostError, EnvRaisedError
-from xpl_cli.basics import content
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation import outcome
+from xpl_cli.evaluation.loop.desk import LoopError
+from xpl_cli.evaluation.loop.process import Loop
 from xpl_cli.evaluation.retries import Schedule, spoilt
 from xpl_cli.evaluation.session import Session
 from xpl_cli.lifecycle import interpreter
@@ -29,8 +30,7 @@ from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     import ssl
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from xpl_cli.basics.progress import Progress
     from xpl_cli.packages.package import Package
@@ -127,7 +127,6 @@ def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
     """
     config = request.package.config(request.overrides)
     settings = environment_settings(request, config)
-    loop = _loop(request)
     folder = environments.find(request.environment)
     facts = environments.manifest(folder)
     offer = {
@@ -142,6 +141,7 @@ def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
     task_env = environments.start(request.environment, settings, workers=request.workers, python=python)
     with (
         contextlib.closing(task_env),
+        _loop(request) as loop,
         contextlib.closing(Session(request, config, offer, progress)) as session,
     ):
         while not schedule.is_done:
@@ -172,7 +172,7 @@ def _trial(task_env: Any, seeds: list[int], loop: Callable[[Any, Any], Any], ses
             raise UserError(f"{where}: {error}", code=ExitCode.FINDINGS) from None
         session.drop(f"{where}: {error}")
         return spoilt(seeds, error)
-    except ActionError as error:
+    except (ActionError, LoopError, ValueError, TypeError, AttributeError) as error:
         raise UserError(f"{where}: {error}", code=ExitCode.FINDINGS) from None
     except EnvLostError as error:
         return spoilt(seeds, error)
@@ -181,17 +181,24 @@ def _trial(task_env: Any, seeds: list[int], loop: Callable[[Any, Any], Any], ses
     return [dict(result) for result in task_env.results()]
 
 
-def _loop(request: Request) -> Callable[[Any, Any], Any]:
-    """Return the evaluation loop: the adapter's own, or with a horizon the environment side's.
+@contextlib.contextmanager
+def _loop(request: Request) -> Iterator[Callable[[Any, Any], Any]]:
+    """Give the evaluation loop: the adapter's own, in a process of its own, or with a horizon the environment side's.
 
     Raises:
         NotFoundError: if it is to be the adapter's and there is none.
+        UserError: it cannot be loaded.
     """
-    if request.horizon is None:
-        own = load_loop(request.package.path, batch=request.num_envs > 1)
-        return lambda task_env, client: own(task_env, rollout.listened(task_env, client))
-    ours = rollout.run_batch if request.num_envs > 1 else rollout.run_episode
-    return partial(ours, horizon=request.horizon)
+    batch = request.num_envs > 1
+    if request.horizon is not None:
+        yield partial(rollout.run_batch if batch else rollout.run_episode, horizon=request.horizon)
+        return
+    with contextlib.closing(Loop(request.package.path)) as own:
+        try:
+            own.load(batch=batch)
+        except LoopError as error:
+            raise UserError(str(error), code=ExitCode.NOT_RUN) from None
+        yield lambda task_env, client: own.play(task_env, rollout.listened(task_env, client), batch=batch)
 
 
 def environment_settings(request: Request, config: Mapping[str, Any]) -> dict[str, Any]:
@@ -226,24 +233,6 @@ def environment_settings(request: Request, config: Mapping[str, Any]) -> dict[st
         sdk.Obs.PRIVILEGED: wanted is not None and sdk.Obs.PRIVILEGED in wanted,
         **({} if request.setting is None else {"setting": request.setting}),
     }
-
-
-def load_loop(policy_dir: Path, *, batch: bool) -> Callable[[Any, Any], None]:
-    """Return the evaluation loop of an adapter's deploy.py.
-
-    Raises:
-        NotFoundError: if it has none.
-    """
-    single, batched = spec.data("package")["loop"]["functions"]
-    name = batched if batch else single
-    path = policy_dir / sdk.File.DEPLOY_PY
-    if not path.is_file():
-        raise NotFoundError(f"{policy_dir} has no deploy.py")
-    loop = getattr(content.load_module(path), name, None)
-    if loop is None:
-        raise NotFoundError(f"{path} has no function {name}")
-    found: Callable[[Any, Any], None] = loop
-    return found
 
 
 def _cameras(

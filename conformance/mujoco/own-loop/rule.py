@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as sdk
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.physics.own_loop import loop_of, problem_of
 from xpl_cli.audit.physics.simulation import Simulation
+from xpl_cli.standard import spec
 
 
 @rule(code="XPL312", slug="own-loop", gate="mujoco", requirement="XPL-SIM-12")
@@ -32,18 +33,16 @@ def own_loop(simulation: Simulation) -> Iterator[Finding]:
     No automatic fix.
     """
     probe = simulation.probe
-    if probe.options.isolate:
-        raise NotApplicable("the loop runs in this process, and --isolate lets none of the adapter's code do so")
-    for batch in (False, True):
-        loop = loop_of(probe.package.path, batch=batch)
-        with simulation.staged(2 if batch else 1) as (stage, session):
-            problem = problem_of(loop, stage, session)
-        if problem is not None:
-            yield Finding(
-                f"in physics {loop.__name__} {problem}",
-                path=sdk.File.DEPLOY_PY,
-                expected="an episode that is played until the environment says that it has ended",
-                got=f"{stage.steps} of {list(stage.lengths)} control steps, and {stage.late} after the end",
-                evidence={"task": simulation.first.task},
-                fix=Fix("advice", "ask is_episode_end() or get_running_env_idx_list() after every action"),
-            )
+    with loop_of(probe.package.path, isolate=probe.options.isolate) as loop:
+        for batch, name in enumerate(spec.data("package")["loop"]["functions"]):
+            with simulation.staged(2 if batch else 1) as (stage, session):
+                problem = problem_of(loop, stage, session, batch=bool(batch))
+            if problem is not None:
+                yield Finding(
+                    f"in physics {name} {problem}",
+                    path=sdk.File.DEPLOY_PY,
+                    expected="an episode that is played until the environment says that it has ended",
+                    got=f"{stage.steps} of {list(stage.lengths)} control steps, and {stage.late} after the end",
+                    evidence={"task": simulation.first.task},
+                    fix=Fix("advice", "ask is_episode_end() or get_running_env_idx_list() after every action"),
+                )

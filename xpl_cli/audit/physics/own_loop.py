@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,20 +10,17 @@ from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.rules.model import NotApplicable
 from xpl_cli.basics.errors import NotFoundError
-from xpl_cli.evaluation import play
+from xpl_cli.evaluation.loop.desk import EndlessError, LoopError
+from xpl_cli.evaluation.loop.process import Loop, LoopRaisedError
+from xpl_cli.isolation import sandbox
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from xpl_cli.audit.served.session import Session
 
-_PATIENCE = 100
-"""Calls of the environment after the end, none of which notices it, after which a loop is taken to go on for ever."""
-
-
-class EndlessError(Exception):
-    """A loop does not notice that its episodes have ended."""
+_LACKING = (ImportError.__name__, ModuleNotFoundError.__name__)
 
 
 @dataclass
@@ -42,7 +38,6 @@ class Stage:
     lengths: Sequence[int]
     steps: list[int] = field(default_factory=list)
     late: int = 0
-    _calls: int = 0
 
     def __post_init__(self) -> None:
         """Begin."""
@@ -53,25 +48,15 @@ class Stage:
 
     def get_running_env_idx_list(self) -> list[int]:
         """Return the environments whose episode goes on."""
-        running = self._running()
-        if running:
-            self._calls = 0
-        return running
+        return [env for env in self.env.get_running_env_idx_list() if self.steps[env] < self.lengths[env]]
 
     def is_episode_end(self) -> bool:
         """Return whether all episodes have ended."""
         return not self.get_running_env_idx_list()
 
-    def get_obs(self) -> dict[str, Any]:
-        """Return the observation of the only environment."""
-        self._noticed()
-        obs: dict[str, Any] = self.env.get_obs()
-        return obs
-
     def get_obs_batch(self, env_idx_list: Sequence[int] | None = None, *args: Any, **options: Any) -> Any:
         """Return observations of some environments, by default of those that run."""
-        self._noticed()
-        wanted = self._running() if env_idx_list is None else env_idx_list
+        wanted = self.get_running_env_idx_list() if env_idx_list is None else env_idx_list
         return self.env.get_obs_batch(wanted, *args, **options)
 
     def take_action(self, action: Mapping[str, Any]) -> Any:
@@ -80,8 +65,7 @@ class Stage:
 
     def take_action_batch(self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]) -> Any:
         """Execute one action step in some environments; none in those that have ended."""
-        self._noticed()
-        running = self._running()
+        running = self.get_running_env_idx_list()
         ended = [env for env in env_idx_list if env not in running]
         self.late += len(ended)
         reports = self.env.take_action_batch(actions, env_idx_list)
@@ -89,19 +73,6 @@ class Stage:
             if env in running:
                 self.steps[env] += 1
         return reports
-
-    def _running(self) -> list[int]:
-        return [env for env in self.env.get_running_env_idx_list() if self.steps[env] < self.lengths[env]]
-
-    def _noticed(self) -> None:
-        """Count calls after the end.
-
-        Raises:
-            EndlessError: if there were too many of them.
-        """
-        self._calls = 0 if self._running() else self._calls + 1
-        if self._calls > _PATIENCE:
-            raise EndlessError
 
 
 @dataclass(frozen=True)
@@ -122,32 +93,63 @@ class LoopClient:
         return answer
 
 
-def loop_of(folder: Path, *, batch: bool) -> Callable[[Any, Any], None]:
-    """Return the evaluation loop of an adapter's deploy.py.
+@contextlib.contextmanager
+def loop_of(folder: Path, *, isolate: bool) -> Iterator[Loop]:
+    """Give the evaluation loops of an adapter's deploy.py, in a process that ends with the `with` block.
+
+    Args:
+        folder: of the adapter.
+        isolate: whether the process is kept from the network and from writing.
 
     Raises:
-        NotApplicable: if there is none, or it needs what is not installed here.
+        NotApplicable: if there is none.
+    """
+    with contextlib.ExitStack() as stack:
+        isolation = stack.enter_context(sandbox.isolated(folder)) if isolate else None
+        try:
+            loop = Loop(folder, isolation=isolation, is_silent=True)
+        except NotFoundError as error:
+            raise NotApplicable(str(error)) from None
+        stack.callback(loop.close)
+        yield loop
+
+
+def problem_of(loop: Loop, stage: Stage, session: Session, *, batch: bool) -> str | None:
+    """Run a loop and return what is wrong with how it plays, or None.
+
+    Raises:
+        NotApplicable: there is no such loop, or it needs what is not installed here.
     """
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            return play.load_loop(folder, batch=batch)
+        loop.load(batch=batch)
     except NotFoundError as error:
         raise NotApplicable(str(error)) from None
-    except ImportError as error:
-        raise NotApplicable(f"{sdk.File.DEPLOY_PY} cannot be imported here: {error}") from None
+    except LoopRaisedError as error:
+        if error.kind in _LACKING:
+            raise NotApplicable(f"{sdk.File.DEPLOY_PY} cannot be imported here: {error.message}") from None
+        return f"cannot be imported: {error.kind}: {error.message}"
+    except LoopError as error:
+        return f"cannot be imported: {error}"
+    return _broken_off(loop, stage, session, batch=batch) or _misplayed(stage)
 
 
-def problem_of(loop: Callable[[Any, Any], None], stage: Stage, session: Session) -> str | None:
-    """Run a loop and return what is wrong with how it plays, or None."""
+def _broken_off(loop: Loop, stage: Stage, session: Session, *, batch: bool) -> str | None:
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            loop(stage, LoopClient(session))
+        loop.play(stage, LoopClient(session), batch=batch)
     except EndlessError:
         return "does not notice that the episode has ended, and goes on for ever"
     except ClientError as error:
         return f"breaks off, because the policy cannot be asked: {error}"
-    except Exception as error:  # noqa: BLE001 - whatever the adapter's code raises
+    except LoopRaisedError as error:
+        return f"breaks off: {error.kind}: {error.message}"
+    except LoopError as error:
+        return f"breaks off: {error}"
+    except Exception as error:  # noqa: BLE001 - what the environment refused
         return f"breaks off: {type(error).__name__}: {error}"
+    return None
+
+
+def _misplayed(stage: Stage) -> str | None:
     short = [env for env, (done, length) in enumerate(zip(stage.steps, stage.lengths, strict=True)) if done < length]
     if short:
         left = stage.steps[short[0]]

@@ -10,7 +10,6 @@ import contextlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +21,10 @@ from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.film import Reel
-from xpl_cli.evaluation import play as evaluation
 from xpl_cli.evaluation.lanes.backend import Job, Outcome
 from xpl_cli.evaluation.lanes.watch import Watch
+from xpl_cli.evaluation.loop.desk import LoopError
+from xpl_cli.evaluation.loop.process import Loop
 from xpl_cli.evaluation.records import failures
 from xpl_cli.evaluation.records.fingerprints import machine_facts
 from xpl_cli.evaluation.records.records import now
@@ -32,8 +32,6 @@ from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from xpl_cli.evaluation.records.records import Line
 
 _CONNECT_S, _AGAIN_S = 5.0, 0.2
@@ -99,7 +97,7 @@ class Lane:
         self._robot = get_embodiment(orders.settings["embodiment"])
         self._facts = environments.manifest(Path(orders.environment))
         self._machine = machine_facts()
-        self._loop = _loop(orders)
+        self._own = None if orders.horizon is not None else _own_loop(Path(orders.policy))
         self._scene: _Scene | None = None
 
     def play(self, job: Job, url: str) -> Outcome:
@@ -121,6 +119,12 @@ class Lane:
         return Outcome(job, {**line, **told}, self._machine, watch.trace(), watch.film())
 
     def close(self) -> None:
+        """End the connection, the environment and the adapter's loop."""
+        if self._own is not None:
+            self._own.close()
+        self._leave()
+
+    def _leave(self) -> None:
         """End the connection and the environment."""
         scene, self._scene = self._scene, None
         if scene is not None:
@@ -148,27 +152,30 @@ class Lane:
             _SpoiltError: the infrastructure broke it off.
         """
         try:
-            self._loop(watch, client)
+            if self._own is None:
+                rollout.run_episode(watch, client, horizon=self._orders.horizon)
+            else:
+                self._own.play(watch, rollout.listened(watch, client), batch=False)
             return failures.played(watch.results()[0])
         except ClientError as error:
             if error.spoils_trial:
                 raise _SpoiltError(str(error)) from None
-            broken = str(error)
-        except ActionError as error:
-            broken = str(error)
+            broken: Exception = error
+        except (ActionError, LoopError) as error:
+            broken = error
+        except (ValueError, TypeError, AttributeError) as error:
+            if self._own is None:
+                raise  # a fault of our own loop
+            broken = error
         except (EnvLostError, EnvRaisedError) as error:
             raise _SpoiltError(str(error)) from None
-        except Exception as error:
-            if self._orders.horizon is not None:
-                raise  # a fault of our own loop
-            broken = f"the adapter's evaluation loop raised {type(error).__name__}: {error}"
-        return failures.failed(watch.results()[0], broken)
+        return failures.failed(watch.results()[0], str(broken))
 
     def _set(self, task: str, setting: str) -> _Scene:
         """Return the scene with an environment for a task and setting; a new one where they have changed."""
         if self._scene is not None and self._scene.key == (task, setting):
             return self._scene
-        self.close()
+        self._leave()
         orders = self._orders
         folder = Path(orders.environment)
         try:
@@ -228,12 +235,19 @@ class _SpoiltError(Exception):
     """The infrastructure broke an attempt off."""
 
 
-def _loop(orders: Orders) -> Callable[[Any, Any], Any]:
-    """Return the evaluation loop: the adapter's own, or with a horizon the environment side's."""
-    if orders.horizon is not None:
-        return partial(rollout.run_episode, horizon=orders.horizon)
-    own = evaluation.load_loop(Path(orders.policy), batch=False)
-    return lambda task_env, client: own(task_env, rollout.listened(task_env, client))
+def _own_loop(policy: Path) -> Loop:
+    """Return the evaluation loop of an adapter, which can be played.
+
+    Raises:
+        NotFoundError: there is none.
+        UserError: it cannot be loaded.
+    """
+    loop = Loop(policy)
+    try:
+        loop.load(batch=False)
+    except LoopError as error:
+        raise UserError(str(error), code=ExitCode.NOT_RUN) from None
+    return loop
 
 
 def _impatient(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,17 +20,20 @@ def main(descriptor: int) -> None:
     """Play jobs until there is none any more."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     channel: Connection[Any, Any] = Connection(descriptor)
-    lane = Lane(*channel.recv())
+    lane = None
     try:
+        given = channel.recv()
         while (asked := channel.recv()) is not None:
             try:
+                lane = lane or Lane(*given)
                 channel.send(lane.play(*asked))
             except UserError as error:
                 channel.send(error)
     except EOFError:
         pass
     finally:
-        lane.close()
+        if lane is not None:
+            lane.close()
 
 
 def _end_with_parent() -> None:

@@ -1,0 +1,253 @@
+"""Adapters that attack whoever judges them: in their evaluation loop, in their model, in what they send."""
+
+from __future__ import annotations
+
+import json
+import os
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support import drill
+from tests.support.peer import wait_until, xpl
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.evaluation.loop.desk import EndlessError
+from xpl_cli.evaluation.loop.process import Limits, Loop, LoopLostError, LoopRaisedError
+from xpl_cli.evaluation.records import records
+
+FORGED = """
+    import atexit, gc, os, signal, sys, threading
+
+    def forge(*arguments, **options):
+        return {"success": True, "score": 1.0, "failure": None, "end_reason": "success", "steps": 1}
+
+    def attack():
+        import xpl_cli.evaluation.records.failures as failures
+        failures.played = failures.failed = failures.spoilt = forge
+        for name, module in list(sys.modules.items()):
+            if name.startswith(("xpl_cli", "xpl.")):
+                for key in ("played", "failed", "spoilt", "results", "exit_code"):
+                    if hasattr(module, key):
+                        setattr(module, key, forge)
+        for found in gc.get_objects():
+            if type(found).__name__ in ("Watch", "VectorEnv", "Lane", "GuardedEnv"):
+                type(found).results = lambda self: [forge()]
+
+    attack()
+    atexit.register(os._exit, 0)
+    threading.Thread(target=signal.pause).start()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+    def eval_one_episode(TASK_ENV, model_client):
+        attack()
+        TASK_ENV.results = lambda: [forge()]
+        model_client.call(func_name="reset")
+
+    eval_one_episode_batch = eval_one_episode
+"""
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    """Return a folder with the drill's environment and adapter in it."""
+    drill.environment(tmp_path)
+    drill.adapter(tmp_path)
+    return tmp_path
+
+
+def _deploy(room: Path, code: str) -> None:
+    (room / "policy" / "Drilled" / "deploy.py").write_text(textwrap.dedent(code), encoding="utf-8")
+
+
+def _eval(room: Path, *options: str) -> Any:
+    return xpl("eval", "Drilled", "--env", "drill", *options, cwd=room)
+
+
+def test_a_loop_that_forges_the_judge_of_a_recorded_run_has_failed(room: Path) -> None:
+    """It patches what it can reach and never moves: not one of its episodes succeeds."""
+    _deploy(room, FORGED)
+    _eval(room, "--out", "run", "--episodes", "2", "--film", "0", "--json")
+    finals = records.read(room / "run").finals
+    assert [line["success"] for line in finals.values()] == [False, False]
+    assert {line["failure"] for line in finals.values()} == {"policy"}
+
+
+@pytest.mark.parametrize("end", ["sys.exit()", "os._exit(0)", "os.kill(os.getpid(), 9)"])
+@pytest.mark.parametrize("where", ["import", "loop"])
+def test_an_exit_in_deploy_py_is_no_verdict(room: Path, where: str, end: str) -> None:
+    """Neither when it is imported nor when it plays does it end an evaluation with 0, or without a sentence."""
+    loop = f"def eval_one_episode(a, b):\n    {end if where == 'loop' else 'pass'}\n"
+    _deploy(room, f"import os, sys\n{loop}\n{end if where == 'import' else ''}\n")
+    done = _eval(room, "--json")
+    assert done.returncode == (ExitCode.NOT_RUN if where == "import" else ExitCode.FINDINGS), done.stderr
+    assert "error: " in done.stderr
+    assert "eval finished" not in done.stdout
+
+
+# -- the loop's process, seen from the judge ---------------------------------------------------------------------------
+
+
+class _World:
+    """An environment of one episode of three steps, and a policy; both note what is asked of them."""
+
+    def __init__(self) -> None:
+        self.left, self.asked = 3, list[str]()
+        self.image = np.zeros((64, 96, 3), np.uint8)
+        self.shown: Any = None
+
+    def get_running_env_idx_list(self) -> list[int]:
+        return [0] if self.left > 0 else []
+
+    def get_obs(self) -> dict[str, Any]:
+        self.asked.append("get_obs")
+        return {"vision": {"cam_head": {"color": self.image}}, "state": {"arm_joint_state": np.zeros(7, np.float32)}}
+
+    def take_action(self, action: Any) -> dict[str, Any]:
+        assert isinstance(action, dict)
+        self.left -= 1
+        return {"step": 3 - self.left}
+
+    def reset(self) -> None:
+        self.asked.append("reset")
+
+    def call(self, func_name: str, obs: Any = None) -> Any:
+        self.asked.append(func_name)
+        if func_name == "update_obs":
+            self.shown = obs
+        return [{"arm_joint_state": np.zeros(7, np.float32)}] if func_name == "get_action" else None
+
+
+@dataclass
+class _Stage:
+    """A loop that runs the statements that it is given, in one process for as long as that lives.
+
+    Attributes:
+        folder: of its adapter.
+        loop: its process.
+    """
+
+    folder: Path
+    loop: Loop
+
+    def play(self, body: str) -> _World:
+        """Run statements as a loop, and return what was asked of environment and policy."""
+        (self.folder / "body").write_text(textwrap.dedent(body), encoding="utf-8")
+        world = _World()
+        self.loop.play(world, world, batch=False)
+        return world
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Stage]:
+    """Return a loop that runs statements."""
+    folder = tmp_path_factory.mktemp("adapter")
+    body = "exec((Path(__file__).parent / 'body').read_text(), {'env': env, 'policy': policy, '__file__': __file__})"
+    code = f"from pathlib import Path\ndef eval_one_episode(env, policy):\n    {body}\n"
+    (folder / "deploy.py").write_text(code, encoding="utf-8")
+    loop = Loop(folder, limits=Limits(think_s=1.5), is_silent=True)
+    yield _Stage(folder, loop)
+    loop.close()
+
+
+def test_a_loop_plays_through_stand_ins_and_images_travel_once(stage: _Stage) -> None:
+    """What it passes on as it came is the judge's own array; what it changed arrives changed."""
+    world = stage.play("policy.call(func_name='update_obs', obs=env.get_obs())")
+    assert world.shown["vision"]["cam_head"]["color"] is world.image
+    changed = "obs = env.get_obs()\nobs['vision']['cam_head']['color'] = obs['vision']['cam_head']['color'] + 1\n"
+    world = stage.play(f"{changed}policy.call(func_name='update_obs', obs=obs)")
+    np.testing.assert_array_equal(world.shown["vision"]["cam_head"]["color"], world.image + 1)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("import os; os._exit(0)", "exit code 0"),
+        ("import os; os.kill(os.getpid(), 11)", "SIGSEGV"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSTOP)", "did not answer within"),
+        ("while True: pass", "did not answer within"),
+        ("import os; os.closerange(3, 99); os._exit(0)", "evaluation loop"),
+        ("env._judge._channel._socket.sendall(b'x' * 64)", "link"),
+    ],
+    ids=["exit", "segfault", "stopped", "spins", "hangs up", "garbage"],
+)
+def test_a_loop_that_ends_or_hangs_is_lost_with_a_reason(stage: _Stage, body: str, said: str) -> None:
+    """Whatever ends it, the judge goes on and says what happened."""
+    with pytest.raises(LoopLostError, match=said):
+        stage.play(body)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("raise SystemExit", "raised SystemExit"),
+        ("raise KeyboardInterrupt", "raised KeyboardInterrupt"),
+        ("raise type('Odd', (BaseException,), {'__str__': lambda self: 1 / 0})", "raised Odd"),
+        (r"raise ValueError('\ud800' * 5000)", "raised ValueError"),
+        ("env.reset()", "may not use TASK_ENV.reset"),
+        ("env.left = 0\nenv._env", "may not use TASK_ENV._env"),
+        ("policy.__class__.call(policy)", "raised AttributeError"),
+    ],
+)
+def test_a_loop_that_raises_says_what(stage: _Stage, body: str, said: str) -> None:
+    """In a text that can be written down, whatever was raised; nothing but the surface is offered."""
+    with pytest.raises(LoopRaisedError, match=said) as raised:
+        stage.play(body)
+    assert len(str(raised.value).encode()) < 1000
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        "{'ask': 'task_env', 'operation': 'reset'}",
+        "{'ask': 'task_env', 'operation': 'close'}",
+        "{'ask': ['task_env'], 'operation': {}}",
+        "{'ask': 'client', 'operation': '__class__'}",
+        "{'raised': 7}",
+        "[]",
+    ],
+)
+def test_what_is_no_question_is_not_answered(stage: _Stage, question: str) -> None:
+    """A loop that speaks for itself on the link gets no farther than one that uses the stand-ins."""
+    body = f"channel = env._judge._channel\nchannel.send({question}, [b''])\nchannel.receive()"
+    with pytest.raises(LoopLostError):
+        stage.play(body)
+
+
+def test_a_loop_that_never_acts_or_never_ends_is_broken_off(stage: _Stage) -> None:
+    """After the end it may ask a little longer, and before it not for ever."""
+    with pytest.raises(EndlessError, match="does not notice"):
+        stage.play("while True: env.take_action({})")
+    with pytest.raises(EndlessError, match="without a control step"):
+        stage.play("while True: policy.call(func_name='update_obs', obs=None)")
+
+
+def test_the_loops_process_inherits_nothing_but_its_link_and_leaves_nothing(stage: _Stage) -> None:
+    """No descriptor of the judge, and no process after the end, of another session neither."""
+    kept = os.open(stage.folder, os.O_RDONLY)
+    os.set_inheritable(kept, True)
+    body = """
+        import os, subprocess, json
+        from pathlib import Path
+        held = sorted(os.readlink(f"/proc/self/fd/{n}") for n in os.listdir("/proc/self/fd") if int(n) > 2
+                      and os.path.lexists(f"/proc/self/fd/{n}"))
+        child = subprocess.Popen(["sleep", "600"], start_new_session=True)
+        Path(__file__).with_name("told").write_text(json.dumps([held, child.pid]))
+    """
+    stage.loop.close()
+    try:
+        stage.play(body)
+    finally:
+        os.close(kept)
+    stage.loop.close()
+    held, child = json.loads((stage.folder / "told").read_text())
+    assert [name.partition(":")[0] for name in held if not name.startswith(("/proc", "/dev"))] == ["socket"]
+    wait_until(lambda: not Path(f"/proc/{child}/cmdline").exists() or not _lives(child), "the loop's child is gone")
+
+
+def _lives(pid: int) -> bool:
+    return " Z " not in Path(f"/proc/{pid}/stat").read_text()

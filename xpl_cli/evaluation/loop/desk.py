@@ -1,0 +1,158 @@
+"""What a loop asks of environment and policy is done here, where episodes are judged; what it sends is not trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from xpl.action import ActionError
+from xpl.client.errors import ClientError, PolicyServerError
+from xpl.loop.stand_ins import CLIENT, CLIENT_OPERATIONS, ENV_OPERATIONS, TASK_ENV
+from xpl.process import link
+from xpl.simulator.process import EnvLostError, EnvRaisedError
+from xpl.wire import packed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from xpl.loop.shown import Shown
+    from xpl.wire.arrays import Data
+
+_AFTER_THE_END = 100
+"""Operations after the end, none of which notices it, after which a loop is taken to go on for ever."""
+_WITHOUT_A_STEP = 10_000
+"""Operations between two control steps, after which a loop is taken to go on for ever."""
+_STEPS = ("take_action", "take_action_batch")
+_OF_SEVERAL = ("get_obs_batch", "take_action_batch")
+
+
+class LoopError(Exception):
+    """The adapter's evaluation loop failed in its episode, which says something about the policy."""
+
+
+class EndlessError(LoopError):
+    """A loop goes on for ever."""
+
+
+class OutOfStepError(LoopError):
+    """What arrived from the loop's process is no question."""
+
+
+class Desk:
+    """Answers what a loop asks in one trial.
+
+    Args:
+        task_env: the environment, reset.
+        client: the policy.
+        shown: what the loop's process has been shown.
+
+    Attributes:
+        refused: what environment or policy refused last, of which the loop is told.
+        is_untold: whether the loop does not know of it yet.
+    """
+
+    def __init__(self, task_env: Any, client: Any, shown: Shown) -> None:
+        self._env = task_env
+        self._client = client
+        self._shown = shown
+        self._idle = 0
+        self.refused: Exception | None = None
+        self.is_untold = False
+
+    @property
+    def running(self) -> list[int]:
+        """Indices of the environments whose episode goes on."""
+        return [int(index) for index in self._env.get_running_env_idx_list()]
+
+    def answer(self, head: Mapping[str, Any], buffers: Sequence[Data]) -> list[Data] | None:
+        """Return the pieces of the answer to a question; None where it goes ahead, and is not waited for.
+
+        Raises:
+            EndlessError: there were too many of them without a control step.
+            OutOfStepError: it is none.
+            EnvLostError, EnvRaisedError, ClientError: environment or policy failed, and the loop need not know.
+        """
+        whom, operation, arguments, options = self._question(head, buffers)
+        self._count(operation)
+        value = None if self.is_untold else self._done(whom, operation, arguments, options)
+        if head.get("ahead"):
+            return None
+        is_refused, self.is_untold = self.is_untold, False
+        if is_refused and self.refused is not None:
+            return self._pieces(_told(self.refused), ok=False)
+        if whom == TASK_ENV:
+            self._shown.add(value)
+        return self._pieces(value, ok=True)
+
+    def _done(self, whom: str, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
+        """Run an operation and return what it returns; what refuses it is kept for the loop."""
+        try:
+            if whom == TASK_ENV:
+                return _checked(self._env, operation, arguments, options)
+            return getattr(self._client, operation)(*arguments, **options)
+        except (ActionError, ClientError, ValueError, TypeError, AttributeError) as error:
+            if isinstance(error, ClientError) and error.spoils_trial:
+                raise
+            self.refused, self.is_untold = error, True
+        except (EnvLostError, EnvRaisedError):
+            raise
+        except Exception as error:
+            if whom == CLIENT:
+                raise
+            raise EnvRaisedError(type(error).__name__, str(error)) from error
+        return None
+
+    def _pieces(self, value: Any, *, ok: bool) -> list[Data]:
+        return link.encode({"ok": ok, "running": self.running}, [b"".join(packed.encode(value))])
+
+    def _question(self, head: Mapping[str, Any], buffers: Sequence[Data]) -> tuple[str, str, list[Any], dict[str, Any]]:
+        """Return whom a loop asks, for what, with which arguments and options."""
+        try:
+            whom, operation = head["ask"], head["operation"]
+            arguments, options = packed.decode(buffers[0], self._shown.find)
+        except (LookupError, TypeError, ValueError) as error:
+            raise OutOfStepError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
+        known = {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(whom, ()) if isinstance(whom, str) else ()
+        if operation not in known or not isinstance(arguments, list) or not isinstance(options, dict):
+            raise OutOfStepError(f"the process of its evaluation loop asked for {operation!r:.80}")
+        return whom, operation, arguments, options
+
+    def _count(self, operation: str) -> None:
+        running = self.running
+        self._idle = 0 if running and operation in _STEPS else self._idle + 1
+        if self._idle > (_WITHOUT_A_STEP if running else _AFTER_THE_END):
+            raise EndlessError(
+                "its evaluation loop asked for one thing after the other without a control step"
+                if running
+                else "its evaluation loop does not notice that the episode has ended, and goes on for ever"
+            )
+
+
+def _checked(env: Any, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
+    """Run an operation of the environment, if its arguments are of the right form.
+
+    Raises:
+        TypeError: they are not.
+    """
+    function: Callable[..., Any] | None = getattr(env, operation, None)
+    if function is None:
+        if operation == "finish_episode":  # which few environments want to hear of
+            return None
+        raise AttributeError(f"this environment has no {operation}")
+    if options:
+        raise TypeError(f"{operation} was given {', '.join(map(str, options))} by name")
+    if operation in _OF_SEVERAL:
+        indices = arguments[1 if operation in _STEPS else 0] if len(arguments) == 2 else ()
+        if indices is not None and not (isinstance(indices, list) and all(type(index) is int for index in indices)):
+            raise TypeError(f"{operation} takes a list of indices of environments, got {indices!r:.80}")
+    return function(*arguments)
+
+
+def _told(error: Exception) -> dict[str, Any]:
+    """Return what a loop is told of an error, which it raises on its side."""
+    if isinstance(error, PolicyServerError):
+        text, kind = str(error).removeprefix(f"{error.code}: "), PolicyServerError.__name__
+        return {"type": kind, "code": error.code, "message": text, "details": {"reason": error.details.get("reason")}}
+    kinds = (ActionError, ClientError, AttributeError, TypeError, ValueError)
+    name = next(kind.__name__ for kind in kinds if isinstance(error, kind))
+    return {"type": name, "message": str(error)}

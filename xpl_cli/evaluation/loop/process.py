@@ -1,0 +1,227 @@
+"""The process of an adapter's evaluation loop, seen from whoever judges.
+
+Nothing of an adapter runs where an episode is judged: its loop has a process of its own, in which it is given stand-ins
+for environment and policy (`xpl.loop`). Here the environment is held, and what the loop asks for is done (`desk`). The
+process inherits one end of a private link, and neither a place nor a secret of the run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl.loop.shown import Shown
+from xpl.process import link
+from xpl.process.parent import Process, ProcessLostError
+from xpl.wire.packed import PackingError
+from xpl_cli.basics.errors import NotFoundError
+from xpl_cli.evaluation.loop.desk import Desk, LoopError, OutOfStepError
+from xpl_cli.isolation import family
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl.wire.arrays import Data
+    from xpl_cli.isolation.sandbox import Isolation
+
+_START = "from xpl.loop.worker import main; main(int(sys.argv[2]))"
+_LARGEST = 1 << 30
+"""Bytes of a message from a loop: more than the observations of many environments are."""
+_LONGEST = 500
+"""Characters of what an adapter raised that are passed on."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How long a loop may take before it counts as hung.
+
+    Attributes:
+        load_s: to import deploy.py.
+        think_s: between one operation of environment or policy and the next, and until it returns.
+    """
+
+    load_s: float = 300.0
+    think_s: float = 60.0
+
+
+class LoopLostError(LoopError):
+    """The loop's process ended, hung or fell out of step: it has been ended."""
+
+
+class LoopRaisedError(LoopError):
+    """The loop, or deploy.py when it was imported, raised.
+
+    Attributes:
+        kind: type of what was raised.
+        message: what that says.
+    """
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(f"the adapter's evaluation loop raised {kind}: {message}")
+        self.kind = kind
+        self.message = message
+
+
+class _Process(Process):
+    name = "the evaluation loop"
+
+    def kill(self) -> None:
+        """End the process, its group, and what has left the group and is still its child."""
+        below = family.descendants(self.pid)
+        super().kill()
+        for member in below:
+            if member.lives:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(member.pid, 9)
+
+
+class Loop:
+    """The evaluation loops of an adapter, in a process that is started when it is needed, and again when it was lost.
+
+    Args:
+        adapter: folder of the adapter.
+        limits: how long it may take.
+        isolation: what keeps it from the rest of the machine, or None.
+        is_silent: whether what it prints is thrown away.
+
+    Raises:
+        NotFoundError: the adapter has no deploy.py.
+    """
+
+    def __init__(
+        self,
+        adapter: Path,
+        *,
+        limits: Limits | None = None,
+        isolation: Isolation | None = None,
+        is_silent: bool = False,
+    ) -> None:
+        self._file = adapter / sdk.File.DEPLOY_PY
+        if not self._file.is_file():
+            raise NotFoundError(f"{adapter} has no {sdk.File.DEPLOY_PY}")
+        self._limits = limits or Limits()
+        self._isolation = isolation
+        self._is_silent = is_silent
+        self._process: _Process | None = None
+        self._shown = Shown()
+        self._functions: frozenset[str] = frozenset()
+
+    def load(self, *, batch: bool) -> str:
+        """Import deploy.py, where that has not been done, and return the name of its loop.
+
+        Args:
+            batch: whether it is the one for several environments.
+
+        Raises:
+            NotFoundError: it has no such loop.
+            LoopRaisedError: it raised when it was imported.
+            LoopLostError: its process ended, or hung.
+        """
+        if self._process is None:
+            self._start()
+        single, batched = spec.data("package")["loop"]["functions"]
+        name: str = batched if batch else single
+        if name not in self._functions:
+            raise NotFoundError(f"{self._file} has no function {name}")
+        return name
+
+    def play(self, task_env: Any, client: Any, *, batch: bool) -> None:
+        """Have the loop play a trial, to wherever it plays it.
+
+        Args:
+            task_env: the environment, reset.
+            client: `call(func_name=..., obs=...)` runs an operation of the policy.
+            batch: whether it is the loop for several environments.
+
+        Raises:
+            NotFoundError, LoopRaisedError, LoopLostError: as for `load`, or while it played.
+            EndlessError: it goes on for ever.
+            ActionError, ClientError, ValueError, TypeError: what environment or policy refused, and ended the loop.
+            EnvLostError, EnvRaisedError, ClientError: environment or policy failed.
+        """
+        name = self.load(batch=batch)
+        desk = Desk(task_env, client, self._shown)
+        try:
+            head = self._played(desk, name)
+        except BaseException:
+            self.close()  # in the middle of a trial: it could not go on with the next one
+            raise
+        if desk.refused is not None and (desk.is_untold or head.get("raised", {}).get("told")):
+            raise desk.refused
+        if "raised" in head:
+            raise _raised(head)
+
+    def close(self) -> None:
+        """End the process."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+
+    def _played(self, desk: Desk, name: str) -> dict[str, Any]:
+        """Answer what a loop asks until it has ended, and return what its process says of that."""
+        assert self._process is not None  # noqa: S101 - for the type checker: it was loaded
+        pieces: list[Data] | None = link.encode({"play": name, "running": desk.running})
+        try:
+            while True:
+                self._process.send(pieces or (), self._limits.think_s)
+                head, buffers = self._process.take()
+                told = _well_formed(head)
+                if "ask" not in told:
+                    return told
+                pieces = desk.answer(told, buffers)
+        except ProcessLostError as error:
+            raise LoopLostError(str(error)) from None
+        except (OutOfStepError, PackingError) as error:
+            raise LoopLostError(str(error)) from None
+
+    def _start(self) -> None:
+        isolation = self._isolation
+        self._process = _Process(
+            _START,
+            prefix=() if isolation is None else isolation.prefix,
+            environment=None if isolation is None else isolation.environment(os.environ),
+            is_silent=self._is_silent,
+            largest=_LARGEST,
+        )
+        self._shown = Shown()
+        try:
+            self._process.send(link.encode({"load": str(self._file)}), self._limits.load_s)
+            head, _ = self._process.take()
+        except ProcessLostError as error:
+            self.close()
+            raise LoopLostError(f"{sdk.File.DEPLOY_PY} cannot be imported: {error}") from None
+        except BaseException:
+            self.close()
+            raise
+        if not isinstance(head, dict) or not isinstance(head.get("functions"), list):
+            self.close()
+            raise _raised(head)
+        self._functions = frozenset(name for name in head["functions"] if isinstance(name, str))
+
+
+def _well_formed(head: Any) -> dict[str, Any]:
+    """Return the head of a message from a loop's process.
+
+    Raises:
+        OutOfStepError: it is none.
+    """
+    if not isinstance(head, dict) or not isinstance(head.get("raised", {}), dict):
+        raise OutOfStepError("the process of its evaluation loop fell out of step")
+    return head
+
+
+def _raised(head: Any) -> LoopRaisedError:
+    """Return what a loop's process says that was raised; none of its words are more than text."""
+    told = head.get("raised") if isinstance(head, dict) else None
+    told = told if isinstance(told, dict) else {}
+    return LoopRaisedError(_text(told.get("type")) or "an exception", _text(told.get("message")))
+
+
+def _text(given: Any) -> str:
+    """Return a text that can be written down, in one line."""
+    text = given if isinstance(given, str) else ""
+    return " ".join(text.encode("utf-8", "replace").decode().split())[:_LONGEST]
