@@ -154,10 +154,11 @@ def test_lint_runs_all_tools_and_remembers_a_failure(checkout: Checkout) -> None
     """A finding of one tool does not hide those of the next."""
     checkout.dev("setup")
     checkout.script(checkout.folder / ".venv/bin/ruff", "#!/bin/bash\necho ruff $1\n[[ $1 != check ]]\n")
+    checkout.script(checkout.folder / ".venv/bin/lint-imports", "#!/bin/bash\necho layers\n")
     checkout.script(checkout.folder / ".venv/bin/mypy", "#!/bin/bash\necho mypy $1; cat $1/*.py\n")
-    checkout.script(checkout.folder / "conformance/no-hang/rule.py", "rule\n")
+    checkout.script(checkout.folder / "conformance/static/no-hang/rule.py", "rule\n")
     code, out, _ = checkout.dev("lint")
-    assert (code, out) == (1, "ruff check\nruff format\nmypy\nmypy .mypy_cache/rules\nrule\n")
+    assert (code, out) == (1, "ruff check\nruff format\nlayers\nmypy\nmypy .mypy_cache/rules\nrule\n")
 
 
 def test_the_site_is_built_strictly_or_shown(checkout: Checkout) -> None:

@@ -9,7 +9,7 @@ from xpl import _spec as sdk
 from xpl.client import PolicyServerError
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline import inprocess
-from xpl_cli.audit.replay.exact import Mismatch, mismatch
+from xpl_cli.audit.served.exact import Mismatch, mismatch
 from xpl_cli.audit.served.probe import Probe, blame
 
 _STEPS = 3

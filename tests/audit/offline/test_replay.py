@@ -25,11 +25,11 @@ from xpl.client import PolicyServerError
 from xpl.wire import codec
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.offline.inprocess import answers
-from xpl_cli.audit.replay.exact import mismatch
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.served import recording
+from xpl_cli.audit.served.exact import mismatch
 from xpl_cli.audit.served.probe import Probe
 from xpl_cli.standard.validate import validate
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
-from xpl_cli.audit.replay.exact import Mismatch, mismatch
 from xpl_cli.audit.rules.fingerprint import fingerprint
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.served import recording as tape
+from xpl_cli.audit.served.exact import Mismatch, mismatch
 from xpl_cli.audit.served.recording import DamagedError
 from xpl_cli.basics.errors import ExitCode, UserError
 

@@ -1,0 +1,174 @@
+"""Who imports whom: the layers of pyproject.toml hold, there is no circle, and a rule knows its own gate only."""
+
+from __future__ import annotations
+
+import ast
+import graphlib
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import grimp
+import pytest
+
+from tests.support.places import ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+LINTER = Path(sys.executable).with_name("lint-imports")
+
+PLANTED = {
+    "sdk": ("xpl/images.py", "def planted():\n    from xpl_cli.basics import errors\n"),
+    "sdk-layers": ("xpl/wire/arrays.py", "from xpl import policy\n"),
+    "layers": ("xpl_cli/basics/sizes.py", "if TYPE_CHECKING:\n    from xpl_cli.packages.package import Package\n"),
+    "audit-layers": ("xpl_cli/audit/static/keys.py", "def planted():\n    import xpl_cli.audit.physics.loop\n"),
+    "commands": ("xpl_cli/__main__.py", "import xpl_cli.commands.plain\n"),
+    "main": ("xpl_cli/__init__.py", "def planted():\n    from xpl_cli import main\n"),
+    "circles": ("xpl_cli/lifecycle/interpreter.py", "def planted():\n    from xpl_cli.lifecycle import scripts\n"),
+}
+"""For each contract of pyproject.toml an import that it forbids, and the file where it is planted."""
+
+ALWAYS = ("xpl", "xpl_cli.audit", "xpl_cli.audit.rules", "xpl_cli.standard", "xpl_cli.basics")
+"""What a rule of any gate may import; of `xpl_cli.audit` what stands in the package itself."""
+
+OWN = {
+    "static": ("static",),
+    "offline": ("offline", "served"),
+    "mujoco": ("physics", "served"),
+    "environments": ("environments", "static"),  # what env.yml and client.py say is read in the static gate
+    "audit": ("engine", "static"),  # a rule about the audit itself asks for results of others
+    "advice": ("static",),
+}
+"""The rooms of `xpl_cli.audit` that the rules of a folder of `conformance/` may import."""
+
+
+def lint(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Hold the packages in a folder against the contracts in its pyproject.toml."""
+    command = [LINTER, "--no-cache", "--no-logo", *arguments]
+    return subprocess.run(command, cwd=folder, check=False, capture_output=True, text=True)
+
+
+def imports(*packages: str) -> dict[str, set[str]]:
+    """Return the modules of packages with what each imports, inside functions and for types too."""
+    graph = grimp.build_graph(*packages, exclude_type_checking_imports=False, cache_dir=None)
+    return {module: set(graph.find_modules_directly_imported_by(module)) for module in graph.modules}
+
+
+def circle(graph: Mapping[str, set[str]]) -> list[str]:
+    """Return the modules of one circle of imports; none if there is none."""
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        found: list[str] = error.args[1]
+        return found
+    return []
+
+
+def foreign(rule: Path) -> list[str]:
+    """Return what a rule imports and should not; its folder is its gate's."""
+    rooms = tuple(f"xpl_cli.audit.{room}" for room in OWN[rule.parent.parent.name])
+    return [name for name in _imported(rule) if not _is_allowed(name, rooms)]
+
+
+def _imported(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module or ''}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        yield from (name for name in names if name.partition(".")[0] in {"xpl", "xpl_cli"})
+
+
+def _is_allowed(name: str, rooms: tuple[str, ...]) -> bool:
+    """Tell whether a rule may import a name; of the audit itself only what its package offers."""
+    import xpl_cli.audit
+
+    if name.startswith("xpl_cli.audit."):
+        own = tuple(f"{room}." for room in (*rooms, "xpl_cli.audit.rules"))
+        return f"{name}.".startswith(own) or name.rpartition(".")[2] in xpl_cli.audit.__all__
+    return f"{name}.".startswith(tuple(f"{place}." for place in ALWAYS))
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy both packages and their contracts."""
+    folder = tmp_path_factory.mktemp("checkout")
+    shutil.copy2(ROOT / "pyproject.toml", folder)
+    for package in ("xpl", "xpl_cli"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+def test_the_contracts_on_imports_hold() -> None:
+    """Which room may import which is written in pyproject.toml; `./dev lint` asks the same."""
+    done = lint(ROOT)
+    assert done.returncode == 0, done.stdout
+    assert f"Contracts: {len(PLANTED)} kept, 0 broken." in done.stdout
+
+
+@pytest.mark.parametrize("contract", PLANTED)
+def test_a_contract_breaks_at_an_import_that_it_forbids(contract: str, checkout: Path) -> None:
+    """Inside a function or for types, as at the top of a module."""
+    name, planted = PLANTED[contract]
+    path = checkout / name
+    before = path.read_bytes()
+    path.write_bytes(before + f"\n{planted}".encode())
+    done = lint(checkout, "--contract", contract)
+    path.write_bytes(before)
+    assert done.returncode == 1, done.stdout
+    assert "0 kept, 1 broken" in done.stdout
+
+
+def test_no_import_is_part_of_a_circle() -> None:
+    """Packages themselves included, and every import, wherever in a module it stands."""
+    graph = imports("xpl", "xpl_cli")
+    graph.get("xpl_cli.evaluation.session", set()).discard("xpl_cli.evaluation.play")  # goes with the second engine
+    assert circle(graph) == []
+
+
+@pytest.mark.parametrize(
+    "back", ["import planted.low", "def f():\n    from planted import low", "if TYPE_CHECKING:\n    from . import low"]
+)
+def test_a_circle_is_found(back: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one that closes inside a function, or only for types."""
+    package = tmp_path / "planted"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "low.py").write_text("from planted import high\n")
+    (package / "high.py").write_text(f"from typing import TYPE_CHECKING\n{back}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert {"planted.high", "planted.low"} == set(circle(imports("planted")))
+
+
+def test_a_rule_imports_nothing_of_another_gate() -> None:
+    """Only the SDK, what rules are written with, its own gate's room, the standard and the basics."""
+    rules = sorted((ROOT / "conformance").glob("*/*/rule.py"))
+    assert {rule.parent.parent.name for rule in rules} == set(OWN)
+    assert {str(rule.relative_to(ROOT)): found for rule in rules if (found := foreign(rule))} == {}
+
+
+def test_a_rule_that_reaches_into_another_gate_is_found(tmp_path: Path) -> None:
+    """Whatever it imports from there, a module or a name in one."""
+    rule = tmp_path / "offline/planted/rule.py"
+    rule.parent.mkdir(parents=True)
+    rule.write_text(
+        textwrap.dedent(
+            """
+            from xpl.images import decode
+            from xpl_cli.audit import Finding, rule
+            from xpl_cli.audit.served.probe import Probe
+            from xpl_cli.audit import physics
+            from xpl_cli.audit.static.source import Source
+
+            def check():
+                from xpl_cli.serving import launch
+            """
+        )
+    )
+    assert foreign(rule) == ["xpl_cli.audit.physics", "xpl_cli.audit.static.source.Source", "xpl_cli.serving.launch"]

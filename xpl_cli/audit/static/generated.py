@@ -1,0 +1,55 @@
+"""Files of a package that were generated: what its lock says of them, which were edited, and how they were rendered."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from xpl_cli.audit.rules.model import Edit
+from xpl_cli.basics.errors import UserError
+from xpl_cli.scaffold import lock
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.source import Source
+
+LOCK = lock.PATH
+"""The file that tells which files are generated."""
+
+
+def read(source: Source) -> lock.Lock:
+    """Return what the lock of a package says.
+
+    Raises:
+        UserError: if it is not what xpl wrote.
+    """
+    return lock.parse(source.text(LOCK), LOCK)
+
+
+def edited(source: Source, kept: lock.Lock) -> list[str]:
+    """Return the generated files that are there and not as they were rendered; those that are free may be otherwise."""
+    names = [name for name in kept.generated if name not in kept.free and source.has(name)]
+    return [name for name in names if lock.digest(source.text(name).encode()) != kept.generated[name]]
+
+
+def rendered(kept: lock.Lock) -> dict[str, bytes]:
+    """Render a package again; nothing where its template or its answers are not known here."""
+    from xpl_cli.scaffold import adapter, template
+
+    try:
+        return adapter.render(adapter.recorded(kept), kept.template) if template.exists(kept.template) else {}
+    except UserError:
+        return {}
+
+
+def undone(source: Source, name: str, content: bytes | None, digest: str) -> Edit | None:
+    """Return the edit that brings a file back as it was; None where nobody knows how that was.
+
+    Args:
+        source: the package.
+        name: the file.
+        content: how it is rendered now.
+        digest: of how it was rendered.
+    """
+    if content is None or lock.digest(content) != digest:
+        return None
+    lines = source.text(name).split("\n")
+    return Edit(name, 1, 1, len(lines), len(lines[-1]) + 1, content.decode())
