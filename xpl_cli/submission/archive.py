@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import shutil
 import stat
 import tempfile
 import zipfile
-from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from pathlib import Path, PurePosixPath
+from typing import IO, TYPE_CHECKING, Any, cast
 
-from xpl_cli.basics.errors import NotFoundError, UserError
+from xpl_cli.basics import files
+from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.sizes import told_size
 
 if TYPE_CHECKING:
@@ -21,19 +23,22 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 """The first time that zip knows: an archive tells nothing of when it was made."""
 _MODE = stat.S_IFREG | 0o644
 _UNIX = 3
-_MOST_FILES = 1_000_000
+_MOST_FILES = 100_000
+_MOST_DIRECTORY = 64 << 20
+_LONGEST, _LONGEST_PART, _DEEPEST = 512, 200, 32
+"""Bytes of a name and of a part of it, and parts: what every file system bears below a folder of its own."""
 _BLOCK = 1 << 20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
-def write(path: Path, files: Mapping[str, Path | bytes]) -> str:
+def write(path: Path, content: Mapping[str, Path | bytes]) -> str:
     """Write an archive, whole or not at all, and return the SHA-256 of its bytes.
 
     Order, times and modes are always the same, so that equal content gives equal bytes (under one version of zlib).
 
     Args:
         path: where to.
-        files: name, with / between folders, to a file of this machine or its content.
+        content: name, with / between folders, to a file of this machine or what is to stand in it.
 
     Raises:
         UserError: if it cannot be written.
@@ -45,8 +50,8 @@ def write(path: Path, files: Mapping[str, Path | bytes]) -> str:
     partial = Path(name)
     try:
         with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-            for entry in sorted(files):
-                _add(archive, entry, files[entry])
+            for entry in sorted(content):
+                _add(archive, entry, content[entry])
         with partial.open("rb") as written:
             digest = hashlib.file_digest(written, "sha256").hexdigest()
         partial.chmod(0o644)  # mkstemp makes files private
@@ -84,18 +89,53 @@ def unpack(path: Path, folder: Path, *, limit: int) -> dict[str, str]:
         UserError: it is none, is damaged, is too large, or holds anything but files with plain names.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            entries = list(_checked(archive, path, limit))
-            return {entry.filename: _extract(archive, entry, folder / entry.filename) for entry in entries}
+        stream = files.opened(path, most=limit)
     except FileNotFoundError:
         raise NotFoundError(f"there is no bundle {path}") from None
-    except (zipfile.BadZipFile, NotImplementedError, EOFError) as error:
-        raise UserError(f"{path} is no bundle, or is damaged: {error}") from None
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+    with stream, _reading(path), zipfile.ZipFile(cast("IO[bytes]", _Wary(stream))) as archive:
+        entries = list(_checked(archive, path, folder, limit))
+        return {entry.filename: _extract(archive, entry, folder / entry.filename) for entry in entries}
 
 
-def _checked(archive: zipfile.ZipFile, path: Path, limit: int) -> Iterator[zipfile.ZipInfo]:
+class _Wary:
+    """A file of which nobody reads more at once than an archive has reason to: how much there is to be said by it.
+
+    An archive announces how long its list of files is, and that is read in one piece, many times larger in memory.
+    """
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+
+    def read(self, size: int = -1) -> bytes:
+        """Read up to so many bytes.
+
+        Raises:
+            BadZipFile: they are more than a list of files needs.
+        """
+        if size > _MOST_DIRECTORY:
+            raise zipfile.BadZipFile("its list of files is too long")
+        return self._stream.read(size)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Tell what happens while an archive is read as a mistake of the archive, or of the machine."""
+    try:
+        yield
+    except (UserError, KeyboardInterrupt, MemoryError):
+        raise
+    except OSError as error:
+        raise UserError(f"{path} cannot be unpacked: {error.strerror or error}", code=ExitCode.NOT_RUN) from None
+    except Exception as error:  # noqa: BLE001 - damaged bytes lead zipfile and zlib to errors of a dozen kinds
+        raise UserError(f"{path} is no bundle, or is damaged: {str(error) or type(error).__name__}") from None
+
+
+def _checked(archive: zipfile.ZipFile, path: Path, folder: Path, limit: int) -> Iterator[zipfile.ZipInfo]:
     """Yield the entries of an archive.
 
     Raises:
@@ -106,23 +146,47 @@ def _checked(archive: zipfile.ZipFile, path: Path, limit: int) -> Iterator[zipfi
     if total > limit or len(entries) > _MOST_FILES:
         raise UserError(
             f"{path} would unpack to {told_size(total)} in {len(entries)} files, more than the limit of "
-            f"{told_size(limit)}",
-            hint="raise it with --max-size",
+            f"{told_size(limit)}" + (f" or of {_MOST_FILES} files" if len(entries) > _MOST_FILES else ""),
+            hint="raise it with --max-size" if total > limit else None,
+        )
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if total > (free := shutil.disk_usage(there).free):
+        raise UserError(
+            f"{path} would unpack to {told_size(total)}, and {folder} has {told_size(free)} free",
+            hint="--unpack names a new folder elsewhere",
+            code=ExitCode.NOT_RUN,
         )
     seen: set[str] = set()
+    folders: set[str] = set()
     for entry in entries:
         kind = stat.S_IFMT(entry.external_attr >> 16)
         is_plain = kind in (0, stat.S_IFREG) and entry.compress_type in _METHODS and not entry.flag_bits & 1
-        if not is_plain or not _is_plain_name(entry.orig_filename) or entry.filename in seen:
-            raise UserError(f"{path} holds {entry.orig_filename!r}: expected files with plain names, each once")
+        above = {str(parent) for parent in PurePosixPath(entry.filename).parents}
+        if (
+            not is_plain
+            or not _is_plain_name(entry.orig_filename)
+            or entry.filename in seen
+            or entry.filename in folders
+            or not seen.isdisjoint(above)
+        ):
+            raise UserError(f"{path} holds {entry.orig_filename[:200]!r}: expected files with plain names, each once")
         seen.add(entry.filename)
+        folders |= above
         yield entry
 
 
 def _is_plain_name(name: str) -> bool:
     """Tell whether a name leads to a file below the folder that it is unpacked in, on any system."""
     parts = name.split("/")
-    return name.isprintable() and "\\" not in name and ":" not in name and not {"", ".", ".."}.intersection(parts)
+    return (
+        name.isprintable()
+        and "\\" not in name
+        and ":" not in name
+        and not {"", ".", ".."}.intersection(parts)
+        and len(parts) <= _DEEPEST
+        and len(name.encode()) <= _LONGEST
+        and all(len(part.encode()) <= _LONGEST_PART for part in parts)
+    )
 
 
 def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli import __version__
+from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
@@ -25,6 +26,8 @@ DOCUMENTS = {
     ENVIRONMENT: "submission#/$defs/environment",
 }
 """Documents besides the manifest, and their schemas."""
+_MOST_BYTES = 64 << 20
+"""What none of them comes near."""
 
 
 def document(value: Any) -> bytes:
@@ -133,6 +136,10 @@ def opened(path: Path, folder: Path, *, limit: int) -> Bundle:
 
 def _json(path: Path, name: str) -> Any:
     try:
-        return json.loads(path.read_bytes())
+        return json.loads(files.content(path, _MOST_BYTES), parse_constant=_refuse)
     except (OSError, ValueError, RecursionError) as error:
         raise UserError(f"{name} of the bundle cannot be read: {error}", code=ExitCode.FINDINGS) from None
+
+
+def _refuse(name: str) -> Any:
+    raise ValueError(f"it holds {name}, which is no JSON")

@@ -1,0 +1,77 @@
+"""Bundles that hold together although nobody played their run, and what a stranger may make of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from tests.support.places import ROOT
+from tests.support.runs import synthetic
+from xpl_cli.evaluation.records import fingerprints, records
+from xpl_cli.packages import package
+from xpl_cli.submission import archive, bundle, claims
+
+ADAPTER = ROOT / "policy" / "scripted_expert"
+_INTERPRETER: dict[str, Any] = {"python": "3.11.7", "installed": {}, "lock": None}
+
+
+def made(folder: Path) -> dict[str, bytes]:
+    """Return the files of a bundle but for its manifest, which `archived` makes of them.
+
+    Args:
+        folder: an empty one to work in.
+    """
+    run = _recorded(folder / "run")
+    files: dict[str, bytes] = {
+        bundle.AUDIT: _audit(),
+        bundle.CHECKPOINTS: bundle.document({"loaded": None, "name": None, "declared": []}),
+        bundle.ENVIRONMENT: bundle.document({"policy": _INTERPRETER, "environments": {"mujoco": _INTERPRETER}}),
+        f"{claims.folder(run)}/{records.FILE}": (run.folder / records.FILE).read_bytes(),
+    }
+    base = bundle.adapter_folder(ADAPTER.name)
+    return files | {f"{base}/{path}": (ADAPTER / path).read_bytes() for path in fingerprints.files_of(ADAPTER)}
+
+
+def manifest(files: Mapping[str, bytes], folder: Path) -> dict[str, Any]:
+    """Return the manifest of such files; what it claims is of the run that `made` recorded."""
+    run = records.read(folder / "run")
+    told = {key: run.plan["policy"][key] for key in ("name", "spec", "digest")}
+    return bundle.manifest(told, [claims.claim(run)], files)
+
+
+def archived(path: Path, files: Mapping[str, bytes], told: Mapping[str, Any]) -> Path:
+    """Write a bundle; its manifest names the files as they are."""
+    entries = {
+        name: {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)} for name, content in files.items()
+    }
+    archive.write(path, {**files, bundle.MANIFEST: bundle.document({**told, "files": entries})})
+    return path
+
+
+def _recorded(folder: Path) -> records.Run:
+    """Record a run of the adapter that nobody played."""
+    synthetic(folder, tasks=("lift_cube",), settings=("clean",), episodes=2, policy=ADAPTER.name)
+    file = folder / records.FILE
+    plan, *others = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    adapter = package.load(ADAPTER)
+    plan["policy"] |= {"digest": fingerprints.package_digest(ADAPTER), "checkpoint": None}
+    plan["policy"]["spec"] = adapter.manifest["spec"]
+    lines = [records.named(plan), *others]
+    file.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
+    return records.read(folder)
+
+
+@cache
+def _audit() -> bytes:
+    """Return what the cheapest gate says of the adapter."""
+    from xpl_cli.audit.engine.engine import audit
+    from xpl_cli.audit.formats import Context, as_json
+    from xpl_cli.audit.rules.gates import Gate
+    from xpl_cli.audit.rules.options import Options
+
+    report = audit(ADAPTER, package.POLICY, Options(gates=(Gate.STATIC,)), shown=bundle.adapter_folder(ADAPTER.name))
+    return bundle.document(as_json([report], Context(here=ROOT)))
