@@ -8,15 +8,28 @@ does not say, or says is null, is not compared.
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Callable
 
 from xpl import _spec as spec
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 
 _EMBODIMENT, _EMBODIMENTS, _ACTION_TYPES, _INPUTS = "embodiment", "embodiments", "action_types", "inputs"
 _ACTION_TYPE, _FREQUENCY, _CAMERAS = spec.Deploy.ACTION_TYPE, "control_frequency", "cameras"
-_SIDES = ("width", "height")
+_SIDES, _EXACT = ("width", "height"), "exact"
+
+
+class AnnouncementError(ValueError):
+    """What one side announced is not what it should be.
+
+    Attributes:
+        field: where.
+    """
+
+    def __init__(self, message: str, field: str | None = None) -> None:
+        super().__init__(message)
+        self.field = field
 
 
 def needs(manifest: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,6 +67,27 @@ def offered_cameras(obs: Mapping[str, Any]) -> dict[str, dict[str, int]]:
     """Return the `width` and `height` of each camera's image in an observation."""
     sizes = {name: camera[spec.Camera.COLOR].shape[:2] for name, camera in (obs.get(spec.Obs.VISION) or {}).items()}
     return {name: {"width": int(width), "height": int(height)} for name, (height, width) in sizes.items()}
+
+
+def checked(announced: Any) -> dict[str, Any]:
+    """Return what a side announced of what is compared, in plain Python; who announced it may have sent anything.
+
+    Raises:
+        AnnouncementError: if it is no map, or an entry is of another kind than it should be.
+    """
+    if announced is None:
+        return {}
+    if not isinstance(announced, Mapping):
+        raise AnnouncementError(f"it must be a map, got {type(announced).__name__}")
+    found: dict[str, Any] = {}
+    for name, (kind, read) in _ENTRIES.items():
+        given = announced.get(name)
+        if given is not None:
+            try:
+                found[name] = read(given)
+            except TypeError:
+                raise AnnouncementError(f"{name} must be {kind}, got {type(given).__name__}", name) from None
+    return found
 
 
 def differences(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -114,7 +148,7 @@ def _images(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> Iterat
         image = shown.get(camera)
         if isinstance(need, Mapping) and isinstance(image, Mapping) and not _will_do(need, image):
             size = " x ".join(str(need.get(side) or "any") for side in _SIDES)
-            least = "" if need.get("exact") else " or larger"
+            least = "" if need.get(_EXACT) else " or larger"
             got = " x ".join(str(image.get(side)) for side in _SIDES)
             yield _CAMERAS, needed, shown, f"the policy needs {camera} {size}{least}, the environment shows {got}"
 
@@ -123,12 +157,55 @@ def _will_do(need: Mapping[str, Any], image: Mapping[str, Any]) -> bool:
     """Tell whether an image has a size that a policy can work with."""
     sizes = [(need.get(side), image.get(side)) for side in _SIDES]
     said = [(wanted, offered) for wanted, offered in sizes if isinstance(wanted, int) and isinstance(offered, int)]
-    return all(offered == wanted if need.get("exact") else offered >= wanted for wanted, offered in said)
+    return all(offered == wanted if need.get(_EXACT) else offered >= wanted for wanted, offered in said)
 
 
 def sentence(found: list[dict[str, Any]]) -> str:
     """Return one sentence about the differences."""
     return "policy and environment do not fit: " + "; ".join(str(one["message"]) for one in found)
+
+
+def _text(given: Any) -> str:
+    if not isinstance(given, str):
+        raise TypeError
+    return str(given)
+
+
+def _number(given: Any) -> float | int:
+    if isinstance(given, bool) or not isinstance(given, numbers.Real):
+        raise TypeError
+    return int(given) if isinstance(given, numbers.Integral) else float(given)
+
+
+def _texts(given: Any) -> list[str]:
+    if not isinstance(given, (list, tuple)):
+        raise TypeError
+    return [_text(item) for item in given]
+
+
+def _sizes(given: Any) -> dict[str, dict[str, Any]]:
+    if not isinstance(given, Mapping):
+        raise TypeError
+    return {_text(camera): _size(image) for camera, image in given.items()}
+
+
+def _size(given: Any) -> dict[str, Any]:
+    if not isinstance(given, Mapping):
+        raise TypeError
+    sides = {side: _number(given[side]) for side in _SIDES if given.get(side) is not None}
+    return {**sides, **({_EXACT: True} if given.get(_EXACT) is True else {})}
+
+
+_ENTRIES: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "name": ("text", _text),
+    _EMBODIMENT: ("text", _text),
+    _EMBODIMENTS: ("a list of text", _texts),
+    _ACTION_TYPE: ("text", _text),
+    _ACTION_TYPES: ("a list of text", _texts),
+    _FREQUENCY: ("a number", _number),
+    _INPUTS: ("a list of text", _texts),
+    _CAMERAS: ("a map of maps with width and height", _sizes),
+}
 
 
 def _all_canonical(names: Any) -> Any:

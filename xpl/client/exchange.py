@@ -176,7 +176,11 @@ class Exchange:
 
     def _check_fit(self) -> None:
         """Compare what both sides announced: a server of another make may not have done so."""
-        found = agreement.differences(self.policy, self._wishes.environment or {})
+        try:
+            policy = agreement.checked(self.policy)
+        except agreement.AnnouncementError as error:
+            raise ClientError(f"what the server announced of its policy cannot be understood: {error}") from None
+        found = agreement.differences(policy, self._wishes.environment or {})
         if found:
             details = {"reason": spec.ErrorReason.MISMATCH, "differences": found}
             raise EnvironmentMismatchError(spec.ErrorCode.INVALID_FRAME, agreement.sentence(found), details)

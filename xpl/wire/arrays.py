@@ -17,6 +17,7 @@ import numpy as np
 Data = Union[bytes, bytearray, memoryview]
 
 _KINDS = "biufcSUV"
+_FIELDS = 1024
 # Narrower than what `np.dtype` understands: no comma-separated lists, shapes or field offsets in a string.
 _NAME = re.compile(r"[<>=|]?[A-Za-z?]\w{0,15}", re.ASCII)
 
@@ -87,6 +88,8 @@ def parse_dtype(description: Any) -> np.dtype[Any]:
         ArrayError: if it stands for none, or for one that may not travel.
     """
     if isinstance(description, list):
+        if len(description) > _FIELDS:
+            raise ArrayError(f"a structure of {len(description)} fields is over the limit of {_FIELDS}")
         return _dtype([_parse_field(entry) for entry in description], description)
     return _named_dtype(_text(description))
 
@@ -132,16 +135,28 @@ def _text(value: Any) -> str:
     return value
 
 
-@functools.lru_cache(maxsize=512)
 def check_dtype(dtype: np.dtype[Any]) -> None:
     """Check that arrays of a type may travel.
 
     Raises:
-        ArrayError: for objects and dates, also inside structures, and for elements without a size.
+        ArrayError: for objects and dates, also inside structures, for elements without a size, and for structures of
+            very many fields.
     """
-    parts = [dtype]
+    parts, seen = [dtype], 0
     while parts:
         part = parts.pop().base
-        if part.kind not in _KINDS or part.hasobject or part.itemsize == 0:
-            raise ArrayError(f"arrays of type {dtype} are refused: only numbers, flags and text travel")
-        parts.extend(part[name] for name in part.names or ())
+        if part.names is None:
+            _check_plain(part)
+            continue
+        if part.itemsize == 0:
+            raise ArrayError("arrays of structures without a size are refused")
+        seen += len(part.names)
+        if seen > _FIELDS:
+            raise ArrayError(f"arrays of structures of more than {_FIELDS} fields are refused: send several arrays")
+        parts.extend(part[name] for name in part.names)
+
+
+@functools.lru_cache(maxsize=512)  # not of structures: a peer can make up as many as it likes, each as large as a frame
+def _check_plain(dtype: np.dtype[Any]) -> None:
+    if dtype.kind not in _KINDS or dtype.hasobject or dtype.itemsize == 0:
+        raise ArrayError(f"arrays of type {dtype!s:.80} are refused: only numbers, flags and text travel")

@@ -16,8 +16,10 @@ shape]}}`, with the length of the list as the first size. A text key that starts
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 from operator import attrgetter, itemgetter
 from typing import Any, Callable, Optional
 
@@ -34,12 +36,33 @@ _ESCAPE, _ARRAY, _BYTES, _SHARED, _ROWS = "@", "@array", "@bytes", "@shared", "@
 _MARKS = frozenset((_ARRAY, _BYTES, _SHARED, _ROWS))
 _SMALL = 1 << 12
 _ZEROS = bytes(_ALIGN)
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 HEADER_LIMIT = 64 * 1024 * 1024
 BODY_LIMIT = 8 * 1024**3
 """Bytes; more than any frame unpacks to. Only a stream that is out of step asks for more."""
 
 _dtype_of, _shape_of = attrgetter("dtype"), attrgetter("shape")
-_to_json = json.JSONEncoder(separators=(",", ":")).encode
+# Not as ASCII: a lone surrogate, which no other encoder takes, is then refused here, too.
+_to_json = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False).encode
+
+_ARRAY_ENTRIES = 8
+"""List and map entries of a small array where it travels unpacked."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a value may hold.
+
+    Attributes:
+        entries: of all its lists and maps together; an array counts as `_ARRAY_ENTRIES`.
+        size: bytes of its arrays and byte strings.
+    """
+
+    entries: int
+    size: int
+
+
+_NO_LIMITS = Limits(1 << 62, BODY_LIMIT)
 
 Place = Callable[[np.ndarray], Optional[tuple[int, int]]]
 """Puts an array into shared memory and returns its block and offset, or None if it must travel in the message."""
@@ -51,17 +74,19 @@ class PackingError(ValueError):
     """A value cannot be packed, or what arrived is not a packed value."""
 
 
-def encode(value: Any, place: Place | None = None) -> list[Data]:
+def encode(value: Any, place: Place | None = None, limits: Limits = _NO_LIMITS) -> list[Data]:
     """Return the pieces of one message; arrays are not copied unless they are small or not contiguous.
 
     Args:
         value: maps, lists, tuples, text, numbers, None, byte strings, numpy arrays and scalars, torch tensors.
         place: puts large arrays into shared memory.
+        limits: what it may hold; more than that is refused before it is gone through.
 
     Raises:
-        PackingError: for any other type, for arrays of objects or dates, and for more than fits.
+        PackingError: for any other type, for text that is no Unicode, for arrays of objects or dates, and for more than
+            fits.
     """
-    writer = _Writer(place)
+    writer = _Writer(place, limits)
     try:
         text = _to_json(writer.tree(value)).encode()
     except RecursionError:
@@ -109,7 +134,10 @@ def decode(message: Data, find: Find | None = None) -> Any:
     if len(view) != PREFIX_BYTES + header + body:
         raise PackingError(f"a packed value of {PREFIX_BYTES + header + body} bytes was announced, got {len(view)}")
     try:
-        tree = json.loads(str(view[PREFIX_BYTES : PREFIX_BYTES + header], "utf-8"))
+        text = str(view[PREFIX_BYTES : PREFIX_BYTES + header], "utf-8")
+        tree = json.loads(text)
+        if _SURROGATE.search(text):
+            _to_json(tree).encode()  # raises if one stands alone
         return _Reader(view[PREFIX_BYTES + header :], find).value(tree)
     except PackingError:
         raise
@@ -133,14 +161,17 @@ def map_key(key: Any) -> str:
 class _Writer:
     """Turns a value into a tree for the header and the pieces of the body."""
 
-    def __init__(self, place: Place | None) -> None:
+    def __init__(self, place: Place | None, limits: Limits) -> None:
         self._place = place
+        self._limits = limits
+        self._left = limits.entries
         self.pieces: list[Data] = []
         self.size = 0
 
     def tree(self, value: Any) -> Any:  # noqa: PLR0911 - one return for each kind of value
         kind = type(value)
         if kind is dict:
+            self._count(len(value))
             return {
                 key if type(key) is str and key[:1] != _ESCAPE else _escaped(map_key(key)): self.tree(item)
                 for key, item in value.items()
@@ -153,15 +184,23 @@ class _Writer:
         if isinstance(value, np.ndarray):
             return self._array(value)
         if isinstance(value, Mapping):
+            self._count(len(value))
             return {_escaped(map_key(key)): self.tree(item) for key, item in value.items()}
         if isinstance(value, (list, tuple)):
+            self._count(len(value))
             return self._rows(value) or [self.tree(item) for item in value]
         if isinstance(value, (bytes, bytearray, memoryview)):
             data = bytes(value)
             return {_BYTES: [self._add(data), len(data)]}
         return self._array(np.complex128(value) if isinstance(value, complex) else value)
 
+    def _count(self, entries: int) -> None:
+        self._left -= entries + 1
+        if self._left < 0:
+            raise PackingError(f"it holds more than {self._limits.entries} list and map entries: use large arrays")
+
     def _array(self, value: Any) -> Any:
+        self._count(_ARRAY_ENTRIES)
         if self._place is not None and isinstance(value, np.ndarray) and value.nbytes >= spec.LIMITS["shared_array"]:
             array = as_array(value)
             placed = self._place(array)
@@ -178,6 +217,9 @@ class _Writer:
         first = items[0] if len(items) > 1 else None
         if type(first) is not dict or not first or set(map(type, items)) != {dict}:
             return None
+        arrays = sum(isinstance(item, np.ndarray) for item in first.values())
+        if len(items) * arrays * _ARRAY_ENTRIES > self._left:  # before all of them are gone through
+            self._count(len(items) * arrays * _ARRAY_ENTRIES)
         if set(map(len, items)) != {len(first)} or set(map(type, first)) != {str}:
             return None
         try:
@@ -187,6 +229,7 @@ class _Writer:
         joined = [_joined(values) for values in columns]
         if None in joined:
             return None
+        self._count(len(items) * len(first) * _ARRAY_ENTRIES)
         return {
             _ROWS: {
                 _escaped(key): [self._add(data or b""), describe_dtype(values[0].dtype), (len(items), *values[0].shape)]
@@ -198,6 +241,8 @@ class _Writer:
         offset = self.size
         size = len(data)
         gap = -size % _ALIGN
+        if offset + size > self._limits.size:
+            raise PackingError(f"its arrays take more than the {self._limits.size} bytes that a message may have")
         self.pieces.append(data)
         if gap:
             self.pieces.append(_ZEROS[:gap])

@@ -90,10 +90,12 @@ def _lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) 
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:
-    """Yield an exception and what it was explicitly raised from."""
+    """Yield an exception and what it was explicitly raised from, each once: they may go round in a circle."""
     cause: BaseException | None = error
-    while cause is not None:
+    seen: set[int] = set()
+    while cause is not None and id(cause) not in seen:
         yield cause
+        seen.add(id(cause))
         cause = cause.__cause__
 
 

@@ -20,14 +20,13 @@ true` where the request itself was wrong, `"unserialisable": true` where the res
 from __future__ import annotations
 
 import gc
-import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 
 from xpl import _spec as spec
 from xpl.process import child
-from xpl.wire import packed
+from xpl.wire import packed, telling
 from xpl.worker.loading import check_shareable, ecosystem, load_model_class
 
 if TYPE_CHECKING:
@@ -37,8 +36,10 @@ if TYPE_CHECKING:
     from xpl.worker.stubs import Stubs
 
 
-# SystemExit, too: libraries that parse the command line end the process over an argument that is not theirs.
-_FAILURES = (Exception, SystemExit)
+# Not exceptions only: libraries that parse the command line end the process over an argument that is not theirs, and
+# what ends a generator or a program may slip out of a model. No signal raises here: Ctrl-C belongs to the parent.
+_FAILURES = (BaseException,)
+_ANSWER = packed.Limits(spec.LIMITS["elements"], spec.LIMITS["frame_bytes"])
 _WANTED: dict[str, type] = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}
 
 
@@ -168,7 +169,7 @@ class Worker:
             if not isinstance(result, BaseException):
                 try:
                     buffers.append(_packed_answer(request, result))
-                except Exception as error:  # noqa: BLE001 - also what a library's own array type raises while converted
+                except _FAILURES as error:  # also what a library's own array type raises while it is converted
                     answers.append({**describe(error), **self._lacks(error), "unserialisable": True})
                 else:
                     answers.append(None)
@@ -183,7 +184,10 @@ class Worker:
         """Return what an error tells of the machine; nothing if the adapter is to blame."""
         from xpl.worker.lacking import lacking
 
-        found = lacking(error, self._policy_dir, self._config)
+        try:
+            found = lacking(error, self._policy_dir, self._config)
+        except _FAILURES:  # an exception whose text cannot be had, for example
+            found = None
         if self._stubs is not None:
             from xpl.worker import stubs
 
@@ -274,7 +278,7 @@ def _packed_answer(request: Request, result: Any) -> bytes:
         entries = result if passes else {spec.Payload.ACTIONS: result}
     elif result is not None:
         entries = {spec.Payload.RESULT: result}
-    return b"".join(packed.encode(entries))
+    return b"".join(packed.encode(entries, limits=_ANSWER))
 
 
 def describe(error: BaseException) -> dict[str, str]:
@@ -282,9 +286,7 @@ def describe(error: BaseException) -> dict[str, str]:
     frames = error.__traceback__
     while frames is not None and frames.tb_frame.f_code.co_filename == __file__:
         frames = frames.tb_next
-    text = "".join(traceback.format_exception(type(error), error, frames))
-    message = f"the adapter called sys.exit({error.code!r})" if isinstance(error, SystemExit) else str(error)
-    return {"type": type(error).__name__, "message": message or type(error).__name__, "traceback": text}
+    return telling.describe(error, frames)
 
 
 def main(descriptor: int) -> NoReturn:

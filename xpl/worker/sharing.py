@@ -15,8 +15,8 @@ from xpl.observation import ObservationError, env_index, env_indices
 from xpl.policy import PolicyStateError
 
 _SPAN = spec.LIMITS["client_envs"]
-_FAILURES = (Exception, SystemExit)
-"""What belongs to the client whose request raised it; libraries that parse the command line end the process."""
+_FAILURES = (BaseException,)
+"""What belongs to the client whose request raised it: anything (`xpl.worker.main`)."""
 
 
 @dataclass

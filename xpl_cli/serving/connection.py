@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from picows import WSCloseCode, WSListener, WSMsgType
 
 from xpl import _spec as spec
-from xpl_cli.serving.logbook import log
+from xpl_cli.serving.logbook import Burst
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +26,7 @@ _NORMAL = 1000
 _CLEAN = (0, _NORMAL, 1001)
 """Codes of a goodbye; 0 is what the library calls a close frame without any (RFC 6455, section 7.1.5)."""
 _REASON_BYTES = 123  # RFC 6455, section 5.5
+_text_ignored = Burst("ignored a text message: the wire is binary", most=10)
 _DATA = (WSMsgType.BINARY, WSMsgType.TEXT, WSMsgType.CONTINUATION)
 
 
@@ -212,7 +213,7 @@ class Connection(WSListener):
         elif frame.fin:
             whole, self._message = bytes(self._message), None
             if self._is_text:
-                log("ignored a text message: the wire is binary")
+                _text_ignored.note()
             else:
                 self._whole(whole)
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import time
-import traceback
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl.wire import codec, packed
+from xpl.wire import codec, packed, telling
 from xpl_cli.serving.line import Job
 from xpl_cli.serving.logbook import log, log_lines
 from xpl_cli.serving.payloads import has_images, pack, without_images
@@ -26,6 +25,8 @@ if TYPE_CHECKING:
 _BEFORE_AN_EPISODE = frozenset((spec.Method.RESET, *spec.HOOKS))
 _TIMED = frozenset((spec.Message.INFER, spec.Message.CALL))
 _NOTHING = pack({})
+_AT_ONCE = 1 << 15
+"""Bytes of an answer that is unpacked at once, for a client that does not unpack itself; a thread does larger ones."""
 
 
 class Desk:
@@ -143,9 +144,16 @@ class Desk:
     def answered(self, job: Job, result: memoryview) -> None:
         """Send what the worker answered."""
         finished = time.monotonic()
+        if len(result) > _AT_ONCE and not _passes(job, result):
+            making = asyncio.get_running_loop().run_in_executor(None, _encoded, job, result, finished)
+            making.add_done_callback(lambda done: self._made(job, done.result, finished))
+        else:
+            self._made(job, lambda: _encoded(job, result, finished), finished)
+
+    def _made(self, job: Job, answer: Callable[[], bytes], finished: float) -> None:
         try:
-            data = _encoded(job, result, finished)
-        except codec.WireError as error:
+            data = answer()
+        except (codec.WireError, packed.PackingError) as error:
             self.refused(job, RequestError(spec.ErrorCode.INTERNAL, str(error)))
         except Exception as error:  # noqa: BLE001 - a fault of ours must not leave the client waiting
             self.refused(job, fault(error))
@@ -174,6 +182,12 @@ class Desk:
             log(f"reset for a new client failed: {error}")
         self._finish(job, refusal(job.frame, error), error.code, time.monotonic())
 
+    def failed(self, job: Job, error: Exception) -> None:
+        """Send that the answer to a request could not be given, unless one was."""
+        problem = fault(error)
+        if job.entry is not None and job.entry.answer is None:
+            job.place.replay.finish(job.frame.message_id, job.entry, refusal(job.frame, problem))
+
     def _finish(self, job: Job, data: bytes, outcome: str, finished: float) -> None:
         if job.entry is None:
             return
@@ -183,20 +197,26 @@ class Desk:
             self._observer.answered(job, finished, len(data), outcome)
 
 
+def _passes(job: Job, result: memoryview) -> bool:
+    """Tell whether an answer is passed on as the worker packed it."""
+    return job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]
+
+
 def acknowledged(frame: codec.Frame, payload: dict[str, Any]) -> bytes:
     """Return the frame that answers a request."""
     return codec.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload))
 
 
 def refusal(frame: codec.Frame, error: RequestError) -> bytes:
-    """Return the error frame that answers a request."""
+    """Return the error frame that answers a request; there is always one."""
     return codec.encode(frame.answer(spec.Message.ERROR, error.payload()))
 
 
 def fault(error: Exception) -> RequestError:
     """Return the error answer for a fault of the server itself."""
-    log_lines("".join(traceback.format_exception(error)))
-    return RequestError(spec.ErrorCode.INTERNAL, f"fault of the server: {type(error).__name__}: {error}")
+    told = telling.describe(error)
+    log_lines(told["traceback"])
+    return RequestError(spec.ErrorCode.INTERNAL, f"fault of the server: {told['type']}: {told['message']}")
 
 
 def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
@@ -204,7 +224,7 @@ def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
     payload: dict[str, Any] = {} if frame.message_type == spec.Message.INFER else {spec.Payload.OK: True}
     if frame.message_type in _TIMED:
         payload[spec.Payload.LATENCY_MS] = 1000.0 * (finished - job.arrived)
-    if job.packs and packed.lengths(result)[0] <= spec.LIMITS["packed_header"]:
+    if _passes(job, result):
         return codec.encode(frame.answer(str(spec.ANSWERS[frame.message_type]), payload), [result])
     return acknowledged(frame, {**payload, **packed.decode(result)})
 
@@ -212,7 +232,7 @@ def _encoded(job: Job, result: memoryview, finished: float) -> bytes:
 def _count(place: Place, frame: codec.Frame) -> None:
     """Check that no request is missing, or came a second time under another id."""
     number = frame.payload.get(spec.Payload.SEQUENCE)
-    if number != place.sequence:
+    if type(number) is not int or number != place.sequence:
         raise RequestError(
             spec.ErrorCode.INTERNAL,
             f"expected request {place.sequence}, got {number!r:.40}: one is missing, or came under two ids",

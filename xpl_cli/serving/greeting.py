@@ -23,20 +23,56 @@ _segments = itertools.count(1)
 _TRY_AGAIN = 1012  # service restart; registered in the WebSocket close code registry
 
 
+_PLAIN = (bool, int, float, str, bytes, type(None))
+_ENTRIES = 256
+"""Of all maps and lists in what a client announces of itself."""
+
+
 def capabilities(frame: codec.Frame) -> Mapping[str, Any]:
-    """Return what a client announced in hello."""
+    """Return what a client announced in hello: maps, lists, text and numbers, a few of them.
+
+    Raises:
+        RequestError: `invalid_frame` if it is anything else.
+    """
     given = frame.payload.get(spec.Payload.CAPABILITIES)
-    return given if isinstance(given, dict) else {}
+    if given is None:
+        return {}
+    if not isinstance(given, dict):
+        raise _invalid(spec.Payload.CAPABILITIES, f"must be a map, got {type(given).__name__}")
+    inside, entries = list(given.values()), 0
+    while inside:
+        value = inside.pop()
+        entries += 1
+        if isinstance(value, dict):
+            inside.extend(value.values())
+        elif isinstance(value, list):
+            inside.extend(value)
+        elif type(value) not in _PLAIN:
+            kind = type(value).__name__
+            raise _invalid(spec.Payload.CAPABILITIES, f"must hold text, numbers, lists, maps, got {kind}")
+        if entries + len(inside) > _ENTRIES:
+            raise _invalid(spec.Payload.CAPABILITIES, f"may have {_ENTRIES} entries")
+    return given
+
+
+def _invalid(part: str, problem: str, *differences: dict[str, Any]) -> RequestError:
+    text = f"{part} of hello {problem}"
+    return RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=list(differences))
 
 
 def greeting(policy: dict[str, Any], state: str, frame: codec.Frame) -> dict[str, Any]:
     """Return the answer to hello, but for what depends on the client's place.
 
     Raises:
-        RequestError: `mismatch` if policy and environment do not fit.
+        RequestError: `mismatch` if policy and environment do not fit; `invalid_frame` if what the environment says of
+            itself is not what it should be.
     """
-    offered = frame.payload.get(spec.Payload.ENVIRONMENT)
-    found = agreement.differences(policy, offered) if isinstance(offered, dict) else []
+    try:
+        offered = agreement.checked(frame.payload.get(spec.Payload.ENVIRONMENT))
+    except agreement.AnnouncementError as error:
+        told = {"field": error.field, "policy": None, "environment": None, "message": str(error)}
+        raise _invalid(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", told) from None
+    found = agreement.differences(policy, offered)
     if found:
         raise RequestError(
             spec.ErrorCode.INVALID_FRAME, agreement.sentence(found), spec.ErrorReason.MISMATCH, differences=found

@@ -34,25 +34,30 @@ def _write(text: str) -> None:
 
 
 class Burst:
-    """Says once what happens many times: at once, and then at most once a minute how often since.
+    """Says once what happens many times: at once, and then a minute later how often since.
 
     Args:
         text: what happens.
+        most: how often it is said in a minute.
         clock: the time, s.
     """
 
-    def __init__(self, text: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, text: str, most: int = 1, clock: Callable[[], float] = time.monotonic) -> None:
         self._text = text
+        self._most = most
         self._clock = clock
-        self._told = -_QUIET_S
+        self._begun = -_QUIET_S
+        self._told = 0
         self._untold = 0
 
     def note(self, detail: str = "") -> None:
         """Take note of one more."""
         now = self._clock()
-        if now - self._told < _QUIET_S:
+        if now - self._begun >= _QUIET_S:
+            self._begun, self._told = now, 0
+        if self._told >= self._most:
             self._untold += 1
             return
         more = f" ({self._untold} more since this was last said)" if self._untold else ""
         log(self._text + (f": {detail}" if detail else "") + more)
-        self._told, self._untold = now, 0
+        self._told, self._untold = self._told + 1, 0

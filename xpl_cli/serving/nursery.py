@@ -4,7 +4,8 @@ Half of what it takes to start a policy server is imports, and an audit starts d
 process without threads that is asked over a private socket: with each order come the descriptors of the new server's
 standard streams. It is started with the first order and ends with the process that started it.
 
-    -> {"arguments": [...], "cwd": "/...", "environment": {...}} and four descriptors: streams, and one to hold open
+    -> {"arguments": [...], "cwd": "/...", "environment": {...}, "limits": [...]} and four descriptors: streams, and one
+       to hold open
     <- {"pid": 123}
     -> {"status": 123}      once the process has let go of the fourth descriptor
     <- {"code": 0}
@@ -19,6 +20,7 @@ import gc
 import importlib
 import json
 import os
+import resource
 import runpy
 import selectors
 import signal
@@ -44,6 +46,7 @@ _PRELOADED: Final = (
 _START: Final = (
     "import sys; sys.path.insert(0, sys.argv[1]); from xpl_cli.serving.nursery import main; main(int(sys.argv[2]))"
 )
+_LIMITS: Final = frozenset(number for name, number in vars(resource).items() if name.startswith("RLIMIT_"))
 _HEAD: Final = 4
 _STREAMS: Final = 3
 _UNKNOWN: Final = -signal.SIGKILL
@@ -118,12 +121,17 @@ class Nursery:
             )
 
     def start(self, arguments: Sequence[str]) -> Hosted:
-        """Start `xpl` with arguments, in this process's working directory and environment as they are now.
+        """Start `xpl` with arguments, in this process's working directory, environment and limits as they are now.
 
         Raises:
             OSError, EOFError: if the nursery is gone.
         """
-        order = {"arguments": list(arguments), "cwd": str(Path.cwd()), "environment": dict(os.environ)}
+        order = {
+            "arguments": list(arguments),
+            "cwd": str(Path.cwd()),
+            "environment": dict(os.environ),
+            "limits": [(number, resource.getrlimit(number)) for number in _LIMITS],
+        }
         pipes = [os.pipe() for _ in range(_STREAMS + 1)]
         (stdin, to_stdin), *outputs = pipes
         theirs = [stdin, *(write for _, write in outputs)]
@@ -232,6 +240,9 @@ def _become(channel: socket.socket, order: Mapping[str, Any], descriptors: Seque
     os.environ.clear()
     os.environ.update(order["environment"])
     os.chdir(order["cwd"])
+    for number, limits in order["limits"]:
+        with contextlib.suppress(OSError, ValueError):  # a hard limit above ours
+            resource.setrlimit(number, tuple(limits))
     signal.signal(signal.SIGINT, signal.default_int_handler)
     gc.unfreeze()
     sys.argv = ["xpl", *order["arguments"]]

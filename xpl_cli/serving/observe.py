@@ -7,6 +7,7 @@ import time
 from typing import IO, TYPE_CHECKING, Any
 
 from xpl import _spec as spec
+from xpl_cli.serving.logbook import log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,8 +76,7 @@ class Observer:
                     "send": _ms(finished, sent),
                 },
             }
-            self._trace.write(json.dumps(line) + "\n")
-            self._trace.flush()
+            self._write(line)
 
     def refused(self, frame: codec.Frame, code: str) -> None:
         """Take note of a request that no worker was asked."""
@@ -88,8 +88,17 @@ class Observer:
                 spec.Frame.MESSAGE_TYPE: frame.message_type,
                 "outcome": code,
             }
-            self._trace.write(json.dumps(line) + "\n")
-            self._trace.flush()
+            self._write(line)
+
+    def _write(self, line: dict[str, Any]) -> None:
+        """Write a line of the trace; a disk that is full ends the trace, and nothing else."""
+        try:
+            if self._trace is not None:
+                self._trace.write(json.dumps(line) + "\n")
+                self._trace.flush()
+        except (OSError, ValueError) as error:
+            log(f"the trace ends here, because it cannot be written: {error}")
+            self._trace = None
 
 
 class _Metrics:

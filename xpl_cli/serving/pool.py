@@ -44,6 +44,9 @@ class Desk(Protocol):
     def refused(self, job: Job, error: RequestError) -> None:
         """Say that a job was not done."""
 
+    def failed(self, job: Job, error: Exception) -> None:
+        """Say that its answer could not be given, by a fault of ours."""
+
 
 class LoadError(Exception):
     """The model could not be loaded.
@@ -205,10 +208,14 @@ class Worker:
         self.line.finished(jobs, time.monotonic())
         results = iter(buffers)
         for job, error in zip(jobs, head["answers"], strict=True):
-            if error is None:
-                self._desk.answered(job, next(results))
-            else:
-                self._desk.raised(job, error)
+            result = next(results) if error is None else None
+            try:
+                if result is not None:
+                    self._desk.answered(job, result)
+                else:
+                    self._desk.raised(job, error)
+            except Exception as problem:  # noqa: BLE001 - one job of a batch never costs another its answer
+                self._desk.failed(job, problem)
         later, self._later = self._later, []
         for place, action in later:
             self.after(place, action)

@@ -16,7 +16,7 @@ from xpl.wire import codec
 from xpl_cli.serving import door
 from xpl_cli.serving.admission import Admission
 from xpl_cli.serving.connection import Connection, Timing
-from xpl_cli.serving.desk import Desk, acknowledged, refusal
+from xpl_cli.serving.desk import Desk, acknowledged, fault, refusal
 from xpl_cli.serving.greeting import capabilities, greeting, share_memory
 from xpl_cli.serving.logbook import Burst, log
 from xpl_cli.serving.places import Place, Places
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from xpl_cli.serving.names import Names
     from xpl_cli.serving.observe import Observer
     from xpl_cli.serving.worker import WorkerProcess
+
+
+_FRAMES = 100
+"""Frames that cannot be read, of which each is in the log, in a minute."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,7 @@ class FrontEnd:
         self._connections: dict[Connection, None] = {}
         self._most, half_open = door.room()
         self._door = door.Door(half_open)
+        self._refused = Burst("refused a frame", most=_FRAMES)
         self._dropped = Burst("dropped a connection that had said nothing: there are more than can be served")
         self._waiting: list[tuple[Connection, codec.Frame]] = []
         self._places = Places(len(processes), 1, settings.grace)
@@ -239,11 +244,11 @@ class FrontEnd:
         try:
             frame = codec.decode(data)
         except codec.WireError as error:
-            log(f"refused a frame: {error}")
+            self._refused.note(str(error))
             if error.message_id is not None:
                 known = {spec.Frame.EVALUATION_ID: "", **error.identifiers}
                 refused = RequestError(spec.ErrorCode.INVALID_FRAME, str(error), spec.ErrorReason.UNREADABLE)
-                connection.send(codec.encode(codec.Frame(spec.Message.ERROR, payload=refused.payload(), **known)))
+                connection.send(refusal(codec.Frame(spec.Message.ERROR, **known), refused))
             return
         kind = frame.message_type
         if kind == spec.Message.CLOSE:
@@ -254,10 +259,7 @@ class FrontEnd:
         if kind == spec.Message.HEARTBEAT:
             self._heartbeat(connection, frame)
         elif kind == spec.Message.HELLO:
-            if self.state == spec.ServerState.LOADING and not capabilities(frame).get(spec.Capability.LOADING):
-                self._waiting.append((connection, frame))
-            else:
-                self._hello(connection, frame)
+            self._hello(connection, frame)
         else:
             self._request(connection, frame, len(data))
 
@@ -267,27 +269,36 @@ class FrontEnd:
         connection.answer(acknowledged(frame, {spec.Payload.OK: True, **self._state()}))
 
     def _hello(self, connection: Connection, frame: codec.Frame) -> None:
-        """Greet a client: while the models load without a place."""
-        asked = capabilities(frame)
-        connection.packs = bool(asked.get(spec.Capability.PACKED))
-        connection.counts = bool(asked.get(spec.Capability.SEQUENCE))
+        """Greet a client, or say why not; one that does not know about loading is greeted once the models are there."""
         try:
-            answer = greeting(self._settings.policy, self.state, frame)
-            if self.state == spec.ServerState.LOADING:
-                instance = {spec.Payload.SERVER_INSTANCE_ID: self._instance}
-                connection.answer(acknowledged(frame, {**answer, **instance, **self._state()}))
-                return
-            place = self._place(connection, frame)
+            answer = self._greeting(connection, frame)
         except RequestError as error:
             connection.answer(refusal(frame, error))
-            return
+        except Exception as error:  # noqa: BLE001 - one bad hello must cost nobody else anything
+            connection.answer(refusal(frame, fault(error)))
+        else:
+            if answer is not None:
+                connection.answer(acknowledged(frame, answer))
+
+    def _greeting(self, connection: Connection, frame: codec.Frame) -> dict[str, Any] | None:
+        """Return the answer to hello: while the models load without a place, or None for who waits for them."""
+        asked = capabilities(frame)
+        answer = greeting(self._settings.policy, self.state, frame)
+        connection.packs = bool(asked.get(spec.Capability.PACKED))
+        connection.counts = bool(asked.get(spec.Capability.SEQUENCE))
+        if self.state == spec.ServerState.LOADING:
+            if not asked.get(spec.Capability.LOADING):
+                self._waiting.append((connection, frame))
+                return None
+            return {**answer, spec.Payload.SERVER_INSTANCE_ID: self._instance, **self._state()}
+        place = self._place(connection, frame)
         answer[spec.Payload.SERVER_INSTANCE_ID] = f"{self._instance}-{place.tenancy}"
         # Not with TLS: it says that the client is elsewhere, or that what it sends is to be seen by nobody.
         wanted = None if self._settings.tls is not None else asked.get(spec.Capability.SHARED_MEMORY)
         shared = share_memory(connection, self.workers[place.worker], wanted)
         if shared is not None:
             answer[spec.Payload.CAPABILITIES][spec.Capability.SHARED_MEMORY] = shared
-        connection.answer(acknowledged(frame, answer))
+        return answer
 
     def _request(self, connection: Connection, frame: codec.Frame, size: int) -> None:
         """Hand a request to the desk, if there is a place for it."""

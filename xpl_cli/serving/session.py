@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl.wire import codec, packed
+from xpl.wire import codec, packed, telling
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,9 +30,13 @@ class RequestError(Exception):
         self.details = details
 
     def payload(self) -> dict[str, Any]:
-        """Return the payload of the error frame."""
+        """Return the payload of the error frame, which can always be sent."""
         details = {**({"reason": self.reason} if self.reason else {}), **self.details}
-        return {spec.Payload.CODE: self.code, spec.Payload.MESSAGE: str(self), spec.Payload.DETAILS: details}
+        return {
+            spec.Payload.CODE: self.code,
+            spec.Payload.MESSAGE: telling.sendable(str(self)),
+            spec.Payload.DETAILS: telling.sendable_tree(details),
+        }
 
 
 _HOOKS = {

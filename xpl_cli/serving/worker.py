@@ -244,8 +244,11 @@ class WorkerProcess:
             return
         if on_answer is None:
             self._break("the link to the worker is out of step")
-        else:
+            return
+        try:
             on_answer(head, buffers)
+        except (ValueError, LookupError, TypeError, StopIteration) as error:  # the head is not what was agreed on
+            self._break(f"the link to the worker is out of step: {type(error).__name__}: {error}")
 
     async def _notice_end(self) -> None:
         """Notice the end of the process, which its children may hide: they hold the link, too."""
