@@ -60,6 +60,44 @@ def outcomes(path: Path, options: Options = STATIC) -> dict[str, Outcome]:
     return {result.slug: result.outcome for result in engine.audit(path, "policy", options).results}
 
 
+# -- where a rule lies -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gate", Gate)
+def test_a_rule_has_the_gate_and_the_name_of_its_folders(room: Room, gate: Gate) -> None:
+    """It declares neither, and no other gate imports it."""
+    file = room.rule("here", "yield from ()", code="XPL101", folder=gate.value)
+    (entry,) = room.entries()
+    assert [runs for runs in Gate if entry.runs_in(runs)] == [gate]
+    rule = entry.load()
+    assert (rule.slug, rule.gate, rule.target, rule.folder) == ("here", gate, "policy", file.parent)
+
+
+def test_a_rule_about_environments_says_in_which_gate_it_runs(room: Room) -> None:
+    """Its folder leaves that open; it looks at environments."""
+    room.rule("here", "yield from ()", code="XPL401", folder="environments", gate="offline")
+    (entry,) = room.entries()
+    assert [runs for runs in Gate if entry.runs_in(runs)] == [Gate.OFFLINE]
+    assert (entry.load().target, entry.load().gate) == ("env", Gate.OFFLINE)
+
+
+@pytest.mark.parametrize(
+    ("folder", "gate", "told"),
+    [
+        ("offline", "static", "folder says"),
+        ("environments", None, "give gate="),
+        ("other", None, "none of"),
+    ],
+)
+def test_a_rule_that_contradicts_its_folder_is_a_mistake_of_the_registry(
+    room: Room, folder: str, gate: str | None, told: str
+) -> None:
+    """Two places for one fact, or none."""
+    room.rule("here", "yield from ()", code="XPL101", folder=folder, gate=gate)
+    with pytest.raises(RegistryError, match=told):
+        room.entries()[0].load()
+
+
 # -- order and isolation -----------------------------------------------------------------------------------------------
 
 

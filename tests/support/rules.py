@@ -25,11 +25,21 @@ class Room:
 
     folder: Path
 
-    def rule(self, slug: str, body: str, *, code: str, after: tuple[str, ...] = (), facts: str = "source") -> Path:
-        """Write a rule, a SHOULD of the static gate, and return its file; `body` is that of its check."""
-        path = self.folder / slug / "rule.py"
-        path.parent.mkdir(exist_ok=True)
-        declaration = f'code="{code}", slug="{slug}", gate="static", requirement="XPL-PKG-6", after={after!r}'
+    def rule(
+        self,
+        slug: str,
+        body: str,
+        *,
+        code: str,
+        after: tuple[str, ...] = (),
+        facts: str = "source",
+        folder: str = "static",
+        gate: str | None = None,
+    ) -> Path:
+        """Write a rule, a SHOULD, and return its file; `body` is that of its check, `folder` that of its gate."""
+        path = self.folder / folder / slug / "rule.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        declaration = f'code="{code}", requirement="XPL-PKG-6", after={after!r}, gate={gate!r}'
         path.write_text(
             f'"""{code}: A rule of a test."""\n\n'
             "from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, NotRun, rule\n\n\n"
@@ -39,9 +49,7 @@ class Room:
 
     def entries(self) -> tuple[registry.Entry, ...]:
         """Return its rules in order of code."""
-        found = (
-            registry.Entry(path.read_text()[3:9], path.parent.name, path) for path in self.folder.glob("*/rule.py")
-        )
+        found = map(registry.Entry.at, self.folder.glob("*/*/rule.py"))
         return tuple(sorted(found, key=lambda entry: entry.code))
 
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.static.advice import Remark
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL602", slug="mypy-finds", gate="static", requirement="XPL-ADV-2")
+@rule(code="XPL602", requirement="XPL-ADV-2")
 def mypy_finds(source: Source, mypy: tuple[Remark, ...]) -> Iterator[Finding]:
     """The adapter's own files contradict themselves, mypy says.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.static.advice import Remark
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL601", slug="ruff-finds", gate="static", requirement="XPL-ADV-1")
+@rule(code="XPL601", requirement="XPL-ADV-1")
 def ruff_finds(source: Source, ruff: tuple[Remark, ...]) -> Iterator[Finding]:
     """The adapter's own files hold a likely bug, ruff says.
 

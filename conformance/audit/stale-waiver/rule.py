@@ -15,7 +15,7 @@ from xpl_cli.audit.static.source import Source
 _DELETE = Fix("advice", "delete the waiver; the history of the file keeps its reason")
 
 
-@rule(code="XPL501", slug="stale-waiver", gate="static", requirement="XPL-AUD-1")
+@rule(code="XPL501", gate="static", requirement="XPL-AUD-1")
 def stale_waiver(source: Source, waivers: tuple[Waiver, ...], checks: Checks, gate: Gate) -> Iterator[Finding]:
     """A waiver covers nothing any more.
 

@@ -12,14 +12,7 @@ SEEDS = (3, 8)
 TOLERANCE = 1e-5
 
 
-@rule(
-    code="XPL411",
-    slug="env-batch",
-    gate="offline",
-    requirement="XPL-ENV-10",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL411", gate="offline", requirement="XPL-ENV-10", after=("env-plays",))
 def env_batch(stage: Stage) -> Iterator[Finding]:
     """What an environment does depends on its neighbours in a batch.
 

@@ -8,14 +8,7 @@ from xpl_cli.audit import Finding, rule
 from xpl_cli.audit.environments.stage import Offer, Stage, Trial, difference, motion
 
 
-@rule(
-    code="XPL414",
-    slug="env-last-frame",
-    gate="offline",
-    requirement="XPL-ENV-14",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL414", gate="offline", requirement="XPL-ENV-14", after=("env-plays",))
 def env_last_frame(stage: Stage) -> Iterator[Finding]:
     """`get_obs_batch(last_frame=True)` does not return the observation that was returned last.
 

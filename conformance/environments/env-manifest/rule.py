@@ -11,7 +11,7 @@ from xpl_cli.audit.static.source import Source
 _NAME = "env.yml"
 
 
-@rule(code="XPL401", slug="env-manifest", gate="static", requirement="XPL-ENV-1", target="env")
+@rule(code="XPL401", gate="static", requirement="XPL-ENV-1")
 def env_manifest(source: Source) -> Iterator[Finding]:
     """env.yml does not say what the standard asks of it.
 

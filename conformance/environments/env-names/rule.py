@@ -14,7 +14,7 @@ from xpl_cli.audit.static.source import Source
 _NAME = "env.yml"
 
 
-@rule(code="XPL403", slug="env-names", gate="static", requirement="XPL-ENV-5", target="env")
+@rule(code="XPL403", gate="static", requirement="XPL-ENV-5")
 def env_names(source: Source) -> Iterator[Finding]:
     """env.yml names a robot, a camera or a kind of action that the standard does not know.
 

@@ -9,14 +9,7 @@ from xpl_cli.audit.environments.observations import problems
 from xpl_cli.audit.environments.stage import Offer, Stage, motion
 
 
-@rule(
-    code="XPL405",
-    slug="env-observations",
-    gate="offline",
-    requirement="XPL-ENV-3",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL405", gate="offline", requirement="XPL-ENV-3", after=("env-plays",))
 def env_observations(stage: Stage) -> Iterator[Finding]:
     """An observation is not what the standard says: a value is missing, or has another shape, type, unit or range.
 

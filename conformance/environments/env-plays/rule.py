@@ -9,13 +9,7 @@ from xpl_cli.audit import Finding, NotRun, rule
 from xpl_cli.audit.environments.stage import Offer, Stage, motion
 
 
-@rule(
-    code="XPL404",
-    slug="env-plays",
-    gate="offline",
-    requirement="XPL-ENV-6",
-    target="env",
-)
+@rule(code="XPL404", gate="offline", requirement="XPL-ENV-6")
 def env_plays(stage: Stage) -> Iterator[Finding]:
     """The environment cannot be made, reset or stepped in something that env.yml offers.
 

@@ -9,14 +9,7 @@ from xpl_cli.audit import Finding, rule
 from xpl_cli.audit.environments.stage import Offer, Stage
 
 
-@rule(
-    code="XPL415",
-    slug="env-privileged",
-    gate="offline",
-    requirement="XPL-ENV-15",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL415", gate="offline", requirement="XPL-ENV-15", after=("env-plays",))
 def env_privileged(stage: Stage) -> Iterator[Finding]:
     """Observations hold simulator truth that nobody asked for, or lack what env.yml promises.
 

@@ -18,14 +18,7 @@ ACCIDENTS = frozenset(
 )
 
 
-@rule(
-    code="XPL412",
-    slug="env-refuses",
-    gate="offline",
-    requirement="XPL-ENV-11",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL412", gate="offline", requirement="XPL-ENV-11", after=("env-plays",))
 def env_refuses(stage: Stage) -> Iterator[Finding]:
     """A mistake of a caller is not refused, or refused by an accident of the code.
 

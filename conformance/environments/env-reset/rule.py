@@ -10,14 +10,7 @@ from xpl_cli.audit.environments.stage import STEPS, Offer, Stage, difference
 SEED = 3
 
 
-@rule(
-    code="XPL410",
-    slug="env-reset",
-    gate="offline",
-    requirement="XPL-ENV-9",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL410", gate="offline", requirement="XPL-ENV-9", after=("env-plays",))
 def env_reset(stage: Stage) -> Iterator[Finding]:
     """An episode depends on the one before it.
 

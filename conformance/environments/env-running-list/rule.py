@@ -12,14 +12,7 @@ from xpl_cli.audit.environments.stage import Offer, Stage, Trial, difference, mo
 LIMIT = 4
 
 
-@rule(
-    code="XPL407",
-    slug="env-running-list",
-    gate="offline",
-    requirement="XPL-ENV-7",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL407", gate="offline", requirement="XPL-ENV-7", after=("env-plays",))
 def env_running_list(stage: Stage) -> Iterator[Finding]:
     """An environment whose episode has ended stays in the running list, or still moves.
 

@@ -10,14 +10,7 @@ from xpl_cli.audit.environments.stage import Offer, Stage, difference
 SEED = 3
 
 
-@rule(
-    code="XPL408",
-    slug="env-same-seed",
-    gate="offline",
-    requirement="XPL-ENV-4",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL408", gate="offline", requirement="XPL-ENV-4", after=("env-plays",))
 def env_same_seed(stage: Stage) -> Iterator[Finding]:
     """The same seed and the same actions do not give the same episode.
 

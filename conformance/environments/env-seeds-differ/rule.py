@@ -10,14 +10,7 @@ from xpl_cli.audit.environments.stage import Offer, Stage, difference
 SEEDS = (0, 1, 2, 3)
 
 
-@rule(
-    code="XPL409",
-    slug="env-seeds-differ",
-    gate="offline",
-    requirement="XPL-ENV-8",
-    target="env",
-    after=("env-plays",),
-)
+@rule(code="XPL409", gate="offline", requirement="XPL-ENV-8", after=("env-plays",))
 def env_seeds_differ(stage: Stage) -> Iterator[Finding]:
     """All seeds give the same episode.
 

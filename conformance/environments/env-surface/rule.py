@@ -19,7 +19,7 @@ _BASE = f"{Environment.__module__}.{Environment.__name__}"
 _SURFACE: dict[str, int] = _TASK_ENV["operations"]
 
 
-@rule(code="XPL402", slug="env-surface", gate="static", requirement="XPL-ENV-2", target="env")
+@rule(code="XPL402", gate="static", requirement="XPL-ENV-2")
 def env_surface(source: Source) -> Iterator[Finding]:
     """The client has no make(config), or what it makes lacks an operation that evaluation loops call.
 

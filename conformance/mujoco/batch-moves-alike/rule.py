@@ -15,7 +15,7 @@ _SEEDS = (3, 4)
 TOLERANCE = 1e-5  # float32 commands; batched kernels round differently
 
 
-@rule(code="XPL305", slug="batch-moves-alike", gate="mujoco", requirement="XPL-SIM-5")
+@rule(code="XPL305", requirement="XPL-SIM-5")
 def batch_moves_alike(simulation: Simulation) -> Iterator[Finding]:
     """Two environments in one batch move differently than one by one.
 

@@ -14,7 +14,7 @@ JOINT_FLOOR, POSITION_FLOOR = 0.1, 0.03  # rad, m: smaller changes are no jump
 RATIO = 5.0
 
 
-@rule(code="XPL304", slug="chunk-seams", gate="mujoco", requirement="XPL-SIM-4", profile="full")
+@rule(code="XPL304", requirement="XPL-SIM-4", profile="full")
 def chunk_seams(simulation: Simulation) -> Iterator[Finding]:
     """Commands jump where one chunk ends and the next begins.
 

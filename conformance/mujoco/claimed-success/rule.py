@@ -11,7 +11,7 @@ from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.rules.figures import ENVIRONMENT
 
 
-@rule(code="XPL311", slug="claimed-success", gate="mujoco", requirement="XPL-SIM-11", profile="full")
+@rule(code="XPL311", requirement="XPL-SIM-11", profile="full")
 def claimed_success(simulation: Simulation) -> Iterator[Finding]:
     """The manifest claims a success rate that is not what is measured.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.rules.figures import ENVIRONMENT
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL301", slug="closed-loop", gate="mujoco", requirement="XPL-SIM-1")
+@rule(code="XPL301", requirement="XPL-SIM-1")
 def closed_loop(simulation: Simulation) -> Iterator[Finding]:
     """A closed loop in physics breaks off.
 

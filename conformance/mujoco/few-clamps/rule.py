@@ -11,7 +11,7 @@ from xpl_cli.audit.served.probe import blame
 TOLERATED = 0.05
 
 
-@rule(code="XPL302", slug="few-clamps", gate="mujoco", requirement="XPL-SIM-2", profile="full")
+@rule(code="XPL302", requirement="XPL-SIM-2", profile="full")
 def few_clamps(simulation: Simulation) -> Iterator[Finding]:
     """The environment keeps clamping the commands.
 

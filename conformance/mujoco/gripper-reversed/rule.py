@@ -23,7 +23,7 @@ _TRIED = 4
 """Episodes in each environment whose grippers run the other way round."""
 
 
-@rule(code="XPL307", slug="gripper-reversed", gate="mujoco", requirement="XPL-SIM-7", profile="full")
+@rule(code="XPL307", requirement="XPL-SIM-7", profile="full")
 def gripper_reversed(simulation: Simulation) -> Iterator[Finding]:
     """The gripper opens where the policy means to close it.
 

@@ -13,7 +13,7 @@ from xpl_cli.audit.served.probe import blame
 _RATE = "control_frequency"
 
 
-@rule(code="XPL310", slug="loop-keeps-up", gate="mujoco", requirement="XPL-SIM-10", profile="full")
+@rule(code="XPL310", requirement="XPL-SIM-10", profile="full")
 def loop_keeps_up(simulation: Simulation) -> Iterator[Finding]:
     """In a closed loop the robot waits for the policy.
 

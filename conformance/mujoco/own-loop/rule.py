@@ -11,7 +11,7 @@ from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL312", slug="own-loop", gate="mujoco", requirement="XPL-SIM-12")
+@rule(code="XPL312", requirement="XPL-SIM-12")
 def own_loop(simulation: Simulation) -> Iterator[Finding]:
     """The adapter's own evaluation loop does not play an episode to its end.
 

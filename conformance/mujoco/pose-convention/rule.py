@@ -10,7 +10,7 @@ from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL308", slug="pose-convention", gate="mujoco", requirement="XPL-SIM-8", profile="full")
+@rule(code="XPL308", requirement="XPL-SIM-8", profile="full")
 def pose_convention(simulation: Simulation) -> Iterator[Finding]:
     """Commands are in another convention than observations.
 

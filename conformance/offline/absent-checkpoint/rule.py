@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL251", slug="absent-checkpoint", gate="offline", requirement="XPL-CKP-1", profile="full")
+@rule(code="XPL251", requirement="XPL-CKP-1", profile="full")
 def absent_checkpoint(configurations: Configurations) -> Iterator[Finding]:
     """A checkpoint or a step that is not there is replaced by another.
 

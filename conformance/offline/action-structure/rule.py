@@ -10,7 +10,7 @@ from xpl_cli.audit.served.compare import shapes
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL202", slug="action-structure", gate="offline", requirement="XPL-ACT-1")
+@rule(code="XPL202", requirement="XPL-ACT-1")
 def action_structure(motions: Motions) -> Iterator[Finding]:
     """Actions lack keys, dimensions or finite values that the embodiment asks for.
 

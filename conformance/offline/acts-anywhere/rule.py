@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL253", slug="acts-anywhere", gate="offline", requirement="XPL-CKP-3")
+@rule(code="XPL253", requirement="XPL-CKP-3")
 def acts_anywhere(configurations: Configurations) -> Iterator[Finding]:
     """The adapter depends on the folder in which its process runs.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.compare import answers, brief, difference, error_code,
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL222", slug="after-an-error", gate="offline", requirement="XPL-EPI-1")
+@rule(code="XPL222", requirement="XPL-EPI-1")
 def after_an_error(probe: Probe) -> Iterator[Finding]:
     """An error in one episode reaches the next one.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.inputs import antipodal, turned
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL241", slug="antipodal-alike", gate="offline", requirement="XPL-OBS-9", profile="full")
+@rule(code="XPL241", requirement="XPL-OBS-9", profile="full")
 def antipodal_alike(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A quaternion and its negative, which are one rotation, are answered differently.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, difference, error_code, first_st
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL211", slug="ask-twice", gate="offline", requirement="XPL-EPI-5")
+@rule(code="XPL211", requirement="XPL-EPI-5")
 def ask_twice(probe: Probe) -> Iterator[Finding]:
     """Asking twice on one observation fails, or is answered otherwise.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, difference, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL204", slug="batch-none-and-empty", gate="offline", requirement="XPL-BAT-2")
+@rule(code="XPL204", requirement="XPL-BAT-2")
 def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     """None and the empty list are confused.
 

@@ -19,13 +19,7 @@ _STEPS: tuple[tuple[list[int], list[int] | None], ...] = (
 _COMPARED = (3, 0)
 
 
-@rule(
-    code="XPL218",
-    slug="batch-shrinks",
-    gate="offline",
-    requirement="XPL-BAT-5",
-    after=("batch-order", "batch-none-and-empty", "batch-independent"),
-)
+@rule(code="XPL218", requirement="XPL-BAT-5", after=("batch-order", "batch-none-and-empty", "batch-independent"))
 def batch_shrinks(probe: Probe) -> Iterator[Finding]:
     """An environment acts differently once others of its batch have ended.
 

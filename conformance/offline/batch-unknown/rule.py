@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL205", slug="batch-unknown", gate="offline", requirement="XPL-BAT-3")
+@rule(code="XPL205", requirement="XPL-BAT-3")
 def batch_unknown(probe: Probe) -> Iterator[Finding]:
     """An unknown or repeated environment is answered instead of refused.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.compare import answers, first_step, same
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL229", slug="between-queries", gate="offline", requirement="XPL-EPI-8")
+@rule(code="XPL229", requirement="XPL-EPI-8")
 def between_queries(probe: Probe) -> Iterator[Finding]:
     """What is shown between two questions does not reach the model.
 

@@ -8,7 +8,7 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL252", slug="checkpoint-intact", gate="offline", requirement="XPL-CKP-2", profile="full")
+@rule(code="XPL252", requirement="XPL-CKP-2", profile="full")
 def checkpoint_intact(probe: Probe) -> Iterator[Finding]:
     """Serving the adapter has changed files of its checkpoint.
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.served.compare import answers
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL236", slug="chunk-length", gate="offline", requirement="XPL-ACT-7")
+@rule(code="XPL236", requirement="XPL-ACT-7")
 def chunk_length(probe: Probe, motions: Motions) -> Iterator[Finding]:
     """Chunks do not have the length that the manifest declares.
 

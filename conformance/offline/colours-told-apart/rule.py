@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL230", slug="colours-told-apart", gate="offline", requirement="XPL-OBS-7", profile="full")
+@rule(code="XPL230", requirement="XPL-OBS-7", profile="full")
 def colours_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A policy that sees does not tell red from blue.
 

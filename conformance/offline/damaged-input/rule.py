@@ -11,7 +11,7 @@ from xpl_cli.audit.served.inputs import present
 from xpl_cli.audit.served.probe import Probe
 
 
-@rule(code="XPL235", slug="damaged-input", gate="offline", requirement="XPL-OBS-8")
+@rule(code="XPL235", requirement="XPL-OBS-8")
 def damaged_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A required input that is damaged is passed on to the model.
 

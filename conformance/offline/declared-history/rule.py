@@ -11,7 +11,7 @@ from xpl_cli.audit.served.compare import answers, difference, first_step
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL221", slug="declared-history", gate="offline", requirement="XPL-CFG-9")
+@rule(code="XPL221", requirement="XPL-CFG-9")
 def declared_history(probe: Probe) -> Iterator[Finding]:
     """Actions depend on older observations than the manifest declares.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.probe import blame
 from xpl_cli.audit.served.service import Service
 
 
-@rule(code="XPL245", slug="ends-with-server", gate="offline", requirement="XPL-SRV-5")
+@rule(code="XPL245", requirement="XPL-SRV-5")
 def ends_with_server(service: Service) -> Iterator[Finding]:
     """Processes of the adapter outlive the policy server, or hold up its end.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.offline.motion import Motions
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL237", slug="first-action-near", gate="offline", requirement="XPL-ACT-8", profile="full")
+@rule(code="XPL237", requirement="XPL-ACT-8", profile="full")
 def first_action_near(motions: Motions) -> Iterator[Finding]:
     """The first action of an episode is far from where the robot is.
 

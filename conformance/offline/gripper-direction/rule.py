@@ -18,7 +18,7 @@ _EXACT = 1e-3
 _INVERTED, _SCALED = -0.5, 0.3
 
 
-@rule(code="XPL242", slug="gripper-direction", gate="offline", requirement="XPL-ACT-5", profile="full")
+@rule(code="XPL242", requirement="XPL-ACT-5", profile="full")
 def gripper_direction(probe: Probe) -> Iterator[Finding]:
     """Gripper commands run the other way round, or in another unit.
 

@@ -19,7 +19,7 @@ turn, has lost it on the way."""
 _FIX = Fix("advice", "convert rotations with xpl.rotation, which is exact at half turns")
 
 
-@rule(code="XPL240", slug="half-turns-kept", gate="offline", requirement="XPL-ACT-16", profile="full")
+@rule(code="XPL240", requirement="XPL-ACT-16", profile="full")
 def half_turns_kept(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A half turn of the end effector is lost.
 

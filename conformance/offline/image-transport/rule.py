@@ -12,7 +12,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.transports import FORMS, decoded, encoded, error_of, sees_pictures
 
 
-@rule(code="XPL225", slug="image-transport", gate="offline", requirement="XPL-IMG-2")
+@rule(code="XPL225", requirement="XPL-IMG-2")
 def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
     """Actions depend on how a picture travelled.
 

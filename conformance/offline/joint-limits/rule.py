@@ -11,7 +11,7 @@ from xpl_cli.audit.offline.motion import Motions
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL238", slug="joint-limits", gate="offline", requirement="XPL-ACT-9", profile="full")
+@rule(code="XPL238", requirement="XPL-ACT-9", profile="full")
 def joint_limits(motions: Motions) -> Iterator[Finding]:
     """Joints are commanded past the limits of the embodiment.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.service import Service
 _RATE = "control_frequency"
 
 
-@rule(code="XPL247", slug="keeps-the-rate", gate="offline", requirement="XPL-SRV-6", profile="full")
+@rule(code="XPL247", requirement="XPL-SRV-6", profile="full")
 def keeps_the_rate(probe: Probe, service: Service) -> Iterator[Finding]:
     """A chunk takes longer to compute than to execute.
 

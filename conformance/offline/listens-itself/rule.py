@@ -9,7 +9,7 @@ from xpl_cli.audit.served.probe import blame
 from xpl_cli.audit.served.service import Service
 
 
-@rule(code="XPL244", slug="listens-itself", gate="offline", requirement="XPL-SRV-9")
+@rule(code="XPL244", requirement="XPL-SRV-9")
 def listens_itself(service: Service) -> Iterator[Finding]:
     """The adapter listens on a network port of its own.
 

@@ -16,7 +16,7 @@ _UNREAD = "{faults}, the policy goes on instead of stopping: {name}, which the m
 _FIX = Fix("advice", "read required fields with xpl.observation, which raises, and never default to zeros")
 
 
-@rule(code="XPL213", slug="missing-input", gate="offline", requirement="XPL-OBS-3")
+@rule(code="XPL213", requirement="XPL-OBS-3")
 def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A required input that is missing is silently replaced.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.probe import blame
 _MOST = 8
 
 
-@rule(code="XPL250", slug="null-means-absent", gate="offline", requirement="XPL-CFG-6")
+@rule(code="XPL250", requirement="XPL-CFG-6")
 def null_means_absent(configurations: Configurations) -> Iterator[Finding]:
     """A setting that is null is not treated as one that was left out.
 

@@ -13,7 +13,7 @@ _SHOWN = 4
 """Findings that are made at most; one cause changes many keys."""
 
 
-@rule(code="XPL226", slug="observation-intact", gate="offline", requirement="XPL-OBS-5")
+@rule(code="XPL226", requirement="XPL-OBS-5")
 def observation_intact(rehearsal: Rehearsal) -> Iterator[Finding]:
     """The adapter changes an observation that it was shown.
 

@@ -11,13 +11,7 @@ from xpl_cli.audit.served.compare import answers, difference, first_step, same
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(
-    code="XPL220",
-    slug="own-instruction",
-    gate="offline",
-    requirement="XPL-BAT-6",
-    after=("batch-order", "batch-independent"),
-)
+@rule(code="XPL220", requirement="XPL-BAT-6", after=("batch-order", "batch-independent"))
 def own_instruction(probe: Probe) -> Iterator[Finding]:
     """An environment follows the instruction of another one.
 

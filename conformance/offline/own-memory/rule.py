@@ -13,7 +13,7 @@ _SHOWN = 4
 """Findings that are made at most; one cause changes many keys."""
 
 
-@rule(code="XPL227", slug="own-memory", gate="offline", requirement="XPL-OBS-5")
+@rule(code="XPL227", requirement="XPL-OBS-5")
 def own_memory(rehearsal: Rehearsal) -> Iterator[Finding]:
     """An action shares memory with an observation.
 

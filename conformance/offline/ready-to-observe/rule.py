@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL254", slug="ready-to-observe", gate="offline", requirement="XPL-EPI-7")
+@rule(code="XPL254", requirement="XPL-EPI-7")
 def ready_to_observe(probe: Probe) -> Iterator[Finding]:
     """A new model fails on its first observation unless it is reset before.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.service import Service
 _TIMES, _LONGER_S = 10.0, 2.0
 
 
-@rule(code="XPL246", slug="ready-when-said", gate="offline", requirement="XPL-SRV-10", profile="full")
+@rule(code="XPL246", requirement="XPL-SRV-10", profile="full")
 def ready_when_said(service: Service) -> Iterator[Finding]:
     """The server says that it is ready before the model is.
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.rehearsal import Rehearsal
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL224", slug="reset-fails-loudly", gate="offline", requirement="XPL-EPI-4")
+@rule(code="XPL224", requirement="XPL-EPI-4")
 def reset_fails_loudly(rehearsal: Rehearsal) -> Iterator[Finding]:
     """A reset that fails passes for one that worked.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL209", slug="reset-then-ask", gate="offline", requirement="XPL-EPI-3")
+@rule(code="XPL209", requirement="XPL-EPI-3")
 def reset_then_ask(probe: Probe) -> Iterator[Finding]:
     """After reset the adapter still answers from the last episode.
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL232", slug="sides-told-apart", gate="offline", requirement="XPL-OBS-7", profile="full")
+@rule(code="XPL232", requirement="XPL-OBS-7", profile="full")
 def sides_told_apart(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """The arms of a robot are not told apart.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.offline.motion import Motions
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL239", slug="step-size", gate="offline", requirement="XPL-ACT-15", profile="full")
+@rule(code="XPL239", requirement="XPL-ACT-15", profile="full")
 def step_size(motions: Motions) -> Iterator[Finding]:
     """Consecutive actions of a chunk are farther apart than the robot can move.
 

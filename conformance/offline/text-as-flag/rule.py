@@ -12,7 +12,7 @@ _FLAGS = (True, False)
 _MOST = 4
 
 
-@rule(code="XPL249", slug="text-as-flag", gate="offline", requirement="XPL-CFG-3")
+@rule(code="XPL249", requirement="XPL-CFG-3")
 def text_as_flag(configurations: Configurations) -> Iterator[Finding]:
     """A setting that is switched off by text stays on.
 

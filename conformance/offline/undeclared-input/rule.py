@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe
 
 
-@rule(code="XPL234", slug="undeclared-input", gate="offline", requirement="XPL-CFG-9", profile="full")
+@rule(code="XPL234", requirement="XPL-CFG-9", profile="full")
 def undeclared_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """The actions depend on an input that the manifest does not name, or says is unused.
 

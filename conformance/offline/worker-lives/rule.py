@@ -9,7 +9,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.service import Service
 
 
-@rule(code="XPL243", slug="worker-lives", gate="offline", requirement="XPL-SRV-5")
+@rule(code="XPL243", requirement="XPL-SRV-5")
 def worker_lives(probe: Probe, service: Service) -> Iterator[Finding]:
     """The adapter's process ends, or breaks its link to the server, while it is asked.
 

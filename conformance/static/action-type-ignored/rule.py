@@ -17,7 +17,7 @@ _SUFFIXES = {sdk.State.ARM_JOINT_STATE: "joint", sdk.State.EE_POSE: "ee"}
 _REPORTS = frozenset(("print", "log", "info", "debug", "warning", "warn", "error"))
 
 
-@rule(code="XPL149", slug="action-type-ignored", gate="static", requirement="XPL-ACT-10")
+@rule(code="XPL149", requirement="XPL-ACT-10")
 def action_type_ignored(source: Source) -> Iterator[Finding]:
     """The adapter answers with one type of action, whichever was asked for.
 

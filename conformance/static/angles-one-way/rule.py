@@ -19,7 +19,7 @@ _OTHER: Final = {"degrees": "radians", "radians": "degrees"}
 _ELSEWHERE: Final = frozenset(("fov", "fovy", "camera", "intrinsic", "lat", "lon"))
 
 
-@rule(code="XPL176", slug="angles-one-way", gate="static", requirement="XPL-ACT-14")
+@rule(code="XPL176", requirement="XPL-ACT-14")
 def angles_one_way(source: Source) -> Iterator[Finding]:
     """Angles are converted to degrees for the network, and its answer goes out in degrees, or the other way round.
 

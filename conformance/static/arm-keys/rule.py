@@ -17,7 +17,7 @@ _LEFT = sdk.ARM_PREFIXES[2][0]
 _COUNTS = ("num_arm", "n_arm", "arm_dim", "ee_dim", "arms", "is_dual", "dual", "single", "bimanual", "prefix")
 
 
-@rule(code="XPL152", slug="arm-keys", gate="static", requirement="XPL-ACT-1")
+@rule(code="XPL152", requirement="XPL-ACT-1")
 def arm_keys(source: Source) -> Iterator[Finding]:
     """The adapter counts the arms, and gives the only arm of a robot the key of a left one.
 

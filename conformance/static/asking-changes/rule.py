@@ -17,7 +17,7 @@ _SAME_AGAIN = frozenset(("asarray", "array", "ascontiguousarray", "as_tensor", "
 _DROPS = frozenset(("clear", "pop", "popitem", "popleft"))
 
 
-@rule(code="XPL141", slug="asking-changes", gate="static", requirement="XPL-EPI-5")
+@rule(code="XPL141", requirement="XPL-EPI-5")
 def asking_changes(source: Source) -> Iterator[Finding]:
     """Asking for an action changes or drops the stored observation.
 

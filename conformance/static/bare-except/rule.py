@@ -9,7 +9,7 @@ from xpl_cli.audit import Edit, Finding, Fix, rule
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL131", slug="bare-except", gate="static", requirement="XPL-PKG-6")
+@rule(code="XPL131", requirement="XPL-PKG-6")
 def bare_except(source: Source) -> Iterator[Finding]:
     """A bare except hides every error, interrupts included.
 

@@ -14,7 +14,7 @@ from xpl_cli.audit.static.syntax import called, names, parameters, targets
 _FIX = Fix("advice", "keep observations in a map by environment index, and look up each entry of the list")
 
 
-@rule(code="XPL109", slug="batch-by-position", gate="static", requirement="XPL-BAT-1")
+@rule(code="XPL109", requirement="XPL-BAT-1")
 def batch_by_position(source: Source) -> Iterator[Finding]:
     """get_action_batch ignores which environments it is asked for, or only counts them.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import enclosing
 
 
-@rule(code="XPL136", slug="between-actions", gate="static", requirement="XPL-LOOP-4")
+@rule(code="XPL136", requirement="XPL-LOOP-4")
 def between_actions(source: Source) -> Iterator[Finding]:
     """The policy sees no observation between the actions of a chunk.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.static.blanks import blanks
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL123", slug="blank-camera", gate="static", requirement="XPL-OBS-3")
+@rule(code="XPL123", requirement="XPL-OBS-3")
 def blank_camera(source: Source) -> Iterator[Finding]:
     """A camera that is missing becomes a black image.
 

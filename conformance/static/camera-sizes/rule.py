@@ -13,7 +13,7 @@ _NAME = sdk.File.POLICY_YML
 _KEY = "cameras"
 
 
-@rule(code="XPL186", slug="camera-sizes", gate="static", requirement="XPL-CFG-13", after=("manifest",))
+@rule(code="XPL186", requirement="XPL-CFG-13", after=("manifest",))
 def camera_sizes(source: Source) -> Iterator[Finding]:
     """The manifest does not say which images the policy needs.
 

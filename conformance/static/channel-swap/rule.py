@@ -11,7 +11,7 @@ from xpl_cli.audit.static.colour import swaps
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL121", slug="channel-swap", gate="static", requirement="XPL-IMG-1")
+@rule(code="XPL121", requirement="XPL-IMG-1")
 def channel_swap(source: Source) -> Iterator[Finding]:
     """The adapter exchanges red and blue in images that are RGB.
 

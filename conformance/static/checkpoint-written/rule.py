@@ -32,7 +32,7 @@ _WRITES = {
 _LIBRARIES = frozenset(("os", "shutil", "torch", "np", "numpy", "json", "safetensors"))
 
 
-@rule(code="XPL127", slug="checkpoint-written", gate="static", requirement="XPL-CKP-2")
+@rule(code="XPL127", requirement="XPL-CKP-2")
 def checkpoint_written(source: Source) -> Iterator[Finding]:
     """Loading changes files of the checkpoint.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, dotted, enclosing, leaves, names, targets
 
 
-@rule(code="XPL134", slug="chunk-end", gate="static", requirement="XPL-LOOP-2")
+@rule(code="XPL134", requirement="XPL-LOOP-2")
 def chunk_end(source: Source) -> Iterator[Finding]:
     """The loop goes on executing a chunk after the episode has ended.
 

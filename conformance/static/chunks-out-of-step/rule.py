@@ -14,7 +14,7 @@ from xpl_cli.audit.static.syntax import called, last, names, targets
 _BATCH, _RUNNING = EXECUTES[1], ENDS[1]
 
 
-@rule(code="XPL163", slug="chunks-out-of-step", gate="static", requirement="XPL-LOOP-6")
+@rule(code="XPL163", requirement="XPL-LOOP-6")
 def chunks_out_of_step(source: Source) -> Iterator[Finding]:
     """After an environment has ended, the others execute chunks that are not theirs.
 

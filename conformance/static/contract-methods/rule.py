@@ -14,7 +14,7 @@ from xpl_cli.audit.static.syntax import called, last
 _CONSEQUENCE = "a client that calls it gets an error"
 
 
-@rule(code="XPL105", slug="contract-methods", gate="static", requirement="XPL-CON-2")
+@rule(code="XPL105", requirement="XPL-CON-2")
 def contract_methods(source: Source) -> Iterator[Finding]:
     """The class Model is missing, or lacks an operation that clients call.
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.static.colour import swaps
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL122", slug="conversion-channel-swap", gate="static", requirement="XPL-IMG-3")
+@rule(code="XPL122", requirement="XPL-IMG-3")
 def conversion_channel_swap(source: Source) -> Iterator[Finding]:
     """Training data gets red and blue exchanged, and evaluation does not.
 

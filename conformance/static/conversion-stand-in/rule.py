@@ -17,7 +17,7 @@ _MAKERS: Final = frozenset(("zeros", "zeros_like", "full", "new"))
 _ACTION, _STATE = "action", sdk.Obs.STATE
 
 
-@rule(code="XPL168", slug="conversion-stand-in", gate="static", requirement="XPL-DAT-1")
+@rule(code="XPL168", requirement="XPL-DAT-1")
 def conversion_stand_in(source: Source) -> Iterator[Finding]:
     """Training data gets invented values where a recording lacks something.
 

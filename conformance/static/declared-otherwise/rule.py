@@ -42,7 +42,7 @@ _CHOICES: Final = {
 }
 
 
-@rule(code="XPL166", slug="declared-otherwise", gate="static", requirement="XPL-CFG-9")
+@rule(code="XPL166", requirement="XPL-CFG-9")
 def declared_otherwise(source: Source) -> Iterator[Finding]:
     """policy.yml declares something else than the code does.
 

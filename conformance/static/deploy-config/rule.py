@@ -10,7 +10,7 @@ from xpl_cli.audit.static.manifests import key_line, renamed, schema_findings
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL103", slug="deploy-config", gate="static", requirement="XPL-CFG-1")
+@rule(code="XPL103", requirement="XPL-CFG-1")
 def deploy_config(source: Source) -> Iterator[Finding]:
     """deploy.yml lacks a required key, has a value of the wrong kind, or names another policy.
 

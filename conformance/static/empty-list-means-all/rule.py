@@ -12,7 +12,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import always_raises, parameters, targets
 
 
-@rule(code="XPL110", slug="empty-list-means-all", gate="static", requirement="XPL-BAT-2")
+@rule(code="XPL110", requirement="XPL-BAT-2")
 def empty_list_means_all(source: Source) -> Iterator[Finding]:
     """An empty list of environments is taken for "not given".
 

@@ -17,7 +17,7 @@ _ENDS: Final = frozenset(("exit", "_exit", "abort"))
 _CLIENT: Final = frozenset((sdk.Message.CALL, *sdk.CONTRACT_METHODS))
 
 
-@rule(code="XPL181", slug="error-counted", gate="static", requirement="XPL-LOOP-9")
+@rule(code="XPL181", requirement="XPL-LOOP-9")
 def error_counted(source: Source) -> Iterator[Finding]:
     """The loop catches an error, and the episode counts as one that the policy failed.
 

@@ -13,7 +13,7 @@ from xpl_cli.audit.static.syntax import parameters
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL133", slug="evaluation-loop", gate="static", requirement="XPL-LOOP-1")
+@rule(code="XPL133", requirement="XPL-LOOP-1")
 def evaluation_loop(source: Source) -> Iterator[Finding]:
     """deploy.py lacks an evaluation function, or it cannot be called by a benchmark.
 

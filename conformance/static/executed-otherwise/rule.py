@@ -32,7 +32,7 @@ _HARMLESS: Final = frozenset(
 ) | {"tuple", "values", "zip"}
 
 
-@rule(code="XPL164", slug="executed-otherwise", gate="static", requirement="XPL-LOOP-7")
+@rule(code="XPL164", requirement="XPL-LOOP-7")
 def executed_otherwise(source: Source) -> Iterator[Finding]:
     """deploy.py executes something else than the policy answered.
 

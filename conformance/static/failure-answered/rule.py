@@ -23,7 +23,7 @@ _SIDE = frozenset(
 """Calls whose failure leaves the action as it is: records, messages, conversions of a single value."""
 
 
-@rule(code="XPL146", slug="failure-answered", gate="static", requirement="XPL-CON-6")
+@rule(code="XPL146", requirement="XPL-CON-6")
 def failure_answered(source: Source) -> Iterator[Finding]:
     """An exception of the model is caught, and an action is returned all the same.
 

@@ -13,7 +13,7 @@ from xpl_cli.audit.static.source import Source
 _ASKED: Final = frozenset(("if", "elif", "while", "until", "!"))
 
 
-@rule(code="XPL156", slug="failure-passes", gate="static", requirement="XPL-PKG-10")
+@rule(code="XPL156", requirement="XPL-PKG-10")
 def failure_passes(source: Source) -> Iterator[Finding]:
     """A script goes on after a step that failed, and ends as if all had gone well.
 

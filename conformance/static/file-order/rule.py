@@ -16,7 +16,7 @@ _LISTS: Final = frozenset(("listdir", "glob", "iglob", "rglob", "iterdir", "scan
 _KEEPS: Final = frozenset(("list", "tuple", "enumerate", "tqdm", "iter"))
 
 
-@rule(code="XPL182", slug="file-order", gate="static", requirement="XPL-CKP-6")
+@rule(code="XPL182", requirement="XPL-CKP-6")
 def file_order(source: Source) -> Iterator[Finding]:
     """The first or last of a folder's files is taken, in whatever order the disk gives them.
 

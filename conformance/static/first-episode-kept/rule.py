@@ -16,7 +16,7 @@ from xpl_cli.audit.static.syntax import called, last, names, parameters, targets
 _ABOUT_SIZE = frozenset(("shape", "ndim", "dtype", "device", "size"))
 
 
-@rule(code="XPL144", slug="first-episode-kept", gate="static", requirement="XPL-EPI-1")
+@rule(code="XPL144", requirement="XPL-EPI-1")
 def first_episode_kept(source: Source) -> Iterator[Finding]:
     """What the first observation of all set is kept for every later episode.
 

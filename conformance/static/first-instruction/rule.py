@@ -17,7 +17,7 @@ _KEYS = frozenset((sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS, "prompt", "lang", 
 _FIX = Fix("advice", "keep the instruction with the observation it came with, and pass a list of them to the model")
 
 
-@rule(code="XPL114", slug="first-instruction", gate="static", requirement="XPL-BAT-6")
+@rule(code="XPL114", requirement="XPL-BAT-6")
 def first_instruction(source: Source) -> Iterator[Finding]:
     """One environment's instruction is used for the whole batch.
 

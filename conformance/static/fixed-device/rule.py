@@ -17,7 +17,7 @@ _PLACES = frozenset(("to", "device", "set_device"))
 _VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 
-@rule(code="XPL153", slug="fixed-device", gate="static", requirement="XPL-CFG-7")
+@rule(code="XPL153", requirement="XPL-CFG-7")
 def fixed_device(source: Source) -> Iterator[Finding]:
     """The model goes to one device, whatever was configured.
 

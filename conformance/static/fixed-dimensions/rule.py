@@ -33,7 +33,7 @@ def _layouts() -> list[tuple[str, frozenset[int], int]]:
     return found
 
 
-@rule(code="XPL125", slug="fixed-dimensions", gate="static", requirement="XPL-ACT-6")
+@rule(code="XPL125", requirement="XPL-ACT-6")
 def fixed_dimensions(source: Source) -> Iterator[Finding]:
     """The adapter cuts vectors by the dimensions of one robot.
 

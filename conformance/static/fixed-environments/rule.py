@@ -19,7 +19,7 @@ _ENVIRONMENT: Final = re.compile(rf"{sdk.Obs.ENV_IDX}|env(ironment)?(_?id|_index
 _COUNT: Final = re.compile(r"(num|n)_?envs?|num_environments|batch_of_envs")
 
 
-@rule(code="XPL172", slug="fixed-environments", gate="static", requirement="XPL-BAT-8")
+@rule(code="XPL172", requirement="XPL-BAT-8")
 def fixed_environments(source: Source) -> Iterator[Finding]:
     """There is room for a fixed number of environments, or only the first few are asked.
 

@@ -14,7 +14,7 @@ from xpl_cli.audit.static.syntax import called, constant, enclosing, parents
 _FIX = Fix("advice", "wait for the server's ready line or its port, with a timeout")
 
 
-@rule(code="XPL138", slug="fixed-sleep", gate="static", requirement="XPL-LOOP-5")
+@rule(code="XPL138", requirement="XPL-LOOP-5")
 def fixed_sleep(source: Source) -> Iterator[Finding]:
     """A script waits a fixed time for something to be ready.
 

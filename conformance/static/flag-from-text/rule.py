@@ -11,7 +11,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called
 
 
-@rule(code="XPL117", slug="flag-from-text", gate="static", requirement="XPL-CFG-3")
+@rule(code="XPL117", requirement="XPL-CFG-3")
 def flag_from_text(source: Source) -> Iterator[Finding]:
     """A flag of the configuration goes through bool(), which takes the text "false" for true.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.errors import UserError
 
 
-@rule(code="XPL188", slug="generated-files", gate="static", requirement="XPL-PKG-15")
+@rule(code="XPL188", requirement="XPL-PKG-15")
 def generated_files(source: Source) -> Iterator[Finding]:
     """A generated file is not as it was rendered.
 

@@ -14,7 +14,7 @@ _KEY = "gripper"
 _HAND = "hand"
 
 
-@rule(code="XPL187", slug="gripper-meaning", gate="static", requirement="XPL-CFG-14", after=("manifest",))
+@rule(code="XPL187", requirement="XPL-CFG-14", after=("manifest",))
 def gripper_meaning(source: Source) -> Iterator[Finding]:
     """The manifest does not say what gripper commands mean, or says it of robots that have no gripper.
 

@@ -19,7 +19,7 @@ _KEY: Final = sdk.State.EE_JOINT_STATE
 _WORDS: Final = frozenset(("gripper", "grippers", "grip", "grasp", "claw"))
 
 
-@rule(code="XPL177", slug="gripper-one-way", gate="static", requirement="XPL-ACT-14")
+@rule(code="XPL177", requirement="XPL-ACT-14")
 def gripper_one_way(source: Source) -> Iterator[Finding]:
     """The gripper's direction is turned round in observations only, or in answers only.
 

@@ -15,7 +15,7 @@ _ARCS = frozenset(("arccos", "acos"))
 _LENGTHS = frozenset(("norm", "sin"))
 
 
-@rule(code="XPL151", slug="half-turn", gate="static", requirement="XPL-ACT-4")
+@rule(code="XPL151", requirement="XPL-ACT-4")
 def half_turn(source: Source) -> Iterator[Finding]:
     """A rotation by 180 degrees becomes no rotation at all.
 

@@ -21,7 +21,7 @@ _CLOCKS: Final = frozenset(
 )
 
 
-@rule(code="XPL184", slug="hash-dependent", gate="static", requirement="XPL-CFG-2")
+@rule(code="XPL184", requirement="XPL-CFG-2")
 def hash_dependent(source: Source) -> Iterator[Finding]:
     """A seed or an order comes from the hash of a text, the time or the process, and is another one in the next run.
 

@@ -13,7 +13,7 @@ from xpl_cli.audit.static.source import Source
 _ALWAYS_THERE = frozenset((*sys.stdlib_module_names, "numpy", "xpl"))
 
 
-@rule(code="XPL108", slug="heavy-imports", gate="static", requirement="XPL-CON-4")
+@rule(code="XPL108", requirement="XPL-CON-4")
 def heavy_imports(source: Source) -> Iterator[Finding]:
     """Importing model.py already needs the libraries of the policy.
 

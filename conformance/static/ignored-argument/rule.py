@@ -41,7 +41,7 @@ _DECISIVE: Final = {
 _EXPANSION: Final = re.compile(r"\$(?:\{[#!]?(\w+|[@*])|(\d|[A-Za-z_]\w*|[@*]))")
 
 
-@rule(code="XPL160", slug="ignored-argument", gate="static", requirement="XPL-PKG-2")
+@rule(code="XPL160", requirement="XPL-PKG-2")
 def ignored_argument(source: Source) -> Iterator[Finding]:
     """A script ignores an argument that launchers give it.
 

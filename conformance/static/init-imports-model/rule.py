@@ -11,7 +11,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import own
 
 
-@rule(code="XPL107", slug="init-imports-model", gate="static", requirement="XPL-CON-5")
+@rule(code="XPL107", requirement="XPL-CON-5")
 def init_imports_model(source: Source) -> Iterator[Finding]:
     """__init__.py imports the model, and with it the libraries of the policy.
 

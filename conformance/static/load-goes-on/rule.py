@@ -22,7 +22,7 @@ _EXISTS = frozenset(("exists", "is_file", "isfile", "isdir", "is_dir"))
 _MADE = frozenset(("zeros", "ones", "rand", "randn", "eye", "zeros_like", "empty", "identity"))
 
 
-@rule(code="XPL147", slug="load-goes-on", gate="static", requirement="XPL-CKP-5")
+@rule(code="XPL147", requirement="XPL-CKP-5")
 def load_goes_on(source: Source) -> Iterator[Finding]:
     """A part of the model that could not be loaded is replaced, or left out, and the run goes on.
 

@@ -26,7 +26,7 @@ _OTHERS: Final = (
 _FIX: Final = Fix("advice", "do it as the loop of a fresh scaffold does, which needs nothing of the policy")
 
 
-@rule(code="XPL169", slug="loop-differs", gate="static", requirement="XPL-LOOP-10")
+@rule(code="XPL169", requirement="XPL-LOOP-10")
 def loop_differs(source: Source) -> Iterator[Finding]:
     """The evaluation loop does something else than the reference loop, and it matters.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.static.manifests import key_line, renamed, schema_findings
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL104", slug="manifest", gate="static", requirement="XPL-CFG-5")
+@rule(code="XPL104", requirement="XPL-CFG-5")
 def manifest(source: Source) -> Iterator[Finding]:
     """policy.yml does not say what the standard asks of it.
 

@@ -16,7 +16,7 @@ _KEY = sdk.Obs.ENV_IDX
 _FIX = Fix("advice", f"enumerate the batch and use obs.get({_KEY!r}, place) both for the order and for the store")
 
 
-@rule(code="XPL112", slug="missing-env-index", gate="static", requirement="XPL-BAT-4")
+@rule(code="XPL112", requirement="XPL-BAT-4")
 def missing_env_index(source: Source) -> Iterator[Finding]:
     """Observations without env_idx overwrite each other, or raise.
 

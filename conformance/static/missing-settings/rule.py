@@ -14,7 +14,7 @@ from xpl_cli.audit.static.syntax import constant, enclosing, is_conditional
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL167", slug="missing-settings", gate="static", requirement="XPL-CFG-10")
+@rule(code="XPL167", requirement="XPL-CFG-10")
 def missing_settings(source: Source) -> Iterator[Finding]:
     """The model asks for a key of the configuration that nobody sets.
 

@@ -16,7 +16,7 @@ _STATISTICS = re.compile(r"(^|_)(stats?|statistics|mean|std|q01|q99|minmax|scale
 _NORMALISES = re.compile(r"normali[sz]|denorm|(^|_)(un)?norm(_|$)|unscale|rescale", re.IGNORECASE)
 
 
-@rule(code="XPL148", slug="normalisation-skipped", gate="static", requirement="XPL-ACT-12")
+@rule(code="XPL148", requirement="XPL-ACT-12")
 def normalisation_skipped(source: Source) -> Iterator[Finding]:
     """Without statistics, or with those of another width, values pass unnormalised.
 

@@ -15,7 +15,7 @@ from xpl_cli.standard import spec
 _CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "dict", "tuple", "Path"))
 
 
-@rule(code="XPL119", slug="null-defeats-default", gate="static", requirement="XPL-CFG-6")
+@rule(code="XPL119", requirement="XPL-CFG-6")
 def null_defeats_default(source: Source) -> Iterator[Finding]:
     """deploy.yml sets a key to null, and the default in code does not apply.
 

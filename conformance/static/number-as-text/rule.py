@@ -17,7 +17,7 @@ _NUMBERED: Final = re.compile(r"(step|epoch|checkpoint|ckpt|iter|global_step)s?\
 _PADDED: Final = re.compile(r"0\d+d|zfill|:0")
 
 
-@rule(code="XPL183", slug="number-as-text", gate="static", requirement="XPL-CKP-6")
+@rule(code="XPL183", requirement="XPL-CKP-6")
 def number_as_text(source: Source) -> Iterator[Finding]:
     """The latest checkpoint is chosen by comparing names as texts.
 

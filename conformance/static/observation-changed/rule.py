@@ -17,7 +17,7 @@ _GIVEN = {UPDATE: 0, UPDATE_BATCH: 0, "encode": 0, "decode": 1}
 _VALUES = frozenset((sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS, sdk.Obs.ENV_IDX))
 
 
-@rule(code="XPL140", slug="observation-changed", gate="static", requirement="XPL-OBS-5")
+@rule(code="XPL140", requirement="XPL-OBS-5")
 def observation_changed(source: Source) -> Iterator[Finding]:
     """The adapter writes into the observation that it was given.
 

@@ -14,7 +14,7 @@ from xpl_cli.audit.static.syntax import constant, texts
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL171", slug="observation-names", gate="static", requirement="XPL-OBS-1")
+@rule(code="XPL171", requirement="XPL-OBS-1")
 def observation_names(source: Source) -> Iterator[Finding]:
     """The adapter looks for an input under a name that observations do not have.
 

@@ -21,7 +21,7 @@ _PLACES: Final = re.compile(
 _PERSON: Final = re.compile(r"/(?:home|Users)/")
 
 
-@rule(code="XPL161", slug="one-machine", gate="static", requirement="XPL-PKG-13")
+@rule(code="XPL161", requirement="XPL-PKG-13")
 def one_machine(source: Source) -> Iterator[Finding]:
     """A script or deploy.yml fixes a GPU, a port or a folder that is right on one machine only.
 

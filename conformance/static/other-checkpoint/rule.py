@@ -17,7 +17,7 @@ _NAMED = re.compile(r"ckpt|checkpoint|name|run|step|num", re.IGNORECASE)
 _STEP = re.compile(r"step|num|iter|epoch", re.IGNORECASE)
 
 
-@rule(code="XPL126", slug="other-checkpoint", gate="static", requirement="XPL-CKP-1")
+@rule(code="XPL126", requirement="XPL-CKP-1")
 def other_checkpoint(source: Source) -> Iterator[Finding]:
     """A checkpoint that was asked for and does not exist is replaced by another one.
 

@@ -12,7 +12,7 @@ _CONFLICT = re.compile(r"^(<{7} |>{7} |\|{7} )")
 _DATA = (".yml", ".yaml")
 
 
-@rule(code="XPL102", slug="parses", gate="static", requirement="XPL-PKG-4")
+@rule(code="XPL102", requirement="XPL-PKG-4")
 def parses(source: Source) -> Iterator[Finding]:
     """A file does not parse, or a merge conflict is left in it.
 

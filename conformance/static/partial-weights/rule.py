@@ -16,7 +16,7 @@ _REPORTS = frozenset(("print", "len", "info", "warning", "debug", "sorted", "lis
 _LOADS = frozenset(("load_state_dict", "load_model", "load_weights", "load_checkpoint"))
 
 
-@rule(code="XPL128", slug="partial-weights", gate="static", requirement="XPL-CKP-4")
+@rule(code="XPL128", requirement="XPL-CKP-4")
 def partial_weights(source: Source) -> Iterator[Finding]:
     """Weights that are missing or left over are accepted.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL139", slug="placeholders", gate="static", requirement="XPL-PKG-5")
+@rule(code="XPL139", requirement="XPL-PKG-5")
 def placeholders(source: Source) -> Iterator[Finding]:
     """Places that the template marked for the author are still open.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, is_conditional
 
 
-@rule(code="XPL132", slug="print-per-inference", gate="static", requirement="XPL-PKG-7")
+@rule(code="XPL132", requirement="XPL-PKG-7")
 def print_per_inference(source: Source) -> Iterator[Finding]:
     """The adapter prints at every observation or action.
 

@@ -32,7 +32,7 @@ _ANYBODY = frozenset(
 _SUFFIXES = (".py", ".sh", ".yml", ".yaml", ".toml", ".cfg", ".txt")
 
 
-@rule(code="XPL130", slug="private-places", gate="static", requirement="XPL-PKG-3")
+@rule(code="XPL130", requirement="XPL-PKG-3")
 def private_places(source: Source) -> Iterator[Finding]:
     """The package names a host, a path, a proxy or a secret that only its author has.
 

@@ -17,7 +17,7 @@ _MUTABLE = frozenset(("list", "dict", "set", "deque", "defaultdict", "OrderedDic
 _CHANGES = frozenset(("append", "appendleft", "extend", "add", "update", "insert", "setdefault", "pop", "clear"))
 
 
-@rule(code="XPL143", slug="process-state", gate="static", requirement="XPL-EPI-1")
+@rule(code="XPL143", requirement="XPL-EPI-1")
 def process_state(source: Source) -> Iterator[Finding]:
     """State of an episode is kept in a module, in the class, or in a default argument.
 

@@ -16,7 +16,7 @@ _REORDERS = re.compile(r"xyzw|wxyz|reorder|roll$|roll\(|scalar_first|convert_qua
 _MAKES_LAST = frozenset(("as_quat", "quaternion_from_matrix", "quaternion_from_euler", "getQuaternionFromEuler"))
 
 
-@rule(code="XPL150", slug="quaternion-order", gate="static", requirement="XPL-ACT-4")
+@rule(code="XPL150", requirement="XPL-ACT-4")
 def quaternion_order(source: Source) -> Iterator[Finding]:
     """A quaternion with its real part last is taken for one of the standard, which has it first.
 

@@ -32,7 +32,7 @@ _LOADS: Final = frozenset(("from_pretrained", "snapshot_download", "hf_hub_downl
 _REMEMBERS: Final = frozenset(("cache", "lru_cache", "cached_property"))
 
 
-@rule(code="XPL178", slug="read-per-inference", gate="static", requirement="XPL-SRV-8")
+@rule(code="XPL178", requirement="XPL-SRV-8")
 def read_per_inference(source: Source) -> Iterator[Finding]:
     """A file is read, or something loaded, at each observation or action.
 

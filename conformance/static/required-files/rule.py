@@ -9,7 +9,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL101", slug="required-files", gate="static", requirement="XPL-PKG-1")
+@rule(code="XPL101", requirement="XPL-PKG-1")
 def required_files(source: Source) -> Iterator[Finding]:
     """A file that every adapter must have is missing.
 

@@ -15,7 +15,7 @@ from xpl_cli.audit.static.syntax import called, is_conditional, last, self_attri
 _FIX = Fix("advice", "set these attributes anew in reset, or derive from xpl.Policy, which keeps and clears them")
 
 
-@rule(code="XPL115", slug="reset-incomplete", gate="static", requirement="XPL-EPI-1")
+@rule(code="XPL115", requirement="XPL-EPI-1")
 def reset_incomplete(source: Source) -> Iterator[Finding]:
     """Something that an episode left behind survives reset.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, enclosing, self_attribute, targets, texts
 
 
-@rule(code="XPL145", slug="reset-installs", gate="static", requirement="XPL-EPI-7")
+@rule(code="XPL145", requirement="XPL-EPI-7")
 def reset_installs(source: Source) -> Iterator[Finding]:
     """An attribute that observing or acting needs is first set by reset.
 

@@ -17,7 +17,7 @@ _TIDIES = frozenset(("empty_cache", "collect", "synchronize", "is_available", sd
 _NOTES = frozenset(("print", "log", "debug", "info", "warn", "warning", "error", "exception", "print_exc"))
 
 
-@rule(code="XPL116", slug="reset-swallows", gate="static", requirement="XPL-EPI-4")
+@rule(code="XPL116", requirement="XPL-EPI-4")
 def reset_swallows(source: Source) -> Iterator[Finding]:
     """A reset that fails is passed over in silence.
 

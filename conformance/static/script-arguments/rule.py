@@ -10,7 +10,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL137", slug="script-arguments", gate="static", requirement="XPL-PKG-2")
+@rule(code="XPL137", requirement="XPL-PKG-2")
 def script_arguments(source: Source) -> Iterator[Finding]:
     """A script takes its positional arguments in another order than launchers give them.
 

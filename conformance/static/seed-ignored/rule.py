@@ -19,7 +19,7 @@ _TENSORS = frozenset(
 _SEEDED = frozenset(("default_rng", "RandomState", "Generator", "Random", _SEED, "manual_seed", "SeedSequence"))
 
 
-@rule(code="XPL118", slug="seed-ignored", gate="static", requirement="XPL-CFG-2")
+@rule(code="XPL118", requirement="XPL-CFG-2")
 def seed_ignored(source: Source) -> Iterator[Finding]:
     """The seed of the run has no effect, or seed 0 is replaced.
 

@@ -13,7 +13,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import LOOPS, parameters
 
 
-@rule(code="XPL113", slug="shared-rollout", gate="static", requirement="XPL-BAT-5")
+@rule(code="XPL113", requirement="XPL-BAT-5")
 def shared_rollout(source: Source) -> Iterator[Finding]:
     """Environments of a batch go in turn through one history, queue or counter.
 

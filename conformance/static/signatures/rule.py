@@ -15,7 +15,7 @@ from xpl_cli.audit.static.syntax import FunctionNode
 _GIVEN = {"__init__": (1, 1), UPDATE: (1, 1), UPDATE_BATCH: (1, 1), ACT: (0, 0), ACT_BATCH: (0, 1), RESET: (0, 0)}
 
 
-@rule(code="XPL106", slug="signatures", gate="static", requirement="XPL-CON-3")
+@rule(code="XPL106", requirement="XPL-CON-3")
 def signatures(source: Source) -> Iterator[Finding]:
     """An operation cannot be called the way clients call it.
 

@@ -14,7 +14,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import targets
 
 
-@rule(code="XPL165", slug="stale-observation", gate="static", requirement="XPL-LOOP-8")
+@rule(code="XPL165", requirement="XPL-LOOP-8")
 def stale_observation(source: Source) -> Iterator[Finding]:
     """The loop shows the policy an observation from before the action, or makes it forget in mid-episode.
 

@@ -15,7 +15,7 @@ _BY_NAME = frozenset(("pkill", "killall", "fuser"))
 _DETACHED = re.compile(r"tmux new\S* .*-\w*d|screen -\w*d")
 
 
-@rule(code="XPL157", slug="stray-processes", gate="static", requirement="XPL-PKG-11")
+@rule(code="XPL157", requirement="XPL-PKG-11")
 def stray_processes(source: Source) -> Iterator[Finding]:
     """A process that a script started outlives it, or the script ends processes of others.
 

@@ -18,7 +18,7 @@ _TALL: Final = re.compile(r"(.*_)?(h|height|rows)(_\d+)?|(img|image|new|target|o
 _WIDE: Final = re.compile(r"(.*_)?(w|width|cols)(_\d+)?|(img|image|new|target|out)_?w|W")
 
 
-@rule(code="XPL175", slug="swapped-size", gate="static", requirement="XPL-IMG-4")
+@rule(code="XPL175", requirement="XPL-IMG-4")
 def swapped_size(source: Source) -> Iterator[Finding]:
     """Width and height change places between two libraries.
 

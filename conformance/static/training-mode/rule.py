@@ -17,7 +17,7 @@ _WITHOUT: Final = frozenset(
 _EVALUATES: Final = frozenset(("eval", "train", "requires_grad_", "compile", "export"))
 
 
-@rule(code="XPL174", slug="training-mode", gate="static", requirement="XPL-CON-7")
+@rule(code="XPL174", requirement="XPL-CON-7")
 def training_mode(source: Source) -> Iterator[Finding]:
     """The network is asked in training mode, or with gradients.
 

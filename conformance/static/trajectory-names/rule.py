@@ -13,7 +13,7 @@ from xpl_cli.audit.static.syntax import constant, texts
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL170", slug="trajectory-names", gate="static", requirement="XPL-DAT-2")
+@rule(code="XPL170", requirement="XPL-DAT-2")
 def trajectory_names(source: Source) -> Iterator[Finding]:
     """Data conversion looks for a recorded value under a name that trajectories do not have.
 

@@ -16,7 +16,7 @@ _ADDS = frozenset(("append", "appendleft", "extend", "insert"))
 _REMOVES = frozenset(("pop", "popleft", "clear", "remove", "get", "get_nowait"))
 
 
-@rule(code="XPL142", slug="unbounded-history", gate="static", requirement="XPL-EPI-6")
+@rule(code="XPL142", requirement="XPL-EPI-6")
 def unbounded_history(source: Source) -> Iterator[Finding]:
     """A list grows with every observation or action, and nothing shortens it before reset.
 

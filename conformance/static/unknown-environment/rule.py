@@ -12,7 +12,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import constant, dotted, last, self_attribute, targets
 
 
-@rule(code="XPL111", slug="unknown-environment", gate="static", requirement="XPL-BAT-3")
+@rule(code="XPL111", requirement="XPL-BAT-3")
 def unknown_environment(source: Source) -> Iterator[Finding]:
     """An environment that was never observed is answered from another one.
 

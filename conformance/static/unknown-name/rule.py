@@ -15,7 +15,7 @@ from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, last
 _NAMES = re.compile(r"(^|_)(task|bench|robot|embodiment|env_cfg|dataset|domain|unnorm|suite)(_|$|s$)", re.IGNORECASE)
 
 
-@rule(code="XPL154", slug="unknown-name", gate="static", requirement="XPL-CFG-8")
+@rule(code="XPL154", requirement="XPL-CFG-8")
 def unknown_name(source: Source) -> Iterator[Finding]:
     """A task, robot or data set that a table lacks is taken for another one.
 

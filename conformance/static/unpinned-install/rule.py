@@ -30,7 +30,7 @@ _NAME: Final = re.compile(r"([A-Za-z][\w.-]*)(?:\[[^\]]*\])?(.*)")
 _WITH_VALUE: Final = frozenset(("-r", "-c", "-i", "-e", "-f", "-t", "--target", "--python", "-p"))
 
 
-@rule(code="XPL162", slug="unpinned-install", gate="static", requirement="XPL-PKG-14")
+@rule(code="XPL162", requirement="XPL-PKG-14")
 def unpinned_install(source: Source) -> Iterator[Finding]:
     """The installation takes whatever version of a library is newest on the day.
 

@@ -14,7 +14,7 @@ _ALL = frozenset(("$@", "$*", "${@}", "${*}"))
 _CALLERS = SHELLS | {"python", "python3", "xpl"}
 
 
-@rule(code="XPL159", slug="unquoted-argument", gate="static", requirement="XPL-PKG-9")
+@rule(code="XPL159", requirement="XPL-PKG-9")
 def unquoted_argument(source: Source) -> Iterator[Finding]:
     """An argument is handed on without quotes, so that what follows moves up when it is empty or holds a blank.
 

@@ -17,7 +17,7 @@ from xpl_cli.standard import spec
 _CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "tuple"))
 
 
-@rule(code="XPL120", slug="unread-settings", gate="static", requirement="XPL-CFG-4")
+@rule(code="XPL120", requirement="XPL-CFG-4")
 def unread_settings(source: Source) -> Iterator[Finding]:
     """deploy.yml sets keys that nobody reads.
 

@@ -14,7 +14,7 @@ _LEADING = re.compile(r"[\"']?\$\{?([A-Za-z_]\w*|\d+)(?::-)?\}?[\"']?/(.*)", re.
 _CLOSING = re.compile(r"(.*)/\$\{?([A-Za-z_]\w*|\d+)(?::-)?\}?[\"']?(?:/\*?)?[\"']?", re.DOTALL)
 
 
-@rule(code="XPL158", slug="unsafe-delete", gate="static", requirement="XPL-PKG-12")
+@rule(code="XPL158", requirement="XPL-PKG-12")
 def unsafe_delete(source: Source) -> Iterator[Finding]:
     """A script may delete more than it means to, because a variable is empty or a folder is another one.
 

@@ -19,7 +19,7 @@ _NAME: Final = re.compile(r"\$\{?[#!]?([A-Za-z_]\w*)")
 _ACTIVATED: Final = re.compile(r"CONDA_\w+|VIRTUAL_ENV")
 
 
-@rule(code="XPL155", slug="unset-variable", gate="static", requirement="XPL-PKG-9")
+@rule(code="XPL155", requirement="XPL-PKG-9")
 def unset_variable(source: Source) -> Iterator[Finding]:
     """A script expands a variable that nothing sets.
 

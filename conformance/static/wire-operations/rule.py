@@ -14,7 +14,7 @@ from xpl_cli.audit.static.source import Source
 _CLIENT = frozenset((sdk.Message.CLOSE, "connect"))
 
 
-@rule(code="XPL135", slug="wire-operations", gate="static", requirement="XPL-LOOP-3")
+@rule(code="XPL135", requirement="XPL-LOOP-3")
 def wire_operations(source: Source) -> Iterator[Finding]:
     """The loop calls an operation that the protocol does not carry, or does not reset first.
 

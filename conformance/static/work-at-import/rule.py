@@ -25,7 +25,7 @@ _CONSEQUENCES: Final = (
 )
 
 
-@rule(code="XPL179", slug="work-at-import", gate="static", requirement="XPL-CON-8")
+@rule(code="XPL179", requirement="XPL-CON-8")
 def work_at_import(source: Source) -> Iterator[Finding]:
     """Importing the adapter loads, downloads or changes something.
 

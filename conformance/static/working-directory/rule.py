@@ -16,7 +16,7 @@ from xpl_cli.audit.static.syntax import called, constant, dotted, last, names, p
 _RUNNERS = frozenset(("python", "python3", "bash", "sh", "source", ".", "torchrun"))
 
 
-@rule(code="XPL129", slug="working-directory", gate="static", requirement="XPL-PKG-8")
+@rule(code="XPL129", requirement="XPL-PKG-8")
 def working_directory(source: Source) -> Iterator[Finding]:
     """A path depends on the folder from which the server or the script was started.
 

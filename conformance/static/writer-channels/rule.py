@@ -17,7 +17,7 @@ _STILL: Final = frozenset(("cv2.imwrite", "cv2.imencode"))
 _TURNS: Final = frozenset(("cvtColor", "flip"))
 
 
-@rule(code="XPL185", slug="writer-channels", gate="static", requirement="XPL-IMG-1")
+@rule(code="XPL185", requirement="XPL-IMG-1")
 def writer_channels(source: Source) -> Iterator[Finding]:
     """Images that are RGB go to an OpenCV writer, which takes them for BGR.
 

@@ -28,7 +28,7 @@ _WORDS: Final = _TRUE | {"no", "off"}
 _NAMES: Final = re.compile(r"(.*_)?(name|version|tag|ckpt|checkpoint|run|revision|id)")
 
 
-@rule(code="XPL180", slug="yaml-misread", gate="static", requirement="XPL-CFG-11")
+@rule(code="XPL180", requirement="XPL-CFG-11")
 def yaml_misread(source: Source) -> Iterator[Finding]:
     """YAML reads a value of the configuration as something else than a person does.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.static.blanks import blanks
 from xpl_cli.audit.static.source import Source
 
 
-@rule(code="XPL124", slug="zero-action", gate="static", requirement="XPL-ACT-11")
+@rule(code="XPL124", requirement="XPL-ACT-11")
 def zero_action(source: Source) -> Iterator[Finding]:
     """A value that the model's output lacks becomes zeros.
 

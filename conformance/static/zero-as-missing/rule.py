@@ -25,7 +25,7 @@ _NUMBERS: Final = frozenset(("int", "float"))
 _ALL: Final = frozenset(("all", "any", "nonzero", "count_nonzero"))
 
 
-@rule(code="XPL173", slug="zero-as-missing", gate="static", requirement="XPL-ACT-13")
+@rule(code="XPL173", requirement="XPL-ACT-13")
 def zero_as_missing(source: Source) -> Iterator[Finding]:
     """A value that is exactly zero is taken for one that is not there.
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding
@@ -30,8 +30,8 @@ class Rule:
     Attributes:
         code: `XPL1xx` static, `XPL2xx` offline, `XPL3xx` MuJoCo, `XPL4xx` environment packages, `XPL5xx` the
             audit itself, `XPL6xx` advice of general tools.
-        slug: name for people; the rule's folder in `conformance/`.
-        gate: where it runs.
+        slug: name for people; the rule's folder in `conformance/GATE/`.
+        gate: where it runs; the first where it runs in several.
         requirement: id of what it proves; its level gives the severity.
         target: kind of package it looks at, `policy` or `env`.
         check: the function; its parameters name the facts it needs.
@@ -76,84 +76,127 @@ class Rule:
         return self.documentation.partition("\n")[0]
 
 
-def rule(  # noqa: PLR0913 - a declaration, by keyword
+# A rule's gate is where it lies: the folder of `conformance/` with the gates whose rules it may hold.
+_FOLDERS = {
+    "static": (Gate.STATIC,),
+    "offline": (Gate.OFFLINE,),
+    "mujoco": (Gate.MUJOCO,),
+    "environments": tuple(Gate),
+    "audit": tuple(Gate),
+    "advice": (Gate.STATIC,),
+}
+_ENVIRONMENTS, _EVERY_GATE, ADVICE = "environments", "audit", "advice"
+"""Folders: rules about environment packages; rules that judge the audit of any gate, after all others of it; and rules
+that run only where they are selected, because what they say depends on tools that may not be installed."""
+
+
+def rule(
     *,
     code: str,
-    slug: str,
-    gate: str,
     requirement: str,
-    target: str = "policy",
+    gate: str | None = None,
     after: tuple[str, ...] = (),
     profile: str = "shadow",
 ) -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
     Its docstring is what `xpl explain` prints: a summary line, then the headings What it does, Why it matters, Example,
-    Use instead, Fix safety. `after` names rules of the same gate without which this one would prove nothing;
-    `profile="full"` says that only the real model can satisfy or break it.
+    Use instead, Fix safety. Its folder `conformance/GATE/SLUG` says what it is called and where it runs; a rule of
+    `environments/` or `audit/` says by `gate` in which one first. `after` names rules of the same gate without which
+    this one would prove nothing; `profile="full"` says that only the real model can satisfy or break it.
+
+    Raises:
+        RegistryError: if it says another gate than its folder, or none where the folder leaves it open.
     """
 
     def declare(check: Check) -> Check:
-        folder = Path(inspect.getfile(check)).parent
-        declared = Rule(code, slug, Gate(gate), requirement, target, check, folder, after, Profile(profile))
-        check.__dict__["xpl_rule"] = declared
+        entry = Entry.at(Path(inspect.getfile(check)), code)
+        check.__dict__["xpl_rule"] = Rule(
+            code,
+            entry.slug,
+            entry.gate(gate),
+            requirement,
+            entry.target,
+            check,
+            entry.path.parent,
+            after,
+            Profile(profile),
+        )
         return check
 
     return declare
 
 
-# The hundred of a code names its gate, so that the rules of gates that do not run need not be imported.
-_GATES = {
-    "1": (Gate.STATIC,),
-    "2": (Gate.OFFLINE,),
-    "3": (Gate.MUJOCO,),
-    "4": tuple(Gate),
-    "5": tuple(Gate),
-    "6": (Gate.STATIC,),
-}
-_ENVIRONMENTS, _EVERY_GATE, _ADVICE = "4", "5", "6"
-
-ADVICE = "advice"
-"""Name of the rules that run only where they are selected: what they say depends on tools that may not be installed."""
-
-
 @dataclass(frozen=True)
 class Entry:
-    """What is known of a rule without importing it: its folder is its slug, its file begins with its code."""
+    """What is known of a rule without importing it, as those of gates that do not run are not.
+
+    Attributes:
+        code: with which its file begins.
+        slug, folder: the names of its folder and of the one above: `conformance/FOLDER/SLUG/rule.py`.
+        path: its file.
+    """
 
     code: str
     slug: str
+    folder: str
     path: Path
+
+    @classmethod
+    def at(cls, path: Path, code: str | None = None) -> Self:
+        """Return what the place of a rule's file says.
+
+        Args:
+            path: the file `conformance/GATE/SLUG/rule.py`.
+            code: the rule's code; read from the file by default.
+
+        Raises:
+            RegistryError: if there are no rules in such a folder.
+        """
+        slug, folder = path.parent.name, path.parent.parent.name
+        if folder not in _FOLDERS:
+            raise RegistryError(f"{path} is in none of the folders of rules: {', '.join(_FOLDERS)}")
+        return cls(_first_word(path) if code is None else code, slug, folder, path)
 
     @property
     def gates(self) -> tuple[Gate, ...]:
-        """The gates that a rule of this code may run in."""
-        return _GATES[self._hundred]
+        """The gates that a rule of this folder may run in."""
+        return _FOLDERS[self.folder]
 
     @property
     def target(self) -> str:
         """The kind of package that it looks at, `policy` or `env`."""
-        return "env" if self._hundred == _ENVIRONMENTS else "policy"
+        return "env" if self.folder == _ENVIRONMENTS else "policy"
 
-    @property
-    def _hundred(self) -> str:
-        return self.code.removeprefix("XPL")[0]
+    def gate(self, declared: str | None) -> Gate:
+        """Return the gate of the rule, the first that it runs in.
+
+        Args:
+            declared: what the rule says of it.
+
+        Raises:
+            RegistryError: if that is not what its folder leaves open.
+        """
+        if (declared is None) != (len(self.gates) == 1):
+            wanted = "its folder says the gate" if declared else "its folder leaves the gate open: give gate="
+            raise RegistryError(f"{self.path}: {wanted}")
+        return self.gates[0] if declared is None else Gate(declared)
 
     def runs_in(self, gate: Gate) -> bool:
-        """Tell whether the rule runs in a gate; imports it only where its code leaves that open."""
-        if self._hundred == _ENVIRONMENTS:
+        """Tell whether the rule runs in a gate; imports it only where its folder leaves that open."""
+        if self.folder == _ENVIRONMENTS:
             return self.load().gate == gate
         return gate in self.gates
 
     @property
     def closes(self) -> bool:
         """Whether it judges the audit of a gate, after all other rules of it."""
-        return self._hundred == _EVERY_GATE
+        return self.folder == _EVERY_GATE
 
     @property
     def is_advice(self) -> bool:
         """Whether it hands on what another tool says, and runs only where it is selected."""
-        return self._hundred == _ADVICE
+        return self.folder == ADVICE
 
     def load(self) -> Rule:
         """Import the rule."""
@@ -164,9 +207,7 @@ class Entry:
 def entries() -> tuple[Entry, ...]:
     """Return every rule of the conformance room, not imported, in order of code."""
     paths = content.room("conformance").glob("*/*/rule.py")
-    return tuple(
-        sorted((Entry(_first_word(path), path.parent.name, path) for path in paths), key=lambda item: item.code)
-    )
+    return tuple(sorted(map(Entry.at, paths), key=lambda item: item.code))
 
 
 def rules() -> tuple[Rule, ...]:
