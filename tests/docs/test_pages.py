@@ -236,6 +236,7 @@ def test_the_help_groups_commands_by_what_one_does() -> None:
     shown = {name for name, command in pages.command_line().commands.items() if not command.hidden}
     assert sorted(name for names in headed.values() for name in names) == sorted(shown)
     assert "--no-version" not in text
+    assert "..." not in text.partition("Scaffold:")[2], "a command's first sentence does not fit into its line"
 
 
 def test_the_page_of_commands_has_every_command_and_option() -> None:

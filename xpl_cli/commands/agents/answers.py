@@ -9,7 +9,7 @@ def answers(
     name: str | None = typer.Argument(None, metavar="[NAME]", help="An answer, such as xpl.status/1, or a command."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """List the JSON answers of all commands by their `schema`, or print the JSON Schema of one."""
+    """List the JSON answers of all commands. With NAME print the JSON Schema of one."""
     import json
 
     from xpl_cli.basics import console

@@ -14,7 +14,7 @@ def mcp(
     ),
     as_json: bool = typer.Option(False, "--json", help="Print the tools as a JSON object, and serve nothing."),
 ) -> None:
-    """Serve scaffolding, audit, explanations, status and summaries as tools, over standard input and output.
+    """Serve commands as tools of the Model Context Protocol. Over standard input and output.
 
     Ends when the client does. Needs the extra `mcp`; --json does not.
     """

@@ -11,7 +11,7 @@ def status(
     packages: list[Path] = typer.Argument(None, metavar="[PACKAGE]...", help="Adapters or environments, or folders."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Tell where packages stand and what to do next; without PACKAGE all below policy/ and envs/ of this folder.
+    """Tell where packages stand and what to do next. Without PACKAGE all below policy/ and envs/ of this folder.
 
     Reads files, and what the last audits of the same files found; it runs nothing, and proves nothing by itself. Ends
     with 0 wherever a package stands.

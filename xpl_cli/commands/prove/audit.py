@@ -75,7 +75,7 @@ def audit(
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     policy_env: str | None = typer.Option(None, "--policy-env", "--env", help="conda:NAME, uv:DIR, venv:DIR or none."),
 ) -> None:
-    """Carry adapters through the static, the offline and the MuJoCo gate."""
+    """Audit packages in three gates: static, offline, MuJoCo."""
     from xpl_cli.audit.engine import cache
     from xpl_cli.audit.engine.engine import audit_all
     from xpl_cli.audit.formats.delivery import Delivery
@@ -217,7 +217,7 @@ def explain(
     name: str = typer.Argument(..., metavar="RULE", help="Code or slug of a rule, such as XPL101."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Explain a rule: what it checks, why it matters, and what to do instead."""
+    """Explain a rule: what it checks, why, and what to do instead."""
     from xpl_cli.audit.rules.registry import find
     from xpl_cli.basics import console
     from xpl_cli.standard import spec

@@ -16,7 +16,7 @@ def metrics(
     plot: Path | None = typer.Option(None, metavar="FILE.svg", help="Write a picture as well."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Measure lines of model.py and the distance of the evaluation loop to the reference, by policy and over all."""
+    """Measure lines of model.py, and loops against the reference. By policy, and over all."""
     from xpl_cli.audit.metrics import measure as measures
     from xpl_cli.audit.metrics import plot as metrics_plot
     from xpl_cli.basics import console

@@ -22,7 +22,7 @@ def replay(
     ca_file: Path | None = typer.Option(None, metavar="FILE", help="Certificate authority for --url wss://..."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Ask a server, or another version of an adapter, what was asked in a recording; show the first other answer."""
+    """Play a recording again; show the first answer that differs. It asks a server, or another version of it."""
     import shlex
 
     from xpl_cli.audit.replay.counterparts import Adapter, Counterpart, Remote

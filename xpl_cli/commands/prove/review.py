@@ -37,7 +37,7 @@ def review(
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Review a change: audit what it touches, and print one comment with the ten worst findings.
+    """Audit what a change touches. Prints one comment with the ten worst findings.
 
     Compares the work tree with where it left REV. The offline gate runs the packages' code: where that is not to be
     trusted, --gate static reads only.

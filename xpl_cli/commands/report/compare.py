@@ -18,7 +18,7 @@ def compare(
     skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Tell whether one of two recorded runs is better, on the episodes that both played, and how sure that is."""
+    """Tell which of two runs is better, and how sure that is. Counted are the episodes that both played."""
     import shlex
 
     from xpl_cli.basics import console

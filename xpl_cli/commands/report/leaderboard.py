@@ -26,7 +26,7 @@ def leaderboard(
     skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Rank runs by success rate, and tell which of them these episodes do not tell apart."""
+    """Rank runs by success rate. Names those that these episodes do not tell apart."""
     import shlex
 
     from xpl_cli.basics import console

@@ -25,7 +25,10 @@ def report(
     skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object for each run, one a line."),
 ) -> None:
-    """Write a run's report: index.html in one file, report.md, report.json, table.csv and episodes.csv."""
+    """Write a run's report: an HTML page, Markdown, JSON and CSV.
+
+    The files are index.html, report.md, report.json, table.csv and episodes.csv.
+    """
     import json
 
     from xpl_cli.basics import console

@@ -41,7 +41,7 @@ def submit(
     eval_env: str | None = _EVAL_ENV,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Make a bundle of runs that others can check: records, adapter, audit, checkpoint, environment, digests.
+    """Make a bundle of runs that others can check. It holds records, adapter, audit, checkpoint, environment, digests.
 
     Nothing is written unless the exit code is 0, and nothing is sent anywhere.
     """

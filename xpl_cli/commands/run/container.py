@@ -12,7 +12,7 @@ def container(
     write: bool = typer.Option(False, "--write", help="Put Dockerfile and .dockerignore into the adapter's folder."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Print a Dockerfile that builds a policy server, or put it into the adapter's folder."""
+    """Print a Dockerfile that builds a policy server. --write puts it into the adapter's folder."""
     import shlex
 
     from xpl_cli.basics import console

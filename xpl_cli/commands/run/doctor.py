@@ -9,7 +9,7 @@ from xpl_cli.basics.endings import ends
 
 @ends(clean="nothing is broken", findings="something is broken")
 def doctor(as_json: bool = typer.Option(False, "--json", help="Print a JSON object.")) -> None:
-    """Try what this machine offers to policies and simulators, and say how to mend what it lacks.
+    """Try what this machine can run, and say how to mend the rest.
 
     What is merely absent is needed by some policies only.
     """

@@ -66,7 +66,7 @@ def evaluate(
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Serve a policy, run episodes in an environment, and report success and score; with --out record all of it."""
+    """Play episodes in an environment; report success and score. Serves the policy for it; --out records all of it."""
     from xpl import _spec as spec
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError

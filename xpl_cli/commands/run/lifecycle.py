@@ -24,7 +24,7 @@ def install(
     force: bool = typer.Option(False, "--force", help="Make the environment anew although it is there."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Make the Python environment that the manifest of an adapter or environment declares; prints its interpreter."""
+    """Make the Python environment that a manifest declares. Prints its interpreter."""
     import shlex
 
     from xpl_cli.basics import console
@@ -69,12 +69,12 @@ def _declaring(name: str) -> tuple[Path, dict[str, Any]]:
 
 
 def prepare(policy: str = POLICY, settings: list[str] = SETTINGS, as_json: bool = _JSON) -> None:
-    """Run an adapter's process_data.py with the configuration of a run."""
+    """Run an adapter's process_data.py with a run's configuration."""
     _run(policy, "process_data.py", settings, None, as_json=as_json)
 
 
 def train(policy: str = POLICY, settings: list[str] = SETTINGS, gpu: str | None = _GPU, as_json: bool = _JSON) -> None:
-    """Run an adapter's train.py with the configuration of a run."""
+    """Run an adapter's train.py with a run's configuration."""
     _run(policy, "train.py", settings, gpu, as_json=as_json)
 
 

@@ -56,7 +56,7 @@ def serve(
     renew: bool = typer.Option(False, "--renew", help="Build the model anew for every client, as if served afresh."),
     _as_json: bool = typer.Option(False, "--json", help="Changes nothing: what is printed is JSON either way."),
 ) -> None:
-    """Serve a policy until interrupted; prints one JSON line on stdout when it is ready."""
+    """Serve a policy until interrupted. Prints one JSON line on stdout when it is ready."""
     from xpl import _spec as spec
     from xpl_cli.isolation.sandbox import MemoryLimit
     from xpl_cli.packages import package

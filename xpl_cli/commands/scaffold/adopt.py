@@ -23,7 +23,7 @@ def adopt(
     dry_run: bool = typer.Option(False, "--dry-run", help="Print what would be written, and write nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Write the manifest that an adapter lacks, read from its code and documents; nothing else is changed."""
+    """Write the manifest that an adapter lacks. It is read from code and documents; nothing else is changed."""
     from xpl_cli.adopt.package import adoption
     from xpl_cli.basics import console
     from xpl_cli.packages import package

@@ -20,7 +20,7 @@ def new_env(
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Scaffold an environment from the standard: a toy that passes its audit, until your simulator is in."""
+    """Scaffold an environment from the standard. It is a toy that passes its audit, until your simulator is in."""
     import shlex
 
     from xpl_cli.scaffold import environment

@@ -21,7 +21,7 @@ def update(
     undo: bool = typer.Option(False, "--undo", help="Take the last update back."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Merge what a newer version of the standard changes into a package; its author's edits are kept."""
+    """Bring a package to a newer version of the standard. Its author's edits are kept."""
     import shlex
 
     from xpl_cli.basics import console
