@@ -1,0 +1,28 @@
+"""What a verification leaves open, in plain words: a bundle is made by whoever wants to be believed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from xpl_cli.submission.verify import Report
+
+
+def sentences(report: Report) -> Iterator[str]:
+    """Yield what was not proven of a bundle in which nothing was found to be wrong."""
+    if any(check.problems for check in report.checks):
+        return
+    judged = sum(cell["judged"] for run in report.runs for cell in run["cells"])
+    played = len(report.pairs)
+    if not played:
+        yield (
+            "that any episode comes out as recorded: none was played again, and records that were edited consistently "
+            "everywhere look like these"
+        )
+    elif played < judged:
+        yield f"that the other {judged - played} of {judged} episodes come out as recorded: --sample {judged} plays all"
+    if not report.is_signed:
+        yield "who made the bundle: anybody can; --signer asks for the signature of somebody you know"
+    yield "how the policy came about: on which data it was trained, and how many others were tried before it"
