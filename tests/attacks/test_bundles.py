@@ -253,7 +253,7 @@ def _nested(levels: int) -> Any:
 ODD: list[Any] = [
     *(None, True, False, -1, 0, 1, 1.0, 1.5, 10**30, 1e300, float("nan"), float("inf")),
     *("", "x", "..", "/", "a/../b", "\0", "\x1b[31m", "\ud800", "<b>", "x" * 5000, "0" * 64, "green", "fail"),
-    *([], {}, [[]], [None], {"": None}, {"x": {}}, [1, "a"], _nested(500)),
+    *([], {}, [[]], [None], {"": None}, {"x": {}}, [1, "a"], _nested(100)),
 ]
 
 
