@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import subprocess
+import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,20 @@ def test_the_picture_of_the_map_has_every_room() -> None:
     texts: Any = ET.parse(PICTURE).iter("{http://www.w3.org/2000/svg}text")  # noqa: S314 - our own file
     drawn = {text.text for text in texts if text.get("class") == "name" and text.text.endswith("/")}
     assert drawn == {f"{room.rstrip('/').rpartition('/')[2]}/" for room in _rooms()}
+
+
+def test_the_picture_draws_the_rooms_in_the_order_of_their_layers() -> None:
+    """From the top to the bottom, as import-linter holds them; what shares a layer shares a row."""
+    linter = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    (layers,) = (contract["layers"] for contract in linter["contracts"] if contract.get("containers") == ["xpl_cli"])
+    written = [{f"{name}/" for name in re.findall(r"\w+", layer)} for layer in layers]
+    rooms = {room.partition("/")[2] for room in _rooms() if room.startswith("xpl_cli/")} - {""}
+    rows: dict[float, set[str]] = {}
+    texts: Any = ET.parse(PICTURE).iter("{http://www.w3.org/2000/svg}text")  # noqa: S314 - our own file
+    for text in texts:
+        if text.get("class") == "name" and text.text in rooms:
+            rows.setdefault(float(text.get("y")), set()).add(text.text)
+    assert [rows[y] for y in sorted(rows)] == [layer & rooms for layer in written if layer & rooms]
 
 
 @pytest.mark.parametrize(

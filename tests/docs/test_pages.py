@@ -32,7 +32,7 @@ SHELL = ("bash", "console")
 LANGUAGES = {*SHELL, "python", "yaml", "json", "diff", "dockerfile", "text"}
 """Languages of blocks. What stands in `text` is output, and no command."""
 
-PROGRAMS = {"cd", "curl", "docker", "find", "git", "pip", "python", "sha256sum", "sort", "tr", "xargs"}
+PROGRAMS = {"cd", "curl", "docker", "find", "git", "pip", "python", "sha256sum", "sort", "ssh-keygen", "tr", "xargs"}
 """Commands of others that pages show: a misspelt `xpl` is none of them."""
 
 FOREIGN = ({"on", "permissions", "jobs"}, {"repos"}, {"args"}, {"template", "answers", "generated", "seeded", "free"})
