@@ -22,9 +22,9 @@ from xpl import _spec as spec
 from xpl.client import ServerConnectionError
 from xpl.wire import codec
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.serving import door
+from xpl_cli.serving.entry import door
+from xpl_cli.serving.entry.names import Names
 from xpl_cli.serving.launch import RunningServer, serving
-from xpl_cli.serving.names import Names
 
 MODEL = """
     class Model:

@@ -101,7 +101,8 @@ def start(subject: Path) -> Iterator[Callable[..., Started]]:
             with socket.create_server(("127.0.0.1", 0)) as probe:
                 port = probe.getsockname()[1]
             shortened = "".join(f"{name.replace('__', '.')} = {value};" for name, value in constants.items())
-            program = f"from xpl_cli import main; from xpl_cli.serving import pool, run; {shortened} main.run()"
+            head = "from xpl_cli import main; from xpl_cli.serving import run; from xpl_cli.serving.workers import pool"
+            program = f"{head}; {shortened} main.run()"
             command = [sys.executable, "-c", program, "serve", str(subject), "--port", str(port)]
             for name, value in overrides.items():
                 command += ["--set", f"{name}={json.dumps(value)}"]

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from xpl.wire import codec
-from xpl_cli.serving.line import Job, Line
 from xpl_cli.serving.places import Place
+from xpl_cli.serving.workers.line import Job, Line
 
 READY = b"a packed map"
 

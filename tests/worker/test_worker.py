@@ -23,7 +23,7 @@ from xpl.wire import packed
 from xpl.wire.segment import Arena, Segment
 from xpl.worker import main
 from xpl.worker.main import Request
-from xpl_cli.serving.worker import _BOOTSTRAP
+from xpl_cli.serving.workers.worker import _BOOTSTRAP
 
 SDK = str(Path(main.__file__).parents[1])
 

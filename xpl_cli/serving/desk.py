@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.wire import codec, packed, telling
-from xpl_cli.serving.line import Job
 from xpl_cli.serving.logbook import log, log_lines
 from xpl_cli.serving.payloads import has_images, pack, without_images
 from xpl_cli.serving.session import RequestError, failure_code, method_of, packed_payload
+from xpl_cli.serving.workers.line import Job
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from xpl_cli.serving.connection import Connection
     from xpl_cli.serving.observe import Observer
     from xpl_cli.serving.places import Place
-    from xpl_cli.serving.pool import Worker
     from xpl_cli.serving.session import Entry
+    from xpl_cli.serving.workers.pool import Worker
 
 _BEFORE_AN_EPISODE = frozenset((spec.Method.RESET, *spec.HOOKS))
 _TIMED = frozenset((spec.Message.INFER, spec.Message.CALL))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from xpl.wire import codec
     from xpl_cli.serving.connection import Connection
-    from xpl_cli.serving.pool import Worker
+    from xpl_cli.serving.workers.pool import Worker
 
 _segments = itertools.count(1)
 _TRY_AGAIN = 1012  # service restart; registered in the WebSocket close code registry

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from xpl.wire import codec
-    from xpl_cli.serving.line import Job
+    from xpl_cli.serving.workers.line import Job
 
 _METHODS = frozenset((*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER))
 _OTHER = "other"

@@ -24,14 +24,14 @@ from xpl_cli.isolation import family
 from xpl_cli.isolation.sandbox import isolated, kept_apart
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.serving.connection import Timing
+from xpl_cli.serving.entry.names import LOOPBACK, Names
 from xpl_cli.serving.logbook import log
-from xpl_cli.serving.names import LOOPBACK, Names
 from xpl_cli.serving.observe import Observer
-from xpl_cli.serving.pool import STACKS_S, LoadError
 from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server import FrontEnd, Settings
 from xpl_cli.serving.stand_in import StandIn
-from xpl_cli.serving.worker import WorkerProcess
+from xpl_cli.serving.workers.pool import STACKS_S, LoadError
+from xpl_cli.serving.workers.worker import WorkerProcess
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

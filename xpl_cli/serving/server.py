@@ -13,15 +13,15 @@ from picows import ws_create_server
 
 from xpl import _spec as spec
 from xpl.wire import codec
-from xpl_cli.serving import door
-from xpl_cli.serving.admission import Admission
 from xpl_cli.serving.connection import Connection, Timing
 from xpl_cli.serving.desk import Desk, acknowledged, fault, refusal
+from xpl_cli.serving.entry import door
+from xpl_cli.serving.entry.admission import Admission
 from xpl_cli.serving.greeting import capabilities, greeting, share_memory
 from xpl_cli.serving.logbook import Burst, log
 from xpl_cli.serving.places import Place, Places
-from xpl_cli.serving.pool import Worker
 from xpl_cli.serving.session import RequestError
+from xpl_cli.serving.workers.pool import Worker
 
 if TYPE_CHECKING:
     import ssl
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
     from picows import WSUpgradeRequest
 
-    from xpl_cli.serving.names import Names
+    from xpl_cli.serving.entry.names import Names
     from xpl_cli.serving.observe import Observer
-    from xpl_cli.serving.worker import WorkerProcess
+    from xpl_cli.serving.workers.worker import WorkerProcess
 
 
 _FRAMES = 100

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from xpl import _spec as spec
 from xpl.process.link import LinkError
-from xpl_cli.serving.line import Line
 from xpl_cli.serving.logbook import log
 from xpl_cli.serving.session import RequestError
 from xpl_cli.serving.stand_in import StandIn
-from xpl_cli.serving.worker import WorkerDiedError
+from xpl_cli.serving.workers.line import Line
+from xpl_cli.serving.workers.worker import WorkerDiedError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from xpl.wire.arrays import Data
-    from xpl_cli.serving.line import Job
     from xpl_cli.serving.places import Place
-    from xpl_cli.serving.worker import Answered, WorkerProcess
+    from xpl_cli.serving.workers.line import Job
+    from xpl_cli.serving.workers.worker import Answered, WorkerProcess
 
 STACKS_S = 0.2
 """What a worker that hangs gets to print where it is, before its time is up."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from multidict import CIMultiDict
     from picows import WSUpgradeRequest
 
-    from xpl_cli.serving.names import Names
+    from xpl_cli.serving.entry.names import Names
 
 _HEALTH, _METRICS = "/healthz", "/metrics"
 
