@@ -28,6 +28,7 @@ from xpl.client.errors import (
     ServerFailedError,
     ServerRestartedError,
 )
+from xpl.client.transport import run
 
 if TYPE_CHECKING:
     import ssl
@@ -141,11 +142,5 @@ class Client(ClientBase):
         self.close()
 
     def _run(self, talk: Coroutine[Any, Any, _Value]) -> _Value:
-        """Run a conversation to its end: with a transport that blocks it is never suspended."""
         with self._turn:
-            try:
-                talk.send(None)
-            except StopIteration as done:
-                value: _Value = done.value
-                return value
-            raise AssertionError("a blocking transport was suspended")
+            return run(talk)

@@ -14,10 +14,11 @@ import ssl
 import threading
 import time
 import weakref
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from xpl import _spec as spec
+from xpl.client import makes
 from xpl.client.errors import ServerConnectionError, ServerFailedError
 
 _CHUNK = 1 << 18
@@ -35,25 +36,28 @@ class BlockingTransport:
         token: bearer token, or None.
         ssl_context: for `wss://`; the system's certificates otherwise.
         turn: held by whoever uses the connection.
+        scheme: how the token is announced.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, PLR0917 - what a connection needs
         self,
         url: str,
         config: Mapping[str, Any],
         token: str | None,
         ssl_context: ssl.SSLContext | None,
         turn: threading.Lock,
+        scheme: str = "Bearer",
     ) -> None:
         self._url = url
-        self._token = token
+        self._authorization = None if token is None else f"{scheme} {token}"
         self._ssl = ssl_context
         self._turn = turn
         self._ping_interval = config[spec.Deploy.WS_PING_INTERVAL_S]
         self._socket: socket.socket | None = None
         self._protocol: Any = None
-        self._messages: list[bytes] = []
-        self._fragments: list[bytes] | None = None
+        self._messages: list[bytes | str] = []
+        self._fragments: list[bytes] = []
+        self._is_text = False
         self._open = False
         self._ended = False
         self._seen = 0.0
@@ -76,16 +80,17 @@ class BlockingTransport:
             if uri.secure:
                 context = self._ssl or ssl.create_default_context()
                 self._socket = context.wrap_socket(raw, server_hostname=uri.host)
-            self._open, self._ended, self._messages, self._fragments = False, False, [], None
+            self._open, self._ended, self._messages, self._fragments = False, False, [], []
             self._protocol = ClientProtocol(uri, max_size=spec.LIMITS["frame_bytes"])
             request = self._protocol.connect()
-            if self._token is not None:
-                request.headers["Authorization"] = f"Bearer {self._token}"
+            if self._authorization is not None:
+                request.headers["Authorization"] = self._authorization
             self._protocol.send_request(request)
             self._flush()
             while self._protocol.state.name == "CONNECTING" and self._protocol.handshake_exc is None:
                 self._read(deadline)
-            self._protocol.events_received()  # the answer to the handshake
+            # The answer to the handshake; what a server says at once may have come with it.
+            self._take(event for event in self._protocol.events_received() if hasattr(event, "opcode"))
         except ssl.SSLError as error:
             await self.close()
             raise ServerConnectionError(f"no secure connection to {self._url}: {error}") from None
@@ -115,7 +120,15 @@ class BlockingTransport:
         self._flush()
 
     async def receive(self, timeout: float | None) -> bytes:
-        """Return the next binary message."""
+        """Return the next binary message: xpl's wire knows no text."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            message = await self.receive_any(_left(deadline))
+            if not isinstance(message, str):
+                return message
+
+    async def receive_any(self, timeout: float | None) -> bytes | str:
+        """Return the next message, binary or text."""
         deadline = None if timeout is None else time.monotonic() + timeout
         while not self._messages:
             if self._ended:
@@ -196,32 +209,28 @@ class BlockingTransport:
         else:
             self._protocol.receive_eof()
         if self._open:
-            self._take_events()
+            self._take(self._protocol.events_received())
         self._ended = self._ended or not data or self._protocol.parser_exc is not None
         with contextlib.suppress(OSError):  # a pong, or a farewell: what was received counts all the same
             self._flush()
 
-    def _take_events(self) -> None:
+    def _take(self, frames: Iterable[Any]) -> None:
         from websockets.frames import Opcode
 
-        for frame in self._protocol.events_received():
+        for frame in frames:
             if frame.opcode is Opcode.CLOSE:
                 self._ended = True
             elif frame.opcode in (Opcode.BINARY, Opcode.TEXT, Opcode.CONT):
-                self._take_data(frame, binary=frame.opcode is Opcode.BINARY)
+                if frame.opcode is not Opcode.CONT:
+                    self._fragments, self._is_text = [], frame.opcode is Opcode.TEXT
+                self._fragments.append(frame.data)
+                if frame.fin:
+                    self._take_message()
 
-    def _take_data(self, frame: Any, *, binary: bool) -> None:
-        if binary and frame.fin:
-            self._messages.append(frame.data)
-            return
-        if binary:
-            self._fragments = []
-        if self._fragments is None:
-            return  # text: the wire is binary only
-        self._fragments.append(frame.data)
-        if frame.fin:
-            self._messages.append(b"".join(self._fragments))
-            self._fragments = None
+    def _take_message(self) -> None:
+        whole = self._fragments[0] if len(self._fragments) == 1 else b"".join(self._fragments)
+        self._fragments = []
+        self._messages.append(bytes(whole).decode(errors="replace") if self._is_text else whole)
 
     def _end(self) -> None:
         """Raise why the connection ended: the server's own reason, or that it was lost."""
@@ -245,7 +254,7 @@ def refused_handshake(error: Exception, url: str) -> Exception:
     if status == _REFUSED:
         told = bytes(getattr(response, "body", None) or b"").decode(errors="replace").strip()
         return ServerConnectionError(f"the policy server at {url} refuses this client (HTTP {status}): {told:.300}")
-    return ConnectionError(str(error))  # something answers there, but no policy server
+    return ConnectionError(f"{error}; {makes.SPOKEN}")  # something answers there, but no policy server of ours
 
 
 def _left(deadline: float | None) -> float | None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Callable, Protocol
+from typing import Any, Callable, Protocol, TypeVar
+
+_Value = TypeVar("_Value")
 
 
 class Transport(Protocol):
@@ -45,3 +47,13 @@ class Wishes:
     jpeg: Mapping[str, int] = field(default_factory=dict)
     environment: Mapping[str, Any] | None = None
     on_loading: Callable[[Mapping[str, Any]], None] | None = None
+
+
+def run(talk: Coroutine[Any, Any, _Value]) -> _Value:
+    """Run a conversation over a transport that blocks to its end: it is never suspended."""
+    try:
+        talk.send(None)
+    except StopIteration as done:
+        value: _Value = done.value
+        return value
+    raise AssertionError("a blocking transport was suspended")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from picows import WSFrame, WSTransport
 
+    from xpl.wire import codec
     from xpl.wire.segment import Segment
     from xpl_cli.serving.places import Place
 
@@ -38,6 +39,9 @@ class Owner(Protocol):
 
     def received(self, connection: Connection, data: bytes | memoryview) -> None:
         """Pass on a binary message; the view is good for the length of the call only."""
+
+    def asked(self, connection: Connection, frame: codec.Frame, size: int) -> None:
+        """Pass on a request of so many bytes."""
 
     def disconnected(self, connection: Connection, *, clean: bool) -> None:
         """Say that a connection is gone."""
@@ -172,9 +176,8 @@ class Connection(WSListener):
 
     def answer(self, data: bytes) -> None:
         """Send the answer to a request, if the peer is still there."""
-        self._pending_bytes -= self._pending.popleft()
+        self._settle()
         self.send(data)
-        self._regulate()
 
     def send(self, data: bytes) -> None:
         """Send a message, if the peer is still there."""
@@ -218,11 +221,24 @@ class Connection(WSListener):
                 self._whole(whole)
 
     def _whole(self, data: bytes | memoryview) -> None:
+        self._heard()
+        self._owner.received(self, data)
+
+    def _heard(self) -> None:
+        """Wait for a first word no longer: it came."""
         self._spoke = True
+        self._wait_on()
+
+    def _wait_on(self) -> None:
+        """Wait for a first word as long as it takes."""
         hello = self._timers.pop("silence", None)
         if hello is not None:
             hello.cancel()
-        self._owner.received(self, data)
+
+    def _settle(self) -> None:
+        """Count a request as answered."""
+        self._pending_bytes -= self._pending.popleft()
+        self._regulate()
 
     def _regulate(self) -> None:
         few = len(self._pending) < spec.LIMITS["pending"] and self._pending_bytes < spec.LIMITS["pending_bytes"]

@@ -52,6 +52,7 @@ class RunningServer:
 
     Attributes:
         url: where it answers.
+        also: where it answers clients of other wires, by their names.
         pid: process of its front end.
         log: last lines of what it and the adapter printed.
         stubbed: modules that were stubbed, where that was asked for.
@@ -64,6 +65,7 @@ class RunningServer:
     log: collections.deque[str] = field(default_factory=lambda: collections.deque(maxlen=LOG_LINES))
     stubbed: tuple[str, ...] = ()
     stop_seconds: float | None = None
+    also: dict[str, str] = field(default_factory=dict)
     process: Hosted | None = None
 
     @property
@@ -119,6 +121,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     try:
         ready = _wait_ready(process, process.stdout, load_timeout, reader, server.log)
         server.url, server.stubbed = ready["url"], tuple(ready.get("stubbed", ()))
+        server.also = dict(ready.get("also", {}))
         yield server
     finally:
         started = time.monotonic()

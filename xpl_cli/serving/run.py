@@ -23,6 +23,7 @@ from xpl_cli.basics.progress import progress
 from xpl_cli.isolation import family
 from xpl_cli.isolation.sandbox import isolated, kept_apart
 from xpl_cli.lifecycle import interpreter
+from xpl_cli.serving import openpi
 from xpl_cli.serving.connection import Timing
 from xpl_cli.serving.entry.names import LOOPBACK, Names
 from xpl_cli.serving.logbook import log
@@ -38,9 +39,11 @@ if TYPE_CHECKING:
 
     from xpl_cli.isolation.sandbox import Isolation, MemoryLimit
     from xpl_cli.packages.package import Package
+    from xpl_cli.serving.server import Entrance
 
 SCHEMA = "xpl.serve/1"
 
+_MAIN = "xpl"
 _PROGRESS_S = 5.0
 _GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
@@ -70,6 +73,7 @@ class Options:
         isolate: keep the adapter from the network, and from writing to anything but a temporary folder.
         apart: let the adapter see and signal no process but its own.
         renew: build the model anew for every client.
+        also: what is spoken besides, each at a port of its own: `openpi`, or `openpi:PORT`.
     """
 
     python: str | None = None
@@ -92,6 +96,7 @@ class Options:
     isolate: bool = False
     apart: bool = False
     renew: bool = False
+    also: Sequence[str] = ()
 
 
 def run_server(package: Package, overrides: Mapping[str, Any], options: Options) -> None:
@@ -105,6 +110,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     """
     config = package.config(overrides)
     settings = _settings(package, config, options)
+    entrances = openpi.entrances(options.also, config, package.manifest, settings.policy)
     try:
         python = interpreter.resolve(package.path, package.manifest, python=options.python, env=options.env)
     except UserError as error:
@@ -117,7 +123,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
         confined = contextlib.nullcontext(kept_apart(package.path))
     with _trace(options.trace) as trace, confined as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
-        run = _Run(package, config, settings, options, python, observer, isolation)
+        run = _Run(package, config, settings, options, python, observer, isolation, entrances)
         reason = asyncio.run(_serve(run))
     if reason is not None:
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)
@@ -202,6 +208,7 @@ class _Run:
     python: str
     observer: Observer | None
     isolation: Isolation | None
+    entrances: Mapping[str, Entrance]
 
 
 async def _serve(run: _Run) -> str | None:
@@ -220,14 +227,16 @@ async def _serve(run: _Run) -> str | None:
             worker.shares_memory = run.isolation is None or run.isolation.folder is None
         if run.observer is not None:
             run.observer.watch(front_end.health)
-        try:
-            servers = await front_end.listen()
-        except OSError as error:
-            return f"cannot listen on {run.settings.host}:{run.settings.port}: {error.strerror}"
-        try:
+        with contextlib.ExitStack() as listening:
+            servers: dict[str, list[asyncio.Server]] = {}
+            for name, entrance in {_MAIN: None, **run.entrances}.items():
+                try:
+                    servers[name] = await front_end.listen(entrance)
+                except OSError as error:
+                    port = run.settings.port if entrance is None else entrance.port
+                    return f"cannot listen on {run.settings.host}:{port}: {error.strerror}"
+                listening.callback(_close, servers[name])
             return await _until_ended(run, front_end, servers, ending)
-        finally:
-            _close(servers)
     finally:
         await asyncio.gather(*(process.stop(grace=1.0) for process in processes))
         for stray in family.end_descendants():
@@ -248,7 +257,9 @@ async def _start(run: _Run, number: int) -> WorkerProcess:
     return process
 
 
-async def _until_ended(run: _Run, front_end: FrontEnd, servers: list[asyncio.Server], ending: _Ending) -> str | None:
+async def _until_ended(
+    run: _Run, front_end: FrontEnd, servers: Mapping[str, list[asyncio.Server]], ending: _Ending
+) -> str | None:
     asked = asyncio.create_task(ending.asked.wait())
     loading = asyncio.create_task(_load(run, front_end))
     await _first(loading, asked)
@@ -267,13 +278,14 @@ async def _until_ended(run: _Run, front_end: FrontEnd, servers: list[asyncio.Ser
     gc.freeze()
     gc.set_threshold(10_000, 10, 10)
     front_end.ready()
-    host, port = _address(servers[0], run.settings.host)
-    scheme = "ws" if run.settings.tls is None else "wss"
+    urls = {name: _url(listening[0], run.settings) for name, listening in servers.items()}
+    url = urls.pop(_MAIN)
     ready = {
         "event": spec.ServerState.READY,
         "policy": run.package.name,
-        "url": f"{scheme}://{host}:{port}",
-        "port": port,
+        "url": url,
+        "port": int(url.rpartition(":")[2]),
+        **({"also": urls} if urls else {}),
         **run.options.stand_in.message,
     }
     if run.options.stand_in.stub_missing:
@@ -284,7 +296,8 @@ async def _until_ended(run: _Run, front_end: FrontEnd, servers: list[asyncio.Ser
         reason = front_end.failed.result()
         await _dismiss(front_end, ending, spec.CLOSE_CODES["server_failed"], reason)
         return reason
-    _close(servers)
+    for listening in servers.values():
+        _close(listening)
     await _first(asyncio.create_task(front_end.drain(run.settings.grace)), asyncio.create_task(ending.insisted.wait()))
     await _dismiss(front_end, ending, _GOING_AWAY, "the policy server was stopped")
     return None
@@ -348,6 +361,11 @@ async def _tell(front_end: FrontEnd, name: str, say: Any) -> None:
         await asyncio.sleep(1.0 if sys.stderr.isatty() else _PROGRESS_S)
         told = front_end.progress()
         say(f"[server] loading {name}: {told['seconds']:.0f} s, {told['memory_bytes'] / 2**20:.0f} MiB in memory")
+
+
+def _url(server: asyncio.Server, settings: Settings) -> str:
+    host, port = _address(server, settings.host)
+    return f"{'ws' if settings.tls is None else 'wss'}://{host}:{port}"
 
 
 def _address(server: asyncio.Server, host: str) -> tuple[str, int]:

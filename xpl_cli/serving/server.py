@@ -16,7 +16,7 @@ from xpl.wire import codec
 from xpl_cli.serving.connection import Connection, Timing
 from xpl_cli.serving.desk import Desk, acknowledged, fault, refusal
 from xpl_cli.serving.entry import door
-from xpl_cli.serving.entry.admission import Admission
+from xpl_cli.serving.entry.admission import BEARER, Admission
 from xpl_cli.serving.greeting import capabilities, greeting, share_memory
 from xpl_cli.serving.logbook import Burst, log
 from xpl_cli.serving.places import Place, Places
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from picows import WSUpgradeRequest
 
+    from xpl_cli.serving.connection import Owner
     from xpl_cli.serving.entry.names import Names
     from xpl_cli.serving.observe import Observer
     from xpl_cli.serving.workers.worker import WorkerProcess
@@ -71,6 +72,21 @@ class Settings:
     renew: bool = False
 
 
+@dataclass(frozen=True)
+class Entrance:
+    """A port, and what is spoken there.
+
+    Attributes:
+        port: TCP port; 0 lets the system choose.
+        connection: makes the connection of a peer.
+        scheme: how a token is announced there, in lower case.
+    """
+
+    port: int
+    connection: Callable[[Owner, Timing], Connection]
+    scheme: str = BEARER
+
+
 class FrontEnd:
     """Serves the workers to the clients.
 
@@ -110,20 +126,21 @@ class FrontEnd:
 
     # -- life ----------------------------------------------------------------------------------------------------------
 
-    async def listen(self) -> list[asyncio.Server]:
-        """Bind the address and start answering; a name may stand for several addresses.
+    async def listen(self, entrance: Entrance | None = None) -> list[asyncio.Server]:
+        """Bind the address, or that of another entrance, and start answering; a name may stand for several addresses.
 
         Raises:
             OSError: if the address cannot be had.
         """
         settings = self._settings
+        entrance = entrance or Entrance(settings.port, Connection)
         metrics = None if self._observer is None else self._observer.page
-        admission = Admission(settings.token, settings.names, self.health, metrics, self._make_room)
+        admission = Admission(settings.token, settings.names, self.health, metrics, self._make_room, entrance.scheme)
         trouble = Burst("a connection failed")
         self._loop.set_exception_handler(lambda _, context: trouble.note(_told(context)))
 
         def admit(request: WSUpgradeRequest) -> Any:
-            return admission.refusal(request) or Connection(self, settings.timing)
+            return admission.refusal(request) or entrance.connection(self, settings.timing)
 
         return [
             await ws_create_server(
@@ -133,7 +150,7 @@ class FrontEnd:
                 websocket_handshake_timeout=settings.handshake_timeout,
                 max_frame_size=spec.LIMITS["frame_bytes"],
             )
-            for listening in self._door.sockets(settings.host, settings.port)
+            for listening in self._door.sockets(settings.host, entrance.port)
         ]
 
     def _make_room(self) -> bool:
@@ -250,18 +267,22 @@ class FrontEnd:
                 refused = RequestError(spec.ErrorCode.INVALID_FRAME, str(error), spec.ErrorReason.UNREADABLE)
                 connection.send(refusal(codec.Frame(spec.Message.ERROR, **known), refused))
             return
+        self.asked(connection, frame, len(data))
+
+    def asked(self, connection: Connection, frame: codec.Frame, size: int) -> None:
+        """Answer a request of so many bytes, now or when a worker has."""
         kind = frame.message_type
         if kind == spec.Message.CLOSE:
             self._leave(connection, clean=True)
             connection.close(1000)
             return
-        connection.expect_answer(len(data))
+        connection.expect_answer(size)
         if kind == spec.Message.HEARTBEAT:
             self._heartbeat(connection, frame)
         elif kind == spec.Message.HELLO:
             self._hello(connection, frame)
         else:
-            self._request(connection, frame, len(data))
+            self._request(connection, frame, size)
 
     # -- answers that need no worker -----------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ POLICY_ENV = typer.Option(
 )
 
 MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
+ALSO_HELP = "Also serve clients of this wire: openpi, or openpi:PORT; without PORT the system chooses one."
 ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
 APART_HELP = "Run the adapter where it sees and signals no process but its own; --isolate does so, too."
 
@@ -54,6 +55,7 @@ def serve(
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
     apart: bool = typer.Option(False, "--apart", help=APART_HELP),
     renew: bool = typer.Option(False, "--renew", help="Build the model anew for every client, as if served afresh."),
+    also: list[str] = typer.Option([], "--also", metavar="WIRE", help=ALSO_HELP),
     _as_json: bool = typer.Option(False, "--json", help="Changes nothing: what is printed is JSON either way."),
 ) -> None:
     """Serve a policy until interrupted. Prints one JSON line on stdout when it is ready."""
@@ -89,5 +91,6 @@ def serve(
         isolate=isolate,
         apart=apart,
         renew=renew,
+        also=also,
     )
     run_server(package.load(policy).without(unset), overrides, options)

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
     from xpl_cli.serving.entry.names import Names
 
+BEARER = "bearer"
+"""How a token is announced (RFC 6750), in lower case."""
+
 _HEALTH, _METRICS = "/healthz", "/metrics"
 
 
@@ -35,6 +38,7 @@ class Admission:
         health: returns the server's state.
         metrics: returns the page of metrics, or None if there are none.
         make_room: tells whether one more connection is possible; may drop one that has said nothing.
+        scheme: how a token is announced, in lower case; a bearer token is understood everywhere.
     """
 
     token: str | None
@@ -42,6 +46,7 @@ class Admission:
     health: Callable[[], dict[str, Any]]
     metrics: Callable[[], bytes] | None
     make_room: Callable[[], bool]
+    scheme: str = BEARER
 
     def refusal(self, request: WSUpgradeRequest) -> WSUpgradeResponseWithListener | None:
         """Return the answer to a request that is not let in, or None; never raises."""
@@ -88,7 +93,7 @@ class Admission:
         scheme, _, token = shown[0].partition(" ")
         # The time that this takes must not tell how much of it was right.
         right = hmac.compare_digest(token.strip().encode(errors="replace"), (self.token or "").encode())
-        return scheme.lower() == "bearer" and right
+        return scheme.lower() in (BEARER, self.scheme) and right
 
 
 def _page(status: HTTPStatus, body: str | bytes, headers: dict[str, str]) -> WSUpgradeResponseWithListener:

@@ -1,0 +1,271 @@
+"""`xpl.openpi.client` and `--kind remote` in front of openpi's server, and what is told of servers of other makes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.server
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from tests.support.openpi import METADATA, policy_server
+from xpl import AsyncClient, Client, get_embodiment
+from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
+from xpl.client.remote import connect
+from xpl.observation import ObservationError
+from xpl.openpi.client import OpenpiClient
+from xpl.policy import ConfigError, PolicyStateError
+from xpl_cli.scaffold import adapter as scaffold
+from xpl_cli.serving.launch import serving
+
+ONCE: dict[str, Any] = {"max_connect_attempts": 1, "handshake_timeout_s": 5, "request_timeout_s": 20}
+CONFIG: dict[str, Any] = {
+    "openpi": {"style": "libero"},
+    "env_cfg_type": "franka_single",
+    "action_type": "joint",
+    "wire": "openpi",
+    **ONCE,
+}
+
+
+def observation(number: float, env: int | None = None) -> dict[str, Any]:
+    """Return what an environment shows; its first joint is at `number`."""
+    robot = get_embodiment("franka_single")
+    state = {key: np.full(width, number, np.float32) for key, width in robot.dims("joint").items()}
+    cameras = {name: {"color": np.zeros((4, 4, 3), np.uint8)} for name in robot.cameras}
+    return {"state": state, "vision": cameras, "instruction": "go", **({} if env is None else {"env_idx": env})}
+
+
+def first_joint(chunk: Any) -> float:
+    """Return where a chunk moves the first joint to."""
+    return round(float(chunk[0]["arm_joint_state"][0]), 3)
+
+
+class Model:
+    """What the server computes: it holds the state, and says which thread, that is which connection, it served."""
+
+    def __init__(self) -> None:
+        self.served: list[int] = []
+        self.seen: list[dict[str, Any]] = []
+
+    def infer(self, obs: dict[str, Any]) -> dict[str, Any]:
+        """Return a chunk."""
+        self.served.append(threading.get_ident())
+        self.seen.append(obs)
+        if obs["observation/state"][0] > 0.9:
+            raise ValueError("the gripper is unhappy")
+        return {"actions": np.stack([obs["observation/state"]] * 3), "policy_timing": {"infer_ms": 1.0}}
+
+
+@pytest.fixture
+def model() -> Model:
+    """Return the model behind the server."""
+    return Model()
+
+
+@pytest.fixture
+def url(model: Model) -> Iterator[str]:
+    """Serve it as openpi would."""
+    with policy_server(model.infer) as address:
+        yield address
+
+
+@pytest.fixture
+def client(url: str) -> Iterator[OpenpiClient]:
+    """Return a client of it."""
+    client = OpenpiClient(url, config=CONFIG)
+    yield client
+    client.close()
+
+
+def test_observations_become_chunks(client: OpenpiClient, model: Model) -> None:
+    """The metadata comes first; names are openpi's there and the standard's here."""
+    assert client.metadata == METADATA
+    client.update_obs(observation(0.25))
+    chunk = client.get_action()
+    assert [first_joint([step]) for step in chunk] == [0.25] * 3
+    assert set(model.seen[0]) == {"observation/image", "observation/wrist_image", "observation/state", "prompt"}
+    client.update_obs(observation(0.5))
+    assert first_joint(client.get_action()) == 0.5
+    assert len(set(model.served)) == 1
+
+
+def test_environments_and_episodes_have_connections_of_their_own(client: OpenpiClient, model: Model) -> None:
+    """There is no reset on this wire, and a server may keep state for each connection."""
+    client.update_obs_batch([observation(0.1 * env, env) for env in (1, 2, 3)])
+    assert [first_joint(chunk) for chunk in client.get_action_batch([3, 1])] == [0.3, 0.1]
+    assert [first_joint(chunk) for chunk in client.get_action_batch()] == [0.1, 0.2, 0.3]
+    third, first, *again = model.served
+    assert again[0] == first
+    assert again[2] == third
+    assert len(set(model.served)) == 3
+    client.reset()
+    with pytest.raises(PolicyStateError):
+        client.get_action()
+    with pytest.raises(PolicyStateError):
+        client.get_action_batch([1])
+    client.update_obs(observation(0.1, 1))
+    client.get_action()
+    with pytest.raises(PolicyStateError, match="none twice"):
+        client.get_action_batch([1, 1])
+
+
+def test_an_error_is_quoted_and_the_next_question_is_answered(client: OpenpiClient, model: Model) -> None:
+    """A server of openpi closes the connection after an error; nothing of an episode is lost by that."""
+    client.update_obs(observation(1.0))
+    with pytest.raises(PolicyServerError, match=r"^infer_failed: ValueError: the gripper is unhappy$") as raised:
+        client.get_action()
+    assert raised.value.details["traceback"].startswith("Traceback")
+    client.update_obs(observation(0.5))
+    assert first_joint(client.get_action()) == 0.5
+    assert len(model.served) == 2
+    with pytest.raises(ObservationError, match=r"lacks vision.cam_wrist"):
+        _ask(client, {**observation(0.1), "vision": {"cam_head": {"color": np.zeros((4, 4, 3), np.uint8)}}})
+
+
+def _ask(client: Any, obs: dict[str, Any]) -> Any:
+    client.update_obs(obs)
+    return client.get_action()
+
+
+def test_after_a_cut_the_episode_has_to_begin_anew() -> None:
+    """Nothing is asked twice: the connection may have held its state."""
+    cut = threading.Event()
+
+    def infer(obs: dict[str, Any]) -> dict[str, Any]:
+        if not cut.is_set():
+            cut.set()
+            raise ConnectionAbortedError
+        return {"actions": np.stack([obs["observation/state"]])}
+
+    with policy_server(infer) as url:
+        client = OpenpiClient(url, config=CONFIG)
+        with pytest.raises(ServerConnectionError, match=r"the connection was cut.*reset and begin anew"):
+            _ask(client, observation(0.1))
+        with pytest.raises(ServerConnectionError, match="was lost, with its episode; reset"):
+            _ask(client, observation(0.1))
+        client.reset()
+        assert first_joint(_ask(client, observation(0.1))) == 0.1
+        client.close()
+
+
+def test_a_late_answer_is_an_error() -> None:
+    """The trial ends; the next one gets a connection of its own."""
+    go_on = threading.Event()
+
+    def infer(obs: dict[str, Any]) -> dict[str, Any]:
+        go_on.wait(20)
+        return {"actions": np.stack([obs["observation/state"]])}
+
+    with policy_server(infer) as url:
+        client = OpenpiClient(url, config={**CONFIG, "request_timeout_s": 0.05})
+        with pytest.raises(RequestTimeoutError):
+            _ask(client, observation(0.1))
+        go_on.set()
+        client.close()
+
+
+def test_a_remote_adapter_speaks_openpi(url: str, tmp_path: Path) -> None:
+    """The scaffold with two keys of deploy.yml: an episode through two servers."""
+    adapter = tmp_path / "Far"
+    answers = {"name": "Far", **scaffold.defaults(), "kind": "remote", "embodiment": "franka_single", "chunk": 3}
+    scaffold.write(scaffold.render(scaffold.answers_of(**answers)), adapter)
+    deploy = yaml.safe_load((adapter / "deploy.yml").read_text())
+    assert (deploy["wire"], deploy["openpi"]) == ("xpl", None)
+    told = {"server": url, "wire": "openpi", "openpi": {"style": "libero"}}
+    with serving(adapter, told) as far, Client(far.url) as policy:
+        assert [first_joint([step]) for step in _ask(policy, observation(0.25))] == [0.25] * 3
+        policy.reset()
+        policy.update_obs_batch([observation(0.1 * env, env) for env in (1, 2)])
+        assert [first_joint(chunk) for chunk in policy.get_action_batch([2, 1])] == [0.2, 0.1]
+
+
+# -- makes -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_server_of_openpi_is_recognised_by_its_first_word(url: str) -> None:
+    """By either of our clients, with the key that makes it work."""
+    told = r"speaks openpi's wire.*`wire: openpi` in deploy.yml"
+    with pytest.raises(ClientError, match=told):
+        Client(url, config=ONCE)
+
+    async def connect_awaited() -> None:
+        async with AsyncClient(url, config=ONCE):
+            pass  # pragma: no cover
+
+    with pytest.raises(ClientError, match=told):
+        asyncio.run(connect_awaited())
+
+
+@pytest.mark.parametrize("hello", [b"\xc1", b"\x93\x01\x02\x03"])
+def test_what_is_neither_is_told_with_what_is_spoken(hello: bytes) -> None:
+    """Whatever comes first."""
+    with policy_server(lambda obs: obs, hello) as url:
+        for refused in (lambda: Client(url, config=ONCE), lambda: OpenpiClient(url, config=CONFIG)):
+            with pytest.raises(
+                ClientError, match="GR00T's ZeroMQ, LeRobot's gRPC and JSON over HTTP are not spoken yet"
+            ):
+                refused()
+
+
+def test_text_first_is_how_a_server_refuses() -> None:
+    """It is quoted."""
+    with (
+        policy_server(lambda obs: obs, "no checkpoint") as url,
+        pytest.raises(ServerConnectionError, match="no checkp"),
+    ):
+        OpenpiClient(url, config=CONFIG)
+
+
+def test_a_server_that_waits_for_a_word_is_none_of_openpi() -> None:
+    """It may be one of ours."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        silent = f"ws://127.0.0.1:{listener.getsockname()[1]}"
+        with pytest.raises(ServerConnectionError, match=r"no openpi server at .* after 1 attempts"):
+            OpenpiClient(silent, config={**CONFIG, "connect_timeout_s": 0.05})
+
+
+def test_an_http_server_is_told_with_what_is_spoken() -> None:
+    """The field has policies behind JSON over HTTP, too."""
+    with _web() as url:
+        for refused in (lambda: Client(url, config=ONCE), lambda: OpenpiClient(url, config=CONFIG)):
+            with pytest.raises(ServerConnectionError, match=r"HTTP 404.*JSON over HTTP are not spoken yet"):
+                refused()
+
+
+@contextlib.contextmanager
+def _web() -> Iterator[str]:
+    class Quiet(http.server.BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            self.send_error(404)
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Quiet) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"ws://127.0.0.1:{server.server_address[1]}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_a_wire_that_is_not_spoken_is_refused(url: str) -> None:
+    """With those that are, and those that are not yet."""
+    with pytest.raises(ConfigError, match=r"one of xpl, openpi, got 'groot'.*not spoken yet"):
+        connect({"server": url, "wire": "groot"})
+    with pytest.raises(ConfigError, match=r"server in deploy.yml must be an address"):
+        connect({"wire": "openpi"})
+    with pytest.raises(ConfigError, match=r"`openpi` in deploy.yml has to say"):
+        connect({**CONFIG, "server": url, "openpi": None})

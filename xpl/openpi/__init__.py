@@ -1,0 +1,6 @@
+"""openpi's wire, both ways: its messages (`codec`), what its names mean here (`names`), and a client (`client`).
+
+Source: Physical-Intelligence/openpi, packages/openpi-client (websocket_client_policy.py, msgpack_numpy.py) and
+src/openpi/serving/websocket_policy_server.py. A server sends its metadata first, then answers each observation with a
+map that holds `actions`, or with an error as text. There are no identifiers and there is no reset.
+"""

@@ -1,0 +1,117 @@
+"""Messages of openpi: msgpack, an array being a map with bin keys, without I/O. Needs msgpack (extra `client`).
+
+An array is `{b"__ndarray__": True, b"data": bytes, b"dtype": dtype.str, b"shape": [...]}`, a numpy scalar
+`{b"__npgeneric__": True, b"data": value, b"dtype": dtype.str}`. Nothing is ever unpickled, and what is decoded stays
+within the limits of our own wire.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.wire.arrays import ArrayError, Data, as_array, from_data, parse_dtype
+from xpl.wire.codec import WireError, depth
+
+_ARRAY, _SCALAR, _DATA, _DTYPE, _SHAPE = b"__ndarray__", b"__npgeneric__", b"data", b"dtype", b"shape"
+_UNKNOWN = "Vc"
+"""Kinds of arrays that openpi has no form for: structures and complex numbers."""
+
+
+def pack(value: Any) -> bytes:
+    """Return the message of a value: maps, lists, text, numbers, flags and arrays.
+
+    Raises:
+        WireError: if it holds what cannot travel.
+    """
+    import msgpack
+
+    try:
+        packed: bytes = msgpack.packb(value, default=_outgoing)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise WireError(f"this cannot be sent to openpi: {error}") from None
+    return packed
+
+
+def unpack(data: Data) -> Any:
+    """Return the value of a message; arrays are read-only.
+
+    Raises:
+        WireError: if it is not one of openpi's, or beyond the wire's limits.
+    """
+    import msgpack
+
+    if len(data) > spec.LIMITS["frame_bytes"]:
+        raise WireError(f"a message of {len(data)} bytes is over the limit of {spec.LIMITS['frame_bytes']}")
+    reader = _Reader()
+    try:
+        value = msgpack.unpackb(
+            data,
+            object_hook=reader.on_map,
+            list_hook=reader.on_list,
+            ext_hook=_refuse_extension,
+            raw=False,
+            strict_map_key=False,
+        )
+    except (WireError, ArrayError) as error:
+        raise WireError(str(error)) from None
+    except Exception as error:  # noqa: BLE001 - msgpack raises many types; all mean the same here
+        raise WireError(f"the message is not valid msgpack: {error}") from None
+    if depth(value) > spec.LIMITS["nesting"]:
+        raise WireError(f"the message is nested deeper than {spec.LIMITS['nesting']} levels")
+    return value
+
+
+def _outgoing(value: Any) -> Any:
+    array = as_array(value)
+    if array.dtype.kind in _UNKNOWN:
+        raise ValueError(f"openpi knows no arrays of type {array.dtype}")
+    if isinstance(value, np.generic):
+        return {_SCALAR: True, _DATA: value.item(), _DTYPE: value.dtype.str}
+    return {_ARRAY: True, _DATA: array.tobytes(), _DTYPE: array.dtype.str, _SHAPE: array.shape}
+
+
+class _Reader:
+    """Makes values of the maps and lists of one message, and counts what they hold."""
+
+    def __init__(self) -> None:
+        self._left = spec.LIMITS["elements"]
+
+    def on_map(self, entries: dict[Any, Any]) -> Any:
+        self._count(len(entries))
+        if _ARRAY in entries:
+            return _array(entries)
+        return _scalar(entries) if _SCALAR in entries else entries
+
+    def on_list(self, items: list[Any]) -> list[Any]:
+        self._count(len(items))
+        return items
+
+    def _count(self, entries: int) -> None:
+        self._left -= entries + 1
+        if self._left < 0:
+            raise WireError(f"the message holds more than {spec.LIMITS['elements']} list and map entries: send arrays")
+
+
+def _array(entries: Mapping[Any, Any]) -> np.ndarray:
+    data = entries.get(_DATA)
+    if not isinstance(data, bytes):
+        raise WireError(f"array data must be bytes, got {type(data).__name__}")
+    return from_data(data, parse_dtype(entries.get(_DTYPE)), entries.get(_SHAPE))
+
+
+def _scalar(entries: Mapping[Any, Any]) -> Any:
+    dtype, value = parse_dtype(entries.get(_DTYPE)), entries.get(_DATA)
+    if not isinstance(value, (bool, int, float, str, bytes)):
+        raise WireError(f"a scalar must be a number, a flag or text, got {type(value).__name__}")
+    try:
+        return dtype.type(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise WireError(f"{value!r:.80} is no {dtype}: {error}") from None
+
+
+def _refuse_extension(code: int, _: bytes) -> None:
+    raise WireError(f"msgpack extension type {code} is not part of the wire")

@@ -1,0 +1,108 @@
+"""What deploy.yml says of openpi's names: a style that openpi's examples use, names of one's own, scale and layout.
+
+    openpi: {style: droid, names: {observation/exterior_image_2_left: null}, gripper: {closed: 1, open: 0}, images: hwc}
+
+`null` says that a name is known and not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.policy import ConfigError
+
+KEY = "openpi"
+"""The key of deploy.yml."""
+LAYOUTS = ("hwc", "chw")
+"""Orders of an image's axes; the first is the default."""
+
+_CLOSED, _OPEN = "closed", "open"
+_STATE, _VISION, _INSTRUCTION = spec.Obs.STATE, spec.Obs.VISION, spec.Obs.INSTRUCTION
+_HEAD, _WRIST = (f"{_VISION}.{camera}" for camera in spec.CAMERAS[1])
+_TOP, _LEFT, _RIGHT = (f"{_VISION}.{camera}" for camera in spec.CAMERAS[2])
+_THIRD = f"{_VISION}.{spec.OPTIONAL_CAMERAS[0]}"
+
+STYLES: dict[str, dict[str, Any]] = {
+    "droid": {
+        "names": {
+            "observation/exterior_image_1_left": _HEAD,
+            "observation/wrist_image_left": _WRIST,
+            "observation/joint_position": f"{_STATE}.{spec.State.ARM_JOINT_STATE}",
+            "observation/gripper_position": f"{_STATE}.{spec.State.EE_JOINT_STATE}",
+            "prompt": _INSTRUCTION,
+        },
+        "gripper": {_CLOSED: 1.0, _OPEN: 0.0},
+    },
+    "libero": {
+        "names": {
+            "observation/image": _HEAD,
+            "observation/wrist_image": _WRIST,
+            "observation/state": _STATE,
+            "prompt": _INSTRUCTION,
+        },
+    },
+    "aloha": {
+        "names": {
+            "images.cam_high": _TOP,
+            "images.cam_low": _THIRD,
+            "images.cam_left_wrist": _LEFT,
+            "images.cam_right_wrist": _RIGHT,
+            _STATE: _STATE,
+            "prompt": _INSTRUCTION,
+        },
+        "images": "chw",
+    },
+}
+"""What openpi's example environments send: policies/droid_policy.py, libero_policy.py and aloha_policy.py there."""
+
+
+def read(given: Any) -> dict[str, Any]:
+    """Return `openpi` of deploy.yml with what its style says: `names`, and `gripper` and `images` where it says so.
+
+    Raises:
+        ConfigError: if it is missing or unclear.
+    """
+    styles = ", ".join(STYLES)
+    if given is None:
+        raise ConfigError(
+            f"openpi's wire has no names of the standard: `{KEY}` in deploy.yml has to say what its names mean, for "
+            f"example {{style: droid}}; styles are {styles}"
+        )
+    keys = ("style", "names", "gripper", "images")
+    unknown = [str(key) for key in given if key not in keys] if isinstance(given, Mapping) else [repr(given)]
+    if unknown:
+        raise ConfigError(f"{KEY} in deploy.yml takes {', '.join(keys)}; got {', '.join(unknown)}")
+    style, names = given.get("style"), given.get("names") or {}
+    if style is not None and style not in STYLES:
+        raise ConfigError(f"{KEY}.style must be one of {styles}, got {style!r}")
+    if not isinstance(names, Mapping) or not all(isinstance(name, str) for name in names):
+        raise ConfigError(f"{KEY}.names must map openpi's names to inputs, got {names!r}")
+    base: dict[str, Any] = STYLES[style] if style is not None else {"names": {}}
+    told = {**base, **{key: value for key, value in given.items() if value is not None}}
+    # One that was given another meaning leaves the style's; the input goes with the name that was given for it.
+    kept = {name: target for name, target in base["names"].items() if target not in names.values()}
+    told["names"] = {**kept, **names}
+    if not any(told["names"].values()):
+        raise ConfigError(f"{KEY} in deploy.yml needs a style ({styles}) or names")
+    if told.get("images", LAYOUTS[0]) not in LAYOUTS:
+        raise ConfigError(f"{KEY}.images must be one of {', '.join(LAYOUTS)}, got {told['images']!r}")
+    return told
+
+
+def gripper_ends(given: Any) -> tuple[float, float]:
+    """Return what a gripper's value is when it is closed, and when it is open.
+
+    Raises:
+        ConfigError: unless two different numbers are given.
+    """
+    if given is None:
+        return spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN
+    ends = [given.get(key) for key in (_CLOSED, _OPEN)] if isinstance(given, Mapping) and len(given) == 2 else []
+    numbers = [float(end) for end in ends if isinstance(end, (int, float)) and not isinstance(end, bool)]
+    if len(numbers) != 2 or numbers[0] == numbers[1] or not np.isfinite(numbers).all():
+        raise ConfigError(f"{KEY}.gripper must be {{closed: NUMBER, open: another NUMBER}}, got {given!r}")
+    return numbers[0], numbers[1]
