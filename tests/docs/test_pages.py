@@ -35,8 +35,15 @@ LANGUAGES = {*SHELL, "python", "yaml", "json", "diff", "dockerfile", "text"}
 PROGRAMS = {"cd", "curl", "docker", "find", "git", "pip", "python", "sha256sum", "sort", "ssh-keygen", "tr", "xargs"}
 """Commands of others that pages show: a misspelt `xpl` is none of them."""
 
-FOREIGN = ({"on", "permissions", "jobs"}, {"repos"}, {"args"}, {"template", "answers", "generated", "seeded", "free"})
-"""Keys of YAML that is no manifest: a workflow, hooks before a commit, arguments of one, a lock file that we write."""
+FOREIGN = (
+    {"on", "permissions", "jobs"},
+    {"repos"},
+    {"args"},
+    {"template", "answers", "generated", "seeded", "free"},
+    {"server", "wire", "openpi"},
+)
+"""Keys of YAML that is no manifest: a workflow, hooks before a commit, arguments of one, a lock file that we write; and
+of an adapter's own keys, those of one that forwards."""
 
 MANIFESTS = ("policy", "deploy", "env")
 BLOCKS = list(pages.blocks())

@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from tests.support.openpi import METADATA, policy_server
 from xpl import AsyncClient, Client, get_embodiment
 from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
-from xpl.client.remote import connect
 from xpl.observation import ObservationError
 from xpl.openpi.client import OpenpiClient
 from xpl.policy import ConfigError, PolicyStateError
@@ -80,9 +78,9 @@ def url(model: Model) -> Iterator[str]:
 @pytest.fixture
 def client(url: str) -> Iterator[OpenpiClient]:
     """Return a client of it."""
-    client = OpenpiClient(url, config=CONFIG)
-    yield client
-    client.close()
+    with Client(url, config=CONFIG) as client:
+        assert isinstance(client, OpenpiClient)
+        yield client
 
 
 def test_observations_become_chunks(client: OpenpiClient, model: Model) -> None:
@@ -177,8 +175,6 @@ def test_a_remote_adapter_speaks_openpi(url: str, tmp_path: Path) -> None:
     adapter = tmp_path / "Far"
     answers = {"name": "Far", **scaffold.defaults(), "kind": "remote", "embodiment": "franka_single", "chunk": 3}
     scaffold.write(scaffold.render(scaffold.answers_of(**answers)), adapter)
-    deploy = yaml.safe_load((adapter / "deploy.yml").read_text())
-    assert (deploy["wire"], deploy["openpi"]) == ("xpl", None)
     told = {"server": url, "wire": "openpi", "openpi": {"style": "libero"}}
     with serving(adapter, told) as far, Client(far.url) as policy:
         assert [first_joint([step]) for step in _ask(policy, observation(0.25))] == [0.25] * 3
@@ -264,8 +260,8 @@ def _web() -> Iterator[str]:
 def test_a_wire_that_is_not_spoken_is_refused(url: str) -> None:
     """With those that are, and those that are not yet."""
     with pytest.raises(ConfigError, match=r"one of xpl, openpi, got 'groot'.*not spoken yet"):
-        connect({"server": url, "wire": "groot"})
-    with pytest.raises(ConfigError, match=r"server in deploy.yml must be an address"):
-        connect({"wire": "openpi"})
+        Client(url, config={"wire": "groot"})
+    with pytest.raises(ConfigError, match=r"spoken by xpl.Client, and by no other client"):
+        AsyncClient(url, config=CONFIG)
     with pytest.raises(ConfigError, match=r"`openpi` in deploy.yml has to say"):
-        connect({**CONFIG, "server": url, "openpi": None})
+        Client(url, config={**CONFIG, "openpi": None})

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import _spec as spec
+from xpl.client import makes
 from xpl.client.conversation import Conversation
 from xpl.client.exchange import Exchange
 from xpl.client.transport import Transport, Wishes
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class ClientBase:
-    """A client before it is connected; `xpl.client.Client` documents the arguments."""
+    """A client of xpl's wire before it is connected; `xpl.client.Client` documents the arguments."""
 
     def __init__(  # noqa: PLR0913 - keywords only
         self,
@@ -42,6 +43,7 @@ class ClientBase:
             on_loading=on_loading,
         )
         timing = {**spec.DEPLOY_DEFAULTS, **(config or {})}
+        makes.check(timing)
         transport = self._transport(url, timing, token, ssl_context)
         self._exchange = Exchange(transport, url, timing, wishes, evaluation_id, trial_id)
         self._talk = Conversation(self._exchange, trial_id)

@@ -17,6 +17,7 @@ import threading
 from collections.abc import Coroutine, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from xpl.client import makes
 from xpl.client.base import ClientBase
 from xpl.client.connection import BlockingTransport
 from xpl.client.errors import (
@@ -57,7 +58,8 @@ class Client(ClientBase):
         evaluation_id: name of the evaluation; made up if not given.
         trial_id: name of the trial, where the benchmark has one.
         config: the timing keys of deploy.yml; the spec's defaults otherwise. null in a limit means none, and 0 means
-            no cap on attempts and on the time to connect.
+            no cap on attempts and on the time to connect. With `wire: openpi` a client of openpi's servers is returned
+            (`xpl.openpi.client`), whose operations are the same.
         token: bearer token, where the server asks for one.
         ssl_context: for `wss://`, where the system's certificates are not enough.
         environment: what the environment offers: `embodiment`, `action_type`, `control_frequency` (Hz), `inputs`. A
@@ -73,6 +75,18 @@ class Client(ClientBase):
         EnvironmentMismatchError: if policy and environment do not fit.
         PolicyServerError: if the server refused the hello for good.
     """
+
+    if not TYPE_CHECKING:  # the arguments are those of the base class
+
+        def __new__(cls, url: str, **options: Any) -> Any:
+            """Return a client of the wire that the configuration asks for."""
+            config = options.get("config") or {}
+            if makes.wire_of(config) != makes.OPENPI:
+                return super().__new__(cls)
+            from xpl.openpi.client import OpenpiClient
+
+            known = {name: options[name] for name in ("token", "ssl_context") if name in options}
+            return OpenpiClient(url, config=config, **known)
 
     def _transport(
         self, url: str, timing: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None

@@ -10,12 +10,40 @@ from xpl.wire import codec
 
 XPL, OPENPI = "xpl", "openpi"
 WIRES = (XPL, OPENPI)
-"""Wires that a client can speak: `wire` of deploy.yml."""
+"""Wires that a client can speak."""
+WIRE = "wire"
+"""The key of deploy.yml that says which."""
 SPOKEN = (
     "spoken here are xpl's wire, older servers of XPolicyLab included, and openpi's; GR00T's ZeroMQ, LeRobot's gRPC "
     "and JSON over HTTP are not spoken yet"
 )
 """What a user is told where something else answers."""
+
+
+def wire_of(config: Mapping[str, Any]) -> str:
+    """Return the wire that a configuration asks for.
+
+    Raises:
+        ConfigError: if it is not spoken here.
+    """
+    from xpl.policy import ConfigError
+
+    wire: Any = config.get(WIRE) or XPL
+    if wire not in WIRES:
+        raise ConfigError(f"{WIRE} must be one of {', '.join(WIRES)}, got {wire!r}; {SPOKEN}")
+    return str(wire)
+
+
+def check(config: Mapping[str, Any]) -> None:
+    """Check that a configuration asks for xpl's wire, where nothing else is spoken.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    from xpl.policy import ConfigError
+
+    if wire_of(config) != XPL:
+        raise ConfigError(f"{WIRE}: {config[WIRE]} is spoken by xpl.Client, and by no other client")
 
 
 def greeting(data: bytes, address: str) -> codec.Frame:
@@ -34,8 +62,8 @@ def greeting(data: bytes, address: str) -> codec.Frame:
         if not is_openpi(data):
             raise codec.WireError(f"the server at {address} sent no frame of xpl's wire: {error}; {SPOKEN}") from None
         raise codec.WireError(
-            f"the server at {address} speaks openpi's wire, for it sent its metadata before it was asked; an adapter "
-            f"of `--kind remote` speaks it with `wire: {OPENPI}` in deploy.yml and, as `{OPENPI}`, what its names mean"
+            f"the server at {address} speaks openpi's wire, for it sent its metadata before it was asked; say `{WIRE}: "
+            f"{OPENPI}` in deploy.yml (or `config`), and as `{OPENPI}` there what its names mean"
         ) from None
 
 

@@ -87,12 +87,18 @@ class OpenpiClient:
         """Keep the newest observation of several environments."""
         self._observe(obs_list, env_indices(obs_list))
 
-    def get_action(self) -> list[dict[str, Any]]:
-        """Return the action chunk of the environment that was observed last.
+    def infer(self, obs: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return the action chunk for one observation."""
+        return self.get_action(obs)
+
+    def get_action(self, obs: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
+        """Return the action chunk for `obs` if it is given, and otherwise for the environment that was observed last.
 
         Raises:
             PolicyStateError: before an observation, or after a batch of several.
         """
+        if obs is not None:
+            self.update_obs(obs)
         if self._order is None or len(self._order) != 1:
             raise PolicyStateError(f"get_action answers one environment that was observed, the last were {self._order}")
         return self.get_action_batch(self._order)[0]
@@ -133,6 +139,12 @@ class OpenpiClient:
             spare, self._spare = self._spare, None
             if spare is not None:
                 run(spare.close())
+
+    def __enter__(self) -> OpenpiClient:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _observe(self, observations: Sequence[Mapping[str, Any]], envs: list[int]) -> None:
         with self._turn:
