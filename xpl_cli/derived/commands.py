@@ -14,10 +14,10 @@ PAGE = "docs/commands.md"
 """Where the page is, in a checkout."""
 
 _INTRODUCTION = """\
-Every command, as `--help` tells it. Data goes to standard output, or with `--output FILE` to a file, and everything
-else to standard error, where lines that begin with `Hint:` say what to do. `--json` prints an object whose `schema`
-names its format and whose `next` lists exact commands that are worth running; `xpl answers NAME` prints its JSON
-Schema. What a command cannot do, it tells as `xpl.error/1`.
+Every command, as `--help` shows it. Data goes to standard output, or with `--output FILE` to a file. Everything else
+goes to standard error, where lines that begin with `Hint:` say what to do. `--json` prints one object: `schema` names
+its format, and `next` lists exact commands that are worth running now. `xpl answers NAME` prints its JSON Schema. A
+command that cannot do what you asked answers with `xpl.error/1`.
 """
 
 
