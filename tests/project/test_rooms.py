@@ -1,0 +1,168 @@
+"""The floor plan: no room is crowded, no prefix tells a family, and what documents import from the SDK stays put."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+import pytest
+
+import xpl
+from tests.support.places import ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+MOST = 19
+"""Modules of one package, beside its sub-packages: as many as are read at a glance."""
+
+INIT = "__init__"
+
+FAMILIES = ("spec_", "env_", "evaluation_", "loop_", "simulation_", "yaml_")
+"""Prefixes that told families before these had rooms."""
+
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", "docs", "templates", ".agents/skills", "envs", "policy")
+TEXTS = (".md", ".py", ".jinja", ".yml", ".sh")
+
+PUBLIC = {
+    "xpl": (
+        *("ActionError", "AsyncClient", "Client", "Embodiment", "ObservationError", "Policy", "get_embodiment"),
+        "rotation",
+    ),
+    "xpl.action": ("ActionError", "action_dim", "check_step", "pack", "unpack"),
+    "xpl.checkpoint": ("resolve", "resolve_step"),
+    "xpl.client": ("ClientError",),
+    "xpl.client.agreement": ("offered_inputs",),
+    "xpl.decoding": ("ensemble", "within_limits"),
+    "xpl.embodiment": ("Arm", "Embodiment", "get_embodiment"),
+    "xpl.environment": ("Environment", "EnvironmentBase", "Episode", "Setup", "TaskEnv", "one_of", "read_manifest"),
+    "xpl.episode": ("MAX_STEPS", "SUCCESS", "SUCCESS_SCORE", "Setup"),
+    "xpl.guard": ("GuardedEnv",),
+    "xpl.images": ("decode",),
+    "xpl.kinematics": ("Chain",),
+    "xpl.observation": ("ObservationError", "env_indices", "get_image", "get_instruction", "pack_state"),
+    "xpl.poses": ("compose", "invert", "pose", "transform"),
+    "xpl.process": ("link",),
+    "xpl.rollout": ("run_batch",),
+    "xpl.rotation": ("from_axis_angle", "multiply", "to_axis_angle", "to_matrix"),
+    "xpl.safety": ("GRIPPER_RANGE", "JOINT_LIMIT", "JOINT_SPEED", "NON_FINITE", "QUATERNION_NORM", "Supervisor"),
+    "xpl.vector": ("VectorEnv",),
+    "xpl.wire": ("packed",),
+    "xpl.wire.codec": ("WireError",),
+}
+"""What documents, templates and our own packages import from the SDK; it stays where it is."""
+
+
+def packages(root: Path = ROOT) -> dict[str, list[str]]:
+    """Return every folder of ours that holds modules, with their names."""
+    found: dict[str, list[str]] = defaultdict(list)
+    for package in ("xpl", "xpl_cli"):
+        for path in (root / package).rglob("*.py"):
+            found[path.parent.relative_to(root).as_posix()].append(path.stem)
+    return dict(found)
+
+
+def complaints(root: Path = ROOT) -> list[str]:
+    """Return what is wrong with the rooms of a checkout."""
+    found = []
+    for room, modules in sorted(packages(root).items()):
+        if INIT not in modules:
+            found.append(f"{room} has no {INIT}.py, so that the contracts on imports pass it over")
+        if len(modules) - 1 > MOST:
+            found.append(f"{room} has {len(modules) - 1} modules: give those that belong together a room")
+        found += [
+            f"{room}/{name} tells its family by a prefix" for name in sorted(modules) if name.startswith(FAMILIES)
+        ]
+    return found
+
+
+def named(text: str) -> Iterator[tuple[str, str]]:
+    """Yield every module of the SDK and public name in it that a text imports, or writes out as code."""
+    for module, wrapped, plain in re.findall(r"from (xpl(?:\.\w+)*) import (?:\(([\w\s,]+)\)|([\w ,]+))", text):
+        words = [name.partition(" as ")[0].strip() for name in (wrapped or plain).split(",")]
+        yield from ((module, word) for word in words if word and not word.startswith("_"))
+    for path in re.findall(r"`xpl\.([\w.]+)", text):
+        *folders, name = f"xpl.{path}".rstrip(".").split(".")
+        if _is_module(".".join(folders)) and (len(folders) > 1 or name in xpl.__all__):
+            yield ".".join(folders), name
+
+
+def _is_module(name: str) -> bool:
+    place = ROOT / name.replace(".", "/")
+    return place.with_suffix(".py").is_file() or (place / "__init__.py").is_file()
+
+
+# -- rooms ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_rooms_are_as_they_should_be() -> None:
+    """None is crowded: a folder's listing reads like a table of contents. No family is told by a prefix."""
+    assert complaints() == []
+
+
+def test_a_crowded_room_and_a_family_with_a_prefix_are_found(tmp_path: Path) -> None:
+    """And a folder that is no package."""
+    (tmp_path / "xpl/wire").mkdir(parents=True)
+    for name in (INIT, "spec_view", *(f"module{number}" for number in range(MOST))):
+        (tmp_path / f"xpl/{name}.py").touch()
+    (tmp_path / "xpl/wire/codec.py").touch()
+    assert [found.split()[0] for found in complaints(tmp_path)] == ["xpl", "xpl/spec_view", "xpl/wire"]
+
+
+# -- what documents import --------------------------------------------------------------------------------------------
+
+
+def documented() -> dict[str, set[str]]:
+    """Return what documents name of the SDK: per module the names in it."""
+    found = defaultdict(set)
+    for place in map(ROOT.joinpath, DOCUMENTS):
+        for path in [place] if place.is_file() else _texts(place):
+            for module, name in named(path.read_text(encoding="utf-8", errors="replace")):
+                found[module].add(name)
+    return dict(found)
+
+
+def _texts(place: Path) -> Iterator[Path]:
+    """Yield the texts below a folder; what begins with a dot, such as an environment for Python, is not ours."""
+    for path in place.rglob("*"):
+        if path.suffix in TEXTS and not any(part.startswith(".") for part in path.relative_to(place).parts):
+            yield path
+
+
+def test_what_documents_name_is_listed_as_public() -> None:
+    """What a reader copies from a page has to stay: it is listed above, and does not move from there."""
+    found = documented()
+    assert len(found) > 10
+    unlisted = {module: names - {*PUBLIC.get(module, ())} for module, names in found.items()}
+    assert {module: names for module, names in unlisted.items() if names} == {}
+
+
+def test_names_are_found_in_every_form() -> None:
+    """In one line, in brackets over several, under another name, and in the middle of a sentence."""
+    text = """
+    from xpl import Client, _spec as spec
+    from xpl.poses import (
+        compose,
+        pose as place,
+    )
+    Use `xpl.observation.get_image(obs, camera)`, `xpl.Policy`; `xpl.audit/1` is an answer.
+    """
+    assert list(named(text)) == [
+        ("xpl", "Client"),
+        ("xpl.poses", "compose"),
+        ("xpl.poses", "pose"),
+        ("xpl.observation", "get_image"),
+        ("xpl", "Policy"),
+    ]
+
+
+@pytest.mark.parametrize("module", PUBLIC)
+def test_a_public_name_is_imported_first_thing(module: str) -> None:
+    """In a process that has imported nothing else of the SDK."""
+    command = [sys.executable, "-c", f"from {module} import {', '.join(PUBLIC[module])}"]
+    done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
