@@ -77,8 +77,25 @@ def test_a_loop_that_forges_the_judge_of_a_recorded_run_has_failed(room: Path) -
     assert {line["failure"] for line in finals.values()} == {"policy"}
 
 
-@pytest.mark.parametrize("end", ["sys.exit()", "os._exit(0)", "os.kill(os.getpid(), 9)"])
-@pytest.mark.parametrize("where", ["import", "loop"])
+_SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("where", "end"),
+    [
+        ("import", "sys.exit()"),
+        ("loop", "os._exit(0)"),
+        *(
+            pytest.param(where, end, marks=_SLOW)
+            for where, end in [
+                ("import", "os._exit(0)"),
+                ("import", "os.kill(os.getpid(), 9)"),
+                ("loop", "sys.exit()"),
+                ("loop", "os.kill(os.getpid(), 9)"),
+            ]
+        ),
+    ],
+)
 def test_an_exit_in_deploy_py_is_no_verdict(room: Path, where: str, end: str) -> None:
     """Neither when it is imported nor when it plays does it end an evaluation with 0, or without a sentence."""
     loop = f"def eval_one_episode(a, b):\n    {end if where == 'loop' else 'pass'}\n"
@@ -251,3 +268,53 @@ def test_the_loops_process_inherits_nothing_but_its_link_and_leaves_nothing(stag
 
 def _lives(pid: int) -> bool:
     return " Z " not in Path(f"/proc/{pid}/stat").read_text()
+
+
+# -- ending in place of losing -----------------------------------------------------------------------------------------
+
+_FAILS = """
+    def eval_one_episode(env, policy):
+        import os
+        policy.call(func_name="reset")
+        obs = env.get_obs()
+        policy.call(func_name="update_obs", obs=obs)
+        seed = int(obs["instruction"].removeprefix("seed "))
+        if seed % 3 == 2:
+            END
+        while not env.is_episode_end():
+            for action in policy.call(func_name="get_action"):
+                env.take_action(action)
+                if env.is_episode_end():
+                    break
+                policy.call(func_name="update_obs", obs=env.get_obs())
+"""
+
+
+@pytest.mark.parametrize("end", ["os._exit(0)", pytest.param("os.kill(os.getpid(), 11)", marks=_SLOW)])
+def test_a_loop_that_ends_itself_where_it_loses_gains_nothing(room: Path, end: str) -> None:
+    """Every attempt of such an episode dies, and it counts as failed, like that of a twin that plays on and fails."""
+    _deploy(room, _FAILS.replace("END", end))
+    done = _eval(room, "--out", "cheat", "--episodes", "6", "--film", "0", "--json")
+    _deploy(room, _FAILS.replace("END", "pass"))
+    honest = _eval(room, "--out", "honest", "--episodes", "6", "--film", "0", "--json")
+    assert (done.returncode, honest.returncode) == (ExitCode.CLEAN, ExitCode.CLEAN), done.stderr
+    rates = [json.loads(one.stdout)["overall"]["success_rate"] for one in (done, honest)]
+    assert rates == [pytest.approx(4 / 6)] * 2
+    finals = records.read(room / "cheat").finals
+    assert [line["end_reason"] for line in finals.values() if line["failure"]] == ["policy_died"] * 2
+    assert [line["attempt"] for line in finals.values() if line["failure"]] == [3, 3]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [1, 9], ids=["once", "always"])
+def test_a_model_that_kills_itself_where_it_loses_gains_nothing(tmp_path: Path, times: int) -> None:
+    """Nor does one that does so only in its first attempt, and may win the second."""
+    drill.environment(tmp_path)
+    drill.adapter(tmp_path)
+    for seed in (0, 2):
+        drill.mark(tmp_path, f"policy-dies-{seed}", times)
+    done = _eval(tmp_path, "--out", "run", "--episodes", "6", "--film", "0", "--json")
+    found = json.loads(done.stdout)["overall"]
+    assert found["success_rate"] == pytest.approx(3 / 6)
+    assert found["failures"]["infrastructure"] == 0
+    assert found["successes"] == (4 if times == 1 else 3)

@@ -120,16 +120,17 @@ def test_a_run_played_again_is_recognised(tmp_path: Path) -> None:
     assert "In 79 of 80 pairs the two moved exactly alike" in notes(moved)
 
 
-def test_only_episodes_that_count_in_both_are_compared(tmp_path: Path) -> None:
-    """Those that the infrastructure spoilt, and seeds that one run lacks, are left out, and this is said."""
-    foo = synthetic(tmp_path / "foo", **ONE, episodes=40, policy="Foo", faults=Faults(infrastructure=0.2))
-    bar = synthetic(tmp_path / "bar", **ONE, episodes=30, policy="Bar", first_seed=5)
+def test_spoilt_episodes_are_compared_as_failed_and_others_only_where_both_have_them(tmp_path: Path) -> None:
+    """Seeds that one run lacks are left out, and this is said; whoever spoils an episode has not won it."""
+    foo = synthetic(tmp_path / "foo", **ONE, episodes=40, policy="Foo", rate=1.0, faults=Faults(infrastructure=0.2))
+    bar = synthetic(tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0))
     found = compared(foo, bar)
     spoilt = [line["seed"] for line in records.read(foo).finals.values() if line["failure"] == "infrastructure"]
-    pairs = 30 - sum(5 <= seed < 35 for seed in spoilt)
-    assert found["overall"]["pairs"] == pairs
-    assert found["left_out"] == {"first": 40 - pairs, "second": 30 - pairs}
-    assert f"{40 - pairs} episodes of Foo were left out" in notes(found)
+    row = found["overall"]
+    assert row["pairs"] == 30
+    assert row["only_second"] >= sum(5 <= seed < 35 for seed in spoilt) > 0
+    assert found["left_out"] == {"first": 10, "second": 0}
+    assert "10 episodes of Foo were left out" in notes(found)
     assert "seeds of lift_cube (clean), too: 40 from 0 to 39 against 30 from 5 to 34" in notes(found)
 
 

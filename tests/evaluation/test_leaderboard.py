@@ -60,13 +60,38 @@ def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> 
     assert ranking.labels(found["rows"])[:2] == [f"Foo ({tmp_path / name})" for name in ("a", "b")]
 
 
-def test_a_run_without_a_success_to_speak_of_comes_last(tmp_path: Path) -> None:
-    """Nothing but spoilt episodes is no rate of 0."""
-    spoilt = _run(tmp_path, "Spoilt", faults=Faults(infrastructure=1.0))
-    found = _rank(spoilt, _run(tmp_path, "Bad", rate=0.0))
-    assert [row["policy"] for row in found["rows"]] == ["Bad", "Spoilt"]
-    assert found["rows"][1]["success_rate"] is found["rows"][1]["to_first"] is None
-    assert "is not compared with the first: no episode was played in both runs" in board.text(found)
+def test_a_run_of_which_too_much_was_spoilt_is_not_ranked(tmp_path: Path) -> None:
+    """It is named with the reason; a run with few spoilt episodes is ranked by the rate with these as failures."""
+    spoilt, bad = _run(tmp_path, "Spoilt", faults=Faults(infrastructure=1.0)), _run(tmp_path, "Bad", rate=0.0)
+    found = _rank(spoilt, bad)
+    assert [row["policy"] for row in found["rows"]] == ["Bad"]
+    assert "Spoilt is not ranked: the infrastructure spoilt 80 of its 80 episodes, more than 10%" in board.text(found)
+    with pytest.raises(UserError, match="no run can be ranked"):
+        _rank(spoilt)
+    some = _run(tmp_path, "Some", rate=0.5, faults=Faults(infrastructure=0.05, policy=0.0))
+    (row,) = _rank(some)["rows"]
+    assert 0 < row["failures"]["infrastructure"] <= 8
+    assert row["judged"] == 80
+    assert row["success_rate"] == pytest.approx(row["successes"] / 80)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        {"success": True, "failure": "task"},
+        {"success": True, "failure": None, "end_reason": "max_steps"},
+        {"success": True, "failure": None, "end_reason": "success", "score": 0.0},
+        {"success": True, "failure": None, "end_reason": "success", "score": 1.0, "stages": {"lifted": False}},
+        {"success": False, "failure": "task", "end_reason": "success"},
+    ],
+)
+def test_a_record_that_contradicts_itself_about_success_is_not_ranked(tmp_path: Path, edit: dict[str, Any]) -> None:
+    """An edited success is refused before it is counted."""
+    run = _run(tmp_path, "Edited", rate=0.0, faults=Faults(policy=0.0))
+    line = run.finals[3]
+    line.update(edit)
+    with pytest.raises(UserError, match=r"episode 3 .*: the record was changed"):
+        _rank(run, _run(tmp_path, "Honest"))
 
 
 def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> None:
@@ -119,9 +144,9 @@ def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> Non
 
 
 def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
-    """Only what counts in all of them is ranked: tasks, seeds, and not what was spoilt in any."""
+    """Only what all of them played is ranked: tasks and seeds; what was spoilt in one has failed there."""
     runs = [
-        _run(tmp_path, "One", tasks=["a", "b", "c"], episodes=30, faults=Faults(infrastructure=0.1)),
+        _run(tmp_path, "One", tasks=["a", "b", "c"], episodes=30, faults=Faults(infrastructure=0.05)),
         _run(tmp_path, "Other", tasks=["b", "a"], episodes=30, first_seed=10, played=100),
     ]
     found = _rank(*runs, common=True)
@@ -168,7 +193,7 @@ def test_the_command_ranks_and_writes_what_others_read(tmp_path: Path) -> None:
 
 
 def test_robodojo_reads_rates_scores_and_details_by_index(tmp_path: Path) -> None:
-    """Numbers of its own kind: a rate from 0 to 1, a score from 0 to 100, details from 0 on without spoilt episodes."""
+    """Numbers of its own kind: a rate to 1, a score to 100, details from 0 on; what was spoilt has failed."""
     run = _run(tmp_path, "One", faults=Faults(policy=0.1, infrastructure=0.2))
     found = {path.parts: json.loads(text) for path, text in export.robodojo(run)}
     assert {parts[0] for parts in found} == {"lift_cube", "lift_cube_random", "stack_cubes", "stack_cubes_random"}
@@ -177,13 +202,13 @@ def test_robodojo_reads_rates_scores_and_details_by_index(tmp_path: Path) -> Non
     cell = cells(run)[0]
     result = next(result for parts, result in found.items() if parts[0] == "lift_cube")
     assert set(result) == {"success_rate", "eval_time", "score", "details"}
-    assert result["eval_time"] == len(cell.outcomes) < 20
-    assert result["success_rate"] == sum(cell.outcomes) / len(cell.outcomes)
+    assert result["eval_time"] == len(cell.certain) == 20 > len(cell.outcomes)
+    assert result["success_rate"] == sum(cell.certain) / 20
     assert result["score"] == pytest.approx(100 * sum(cell.scores) / len(cell.scores))
     assert list(result["details"]) == [str(number) for number in range(result["eval_time"])]
     seeds = [entry["layout_id"] for entry in result["details"].values()]
     assert seeds == list(cell.by_seed)
-    assert [entry["success"] for entry in result["details"].values()] == cell.outcomes
+    assert [entry["success"] for entry in result["details"].values()] == cell.certain
 
 
 def test_robotwin_reads_a_plain_number(tmp_path: Path) -> None:

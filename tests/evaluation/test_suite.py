@@ -121,7 +121,7 @@ def test_a_trace_holds_what_was_seen_and_commanded(room: Path) -> None:
 
 
 def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_again(tmp_path: Path) -> None:
-    """A policy that raises fails its episode; who dies is replaced; what fails for good counts neither way."""
+    """A policy that raises fails its episode; who dies is replaced; what is spoilt for good counts as failed."""
     place = drill.environment(tmp_path, tasks=("hold",))
     drill.adapter(tmp_path, raises=[1])
     drill.mark(place, "env-dies-3", 1)
@@ -141,10 +141,13 @@ def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_agai
     assert (finals[4]["success"], finals[4]["score"]) == (None, None)
     assert "SIGKILL" in finals[4]["error"]
     spoilt = [line for line in run.attempts if line["failure"] == "infrastructure"]
-    assert [line["index"] for line in spoilt].count(0) == 1
+    assert [line["index"] for line in spoilt].count(0) == 0
+    (died,) = (line for line in run.attempts if line["end_reason"] == "policy_died")
+    assert (died["index"], died["failure"], died["success"], died["final"]) == (0, "policy", False, False)
     assert not any("film" in line for line in run.attempts)
     overall = summary.summarise(run)["overall"]
     assert (overall["successes"], overall["judged"]) == (2, 5)
+    assert overall["success_rate"] == pytest.approx(1 / 6)  # one was spoilt, and one won after its policy had died
 
 
 def test_a_run_that_is_there_is_only_continued_if_asked_and_by_the_same_plan(
@@ -273,6 +276,17 @@ def test_a_run_that_is_killed_three_times_ends_with_the_same_table(room: Path) -
     _agree(room / "killed", room / "whole")
 
 
+def _lanes(mark: str) -> list[int]:
+    return [pid for pid, line in processes(mark).items() if "lanes.process" in line]
+
+
+def _servers(mark: str) -> list[int]:
+    """Return the servers: they are forked from a process of the same command line."""
+    found = [pid for pid, line in processes(mark).items() if "nursery" in line]
+    parents = {pid: int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1]) for pid in found}
+    return [pid for pid in found if parents[pid] in found]
+
+
 def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
     """Two lanes share a server: one of the lanes is killed, then the server; their attempts are played again."""
     drill.environment(tmp_path)
@@ -284,11 +298,10 @@ def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, MARK: mark}
     ) as process:
         assert process.stderr is not None
-        for name in ("lane_process", "xpl_cli serve"):
+        for victims in (_lanes, _servers):
             while b" episodes, " not in process.stderr.readline():
                 assert process.poll() is None
-            victims = [pid for pid, line in processes(mark).items() if name in line]
-            os.kill(victims[0], signal.SIGKILL)
+            os.kill(victims(mark)[0], signal.SIGKILL)
         _, told = process.communicate()
     assert process.returncode == ExitCode.CLEAN, told.decode()
     run = records.read(tmp_path / "run")

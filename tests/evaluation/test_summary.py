@@ -98,21 +98,51 @@ def test_results_do_not_depend_on_the_order_in_which_episodes_ended(tmp_path: Pa
     assert after["course"]["retried"] < before["course"]["retried"]
 
 
-def test_what_the_infrastructure_spoilt_counts_neither_way_and_is_told(tmp_path: Path) -> None:
-    """The rate is of the other episodes; what it might have been stands beside it."""
+def test_what_the_infrastructure_spoilt_counts_as_failed_and_is_told(tmp_path: Path) -> None:
+    """Nobody can tell who was to blame: the rate is of all episodes, and what it might have been stands beside it."""
     found = summary_of(synthetic(tmp_path / "run", faults=Faults(infrastructure=0.1)))
     row = found["overall"]
     spoilt = row["failures"]["infrastructure"]
     assert spoilt > 0
     assert row["judged"] + spoilt == row["played"] == 80
     worst, best = row["if_spoilt"]
-    assert worst < row["success_rate"] < best
-    assert worst == pytest.approx(row["successes"] / 80)
-    assert any(note.startswith(f"{spoilt} episodes were spoilt by the infrastructure") for note in found["notes"])
+    assert worst == row["success_rate"] == pytest.approx(row["successes"] / 80)
+    assert best == pytest.approx((row["successes"] + spoilt) / 80)
+    (note,) = (note for note in found["notes"] if note.startswith(f"{spoilt} episodes were spoilt by"))
+    assert f"without them {row['successes']} of {row['judged']} succeeded" in note
     assert summary_of(synthetic(tmp_path / "other"))["overall"]["if_spoilt"] is None
     nothing = summary_of(synthetic(tmp_path / "nothing", faults=Faults(infrastructure=1.0)))
     assert (nothing["overall"]["success_rate"], nothing["overall"]["if_spoilt"]) == (None, None)
-    assert nothing["notes"][0] == "80 episodes were spoilt by the infrastructure, and counted neither way."
+    assert nothing["notes"][0] == "80 episodes were spoilt by the infrastructure: nothing can be said of them."
+
+
+def test_a_task_of_which_every_episode_was_spoilt_counts_as_failed_too(tmp_path: Path) -> None:
+    """Leaving it out would reward whoever spoils the hard ones."""
+    folder = synthetic(tmp_path / "run", settings=["clean"], episodes=20, rate={("lift_cube", "clean"): 1.0,
+                       ("stack_cubes", "clean"): 0.0}, faults=Faults(policy=0.0, retried=0.0))  # fmt: skip
+
+    def spoiling(lines: list[Line]) -> list[Line]:
+        spoilt = {"success": None, "score": None, "failure": "infrastructure", "end_reason": "infrastructure"}
+        return [line | (spoilt if line.get("task") == "stack_cubes" else {}) for line in lines]
+
+    found = summary_of(rewritten(folder, spoiling))
+    assert [row["success_rate"] for row in found["cells"]] == [1.0, 0.0]
+    assert found["overall"]["success_rate"] == found["overall"]["mean_score"] == 0.5
+
+
+def test_a_success_after_the_policys_process_died_is_not_counted(tmp_path: Path) -> None:
+    """Dying in every attempt that goes wrong must not be a second chance."""
+    folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 20, rate=1.0, faults=Faults(policy=0.0, retried=0.0))
+
+    def reviving(lines: list[Line]) -> list[Line]:
+        machine, head, *rest = lines
+        died = {"success": False, "failure": "policy", "end_reason": "policy_died", "error": "exit code 0"}
+        return [machine, {**head, **died, "final": False}, {**head, "attempt": 2}, *rest]
+
+    found = summary_of(rewritten(folder, reviving))
+    assert (found["overall"]["successes"], found["overall"]["success_rate"]) == (20, 0.95)
+    assert found["overall"]["if_spoilt"] == [0.95, 1.0]
+    assert any("only after the policy's process had died" in note for note in found["notes"])
 
 
 def test_a_policy_that_fails_has_not_succeeded_and_has_no_score(tmp_path: Path) -> None:

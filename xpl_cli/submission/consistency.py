@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.evaluation.records import fingerprints
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
+from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction, is_open
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -36,6 +37,10 @@ def problems(run: Run) -> Iterator[str]:
         yield from _episode(line, run)
     yield from _attempts(run)
     yield from _unjudged(run)
+    spoilt = sum(line["failure"] == INFRASTRUCTURE for line in run.finals.values())
+    if spoilt > MOST_SPOILT * len(run.finals):
+        told = f"{spoilt} of its {len(run.finals)} episodes were spoilt by the infrastructure"
+        yield f"{told}, more than {MOST_SPOILT:.0%}"
     missing = sum(cell.unplayed for cell in cells(run))
     if missing:
         yield f"{missing} of its episodes were not played; `xpl eval --resume` plays them"
@@ -53,6 +58,8 @@ def _episode(line: Line, run: Run) -> Iterator[str]:
             yield f"{name} has the {key} {line[key]!r}, but its plan says {run.plan[key]!r}"
     if line["success"] not in _SUCCESS_OF[line["failure"]]:
         yield f"{name} has success {json.dumps(line['success'])} with failure {json.dumps(line['failure'])}"
+    elif (said := contradiction(line)) is not None:
+        yield f"{name} {said}"
     if line["machine"] not in run.machines:
         yield f"{name} names a machine that the records do not tell of"
     inference = line.get("inference") or {"count": 0, "seconds": 0.0}
@@ -74,7 +81,7 @@ def _attempts(run: Run) -> Iterator[str]:
             yield f"episode {index} has the attempts {_listed(numbers)}: expected 1, 2, ..., at most {most}"
         if lines[-1]["final"] and lines[-1]["failure"] == INFRASTRUCTURE and len(lines) < most:
             yield f"episode {index} was given up after {len(lines)} attempts: its plan allows {most}"
-        if any(line["failure"] != INFRASTRUCTURE for line in lines[:-1]):
+        if not all(is_open(line) for line in lines[:-1]):
             yield f"episode {index} was played again although the infrastructure had not spoilt it"
 
 

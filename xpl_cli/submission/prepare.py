@@ -236,4 +236,4 @@ def _notes(runs: Sequence[Run]) -> Iterator[str]:
         yield f"{elsewhere} of the runs were played on other machines: environment.json tells of this one"
     spoilt = sum(line["failure"] == INFRASTRUCTURE for run in runs for line in run.finals.values())
     if spoilt:
-        yield f"{spoilt} episodes were spoilt by the infrastructure, and count neither way"
+        yield f"{spoilt} episodes were spoilt by the infrastructure, and count as failed"

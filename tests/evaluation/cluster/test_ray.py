@@ -20,9 +20,9 @@ import pytest
 
 from tests.client.interop import build
 from tests.support.peer import MARK, processes, wait_until
+from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.failures import INFRASTRUCTURE
 
 FOLDER = Path(__file__).resolve().parent
 PYTHON = build.interpreter("ray", locks=FOLDER)

@@ -66,6 +66,7 @@ class Outcome:
         facts: the machine on which it was played; empty where that is not known.
         trace: an .npz with its curves, or None.
         film: an animated WebP, or None.
+        is_server_suspect: whether the policy server may be why it broke off.
     """
 
     job: Job
@@ -73,6 +74,7 @@ class Outcome:
     facts: Mapping[str, Any] = field(default_factory=dict)
     trace: bytes | None = None
     film: bytes | None = None
+    is_server_suspect: bool = False
 
 
 class Backend(Protocol):
@@ -97,4 +99,5 @@ class Backend(Protocol):
 
 def lost(job: Job, reason: str, worker: str | None = None, facts: Mapping[str, Any] | None = None) -> Outcome:
     """Return the outcome of a job whose player is gone."""
-    return Outcome(job, {**spoilt(reason), "started": now(), "wall_seconds": 0.0, "worker": worker}, facts or {})
+    line = {**spoilt(reason), "started": now(), "wall_seconds": 0.0, "worker": worker}
+    return Outcome(job, line, facts or {}, is_server_suspect=True)

@@ -16,15 +16,16 @@ from typing import TYPE_CHECKING, Any
 from xpl import Client, get_embodiment, rollout
 from xpl import _spec as sdk
 from xpl.action import ActionError
-from xpl.client import ClientError, EnvironmentMismatchError, agreement
+from xpl.client import ClientError, EnvironmentMismatchError, ServerFailedError, agreement
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.film import Reel
+from xpl_cli.evaluation.lanes import blame
 from xpl_cli.evaluation.lanes.backend import Job, Outcome
 from xpl_cli.evaluation.lanes.watch import Watch
 from xpl_cli.evaluation.loop.desk import LoopError
-from xpl_cli.evaluation.loop.process import Loop
+from xpl_cli.evaluation.loop.process import Loop, LoopLostError
 from xpl_cli.evaluation.records import failures
 from xpl_cli.evaluation.records.fingerprints import machine_facts
 from xpl_cli.evaluation.records.records import now
@@ -114,9 +115,10 @@ class Lane:
         watch, line = self._played(job, url)
         told = {"started": started, "wall_seconds": round(time.perf_counter() - clock, 3), "worker": self._worker}
         if watch is None or line["failure"] == INFRASTRUCTURE:
-            return Outcome(job, {**line, **told}, self._machine)
-        told |= {"inference": watch.inference, "server": self._server()}
-        return Outcome(job, {**line, **told}, self._machine, watch.trace(), watch.film())
+            return Outcome(job, {**line, **told}, self._machine, is_server_suspect=True)
+        server = self._server()  # None where its connection was let go of
+        told |= {"inference": watch.inference, "server": server}
+        return Outcome(job, {**line, **told}, self._machine, watch.trace(), watch.film(), server is None)
 
     def close(self) -> None:
         """End the connection, the environment and the adapter's loop."""
@@ -139,7 +141,10 @@ class Lane:
             reel = Reel(scene.frequency, scene.camera) if job.film and scene.camera is not None else None
             watch = Watch(scene.env, self._robot, scene.frequency, traced=job.trace, reel=reel)
             _reset(scene.env, job)
-            client = self._connected(scene, url)
+            try:
+                client = self._connected(scene, url)
+            except ServerFailedError as error:
+                return watch, self._failed(watch, error)
             return watch, self._judged(watch, client)
         except _SpoiltError as error:
             self._drop()
@@ -157,19 +162,30 @@ class Lane:
             else:
                 self._own.play(watch, rollout.listened(watch, client), batch=False)
             return failures.played(watch.results()[0])
-        except ClientError as error:
-            if error.spoils_trial:
-                raise _SpoiltError(str(error)) from None
+        except (ClientError, ActionError, LoopError) as error:
             broken: Exception = error
-        except (ActionError, LoopError) as error:
-            broken = error
         except (ValueError, TypeError, AttributeError) as error:
             if self._own is None:
                 raise  # a fault of our own loop
             broken = error
         except (EnvLostError, EnvRaisedError) as error:
             raise _SpoiltError(str(error)) from None
-        return failures.failed(watch.results()[0], str(broken))
+        return self._failed(watch, broken)
+
+    def _failed(self, watch: Watch, error: Exception) -> Line:
+        """Return how an episode went that the policy's side broke off.
+
+        Raises:
+            _SpoiltError: it was not the policy's side.
+        """
+        scene = self._scene
+        if blame.is_death(error, "" if scene is None or scene.client is None else scene.client[0]):
+            if not isinstance(error, LoopLostError):
+                self._drop()
+            return failures.died(watch.results()[0], str(error))
+        if isinstance(error, ClientError) and blame.is_outside(error):
+            raise _SpoiltError(str(error))
+        return failures.failed(watch.results()[0], str(error))
 
     def _set(self, task: str, setting: str) -> _Scene:
         """Return the scene with an environment for a task and setting; a new one where they have changed."""
@@ -196,6 +212,7 @@ class Lane:
 
         Raises:
             UserError: policy and environment do not fit.
+            ServerFailedError: the policy's process ended.
             _SpoiltError: there is no connection.
         """
         if scene.client is not None and scene.client[0] == url:
@@ -214,6 +231,8 @@ class Lane:
             raise UserError(str(error), code=ExitCode.USAGE) from None
         except EnvLostError as error:
             raise _SpoiltError(str(error)) from None
+        except ServerFailedError:
+            raise
         except ClientError as error:
             if error.spoils_trial:
                 raise _SpoiltError(str(error)) from None

@@ -18,7 +18,6 @@ import threading
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
 from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
@@ -149,7 +148,7 @@ class _LaneThread(threading.Thread):
             outcome = self._process.play(job, url)
         except LaneLostError as error:
             outcome = lost(job, str(error), self._worker)
-        if outcome.line["failure"] == INFRASTRUCTURE:
+        if outcome.is_server_suspect:
             self._server.drop()
         return outcome
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import xpl_cli
-from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.lane import Lane, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
@@ -174,7 +173,7 @@ class Player:
             outcome = self._lane.play(job, asked)
         except UserError as error:
             return Refusal.of(error)
-        if self._server is not None and outcome.line["failure"] == INFRASTRUCTURE:
+        if self._server is not None and outcome.is_server_suspect:
             self._server.suspect()
         return outcome
 

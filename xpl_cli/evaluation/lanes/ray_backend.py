@@ -19,7 +19,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import xpl_cli
-from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.extras import how_to_install
@@ -230,7 +229,7 @@ class RayBackend:
         outcome: Outcome = told
         self._has_played = True
         # What spoilt the attempt may have been the server: it says where it is now, or is, on another machine.
-        if outcome.line["failure"] == INFRASTRUCTURE and place.server is not None and place.server.url is not None:
+        if outcome.is_server_suspect and place.server is not None and place.server.url is not None:
             self._locate(place.server, place.server.actor.url_after_failure)
         return [outcome]
 

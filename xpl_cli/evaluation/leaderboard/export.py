@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records.cells import cells, outcome, score
+from xpl_cli.evaluation.records.cells import cells, score
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -51,7 +51,7 @@ def robotwin(run: Run) -> Iterator[tuple[Path, str]]:
     began = _began(run).strftime("%Y-%m-%d %H:%M:%S")
     for cell in _told(run):
         place = _place(cell.task, run.plan["policy"]["name"], cell.setting, _checkpoint(run)) / began / "_result.txt"
-        yield place, f"{sum(cell.outcomes) / len(cell.outcomes)}\n"
+        yield place, f"{sum(cell.certain) / len(cell.certain)}\n"
 
 
 FORMATS: dict[str, Callable[[Run], Iterable[tuple[Path, str]]]] = {"robodojo": robodojo, "robotwin": robotwin}
@@ -84,13 +84,13 @@ def write(name: str, runs: Iterable[Run], folder: Path) -> int:
 
 
 def _details(cell: Cell) -> dict[str, Any]:
-    """Return RoboDojo's result of one task; an episode that the infrastructure spoilt is none there, either."""
-    judged = [line for line in cell.counted if outcome(line) is not None]
+    """Return RoboDojo's result of one task; an episode that the infrastructure spoilt has failed there."""
+    judged = [line for line in cell.counted if cell.certainly(line) is not None]
     details = {
         str(number): {
             "layout_id": line[sdk.Deploy.SEED],
-            "success": bool(outcome(line)),
-            "score": 1.0 if outcome(line) else (score(line) or 0.0),
+            "success": bool(cell.certainly(line)),
+            "score": 1.0 if cell.certainly(line) else (score(line) or 0.0),
         }
         for number, line in enumerate(judged)
     }

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records.cells import cells, outcome
+from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
+from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction
 from xpl_cli.evaluation.records.records import named, slots
 from xpl_cli.evaluation.statistics.matching import Difference, differences
 
@@ -33,15 +34,17 @@ class Field:
         runs: them, in the order in which they were named.
         common: whether they hold only the episodes that all of them played.
         differences: in what a run differs from the first one, besides the policy: the run's place, and the difference.
+        unranked: why runs that were named are not among them, in sentences.
     """
 
     runs: tuple[Run, ...]
     common: bool
     differences: tuple[tuple[int, Difference], ...]
+    unranked: tuple[str, ...] = ()
 
     def sentences(self) -> list[str]:
         """Return the differences as people read them."""
-        return [_sentence(self.runs, place, difference) for place, difference in self.differences]
+        return [*self.unranked, *(_sentence(self.runs, place, difference) for place, difference in self.differences)]
 
 
 class UnlikeError(UserError):
@@ -58,11 +61,18 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
 
     Raises:
         UnlikeError: they differ in tasks, seeds, standard, environment, robot, control or in how much was played.
-        UserError: a run was named twice, or they have no episode in common.
+        UserError: a run was named twice, contradicts itself, or they have no episode in common; or too many episodes
+            of all of them were spoilt.
     """
     folders = [run.folder.resolve() for run in runs]
     if len(set(folders)) < len(folders):
         raise UserError("a run was named twice", hint="name each run once")
+    for run in runs:
+        _refuse_contradictions(run)
+    unranked = tuple(sentence for run in runs if (sentence := _spoilt(run)) is not None)
+    runs = [run for run in runs if _spoilt(run) is None]
+    if not runs:
+        raise UserError(f"no run can be ranked. {' '.join(unranked)}", code=ExitCode.NOT_RUN)
     played = tuple(_restricted(runs)) if common else tuple(runs)
     found = tuple((place, difference) for place, run in enumerate(played) for difference in _unlike(played[0], run))
     barriers = [(place, difference) for place, difference in found if is_barrier(difference.what)]
@@ -74,7 +84,29 @@ def gather(runs: Sequence[Run], *, common: bool = False, anyway: bool = False) -
             hint="--common ranks by the episodes that all of them played, --anyway in spite of all differences",
             code=ExitCode.NOT_RUN,
         )
-    return Field(played, common, found)
+    return Field(played, common, found, unranked)
+
+
+def _refuse_contradictions(run: Run) -> None:
+    """Raise where a record says of an episode that it succeeded and that it did not."""
+    for line in run.finals.values():
+        said = contradiction(line)
+        if said is not None:
+            raise UserError(
+                f"{run.folder}: episode {line['index']} {said}: the record was changed", code=ExitCode.NOT_RUN
+            )
+
+
+def _spoilt(run: Run) -> str | None:
+    """Return why so much of a run was spoilt that it is not ranked, or None."""
+    finals = run.finals.values()
+    count = sum(line["failure"] == INFRASTRUCTURE for line in finals)
+    if count <= MOST_SPOILT * len(finals):
+        return None
+    return (
+        f"{run.folder} is not ranked: the infrastructure spoilt {count} of its {len(finals)} episodes, more than "
+        f"{MOST_SPOILT:.0%}."
+    )
 
 
 def is_barrier(what: str) -> bool:
@@ -123,13 +155,15 @@ def _restricted(runs: Sequence[Run]) -> Iterator[Run]:
         finals = {
             slot.index: {**by_case[slot.task, slot.setting, slot.seed], "index": slot.index} for slot in slots(plan)
         }
-        yield replace(run, plan=named(plan), attempts=list(finals.values()), finals=finals)
+        places_of = {_case(line): index for index, line in finals.items()}
+        attempts = [{**line, "index": places_of[_case(line)]} for line in run.attempts if _case(line) in places_of]
+        yield replace(run, plan=named(plan), attempts=attempts, finals=finals)
 
 
 def _cases(run: Run) -> Iterator[_Case]:
     """Yield what a run's success rates are made of."""
     for cell in cells(run):
-        yield from (_case(line) for line in cell.counted if outcome(line) is not None)
+        yield from (_case(line) for line in cell.counted if cell.certainly(line) is not None)
 
 
 def _case(line: Line) -> _Case:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.statistics import cautions, intervals
 from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
 from xpl_cli.evaluation.statistics.summary import summarise
@@ -70,7 +71,8 @@ def _row(run: Run, summary: Mapping[str, Any], gap: Mapping[str, Any] | None) ->
         "run": run.plan["run"],
         "policy": policy["name"],
         "checkpoint": policy["checkpoint"] and policy["checkpoint"]["digest"],
-        **{name: overall[name] for name in ("planned", "judged", "successes", "success_rate", "success_interval")},
+        **{name: overall[name] for name in ("planned", "successes", "success_rate", "success_interval")},
+        "judged": overall["judged"] + overall["failures"][INFRASTRUCTURE],  # which count as failed
         **{name: overall[name] for name in ("mean_score", "score_interval", "failures", "if_spoilt")},
         "settings": {row["setting"]: row["success_rate"] for row in summary["settings"]},
         "dimensions": {row["dimension"]: row["success_rate"] for row in summary["dimensions"]},
@@ -121,5 +123,5 @@ def _notes(result: Mapping[str, Any]) -> Iterator[str]:
     }
     if spoilt:
         told = ", ".join(f"{name} {count}" for name, count in spoilt.items())
-        yield f"Episodes that the infrastructure spoilt count neither way: {told}."
+        yield f"Episodes that the infrastructure spoilt count as failed, for nobody can tell who was to blame: {told}."
     yield cautions.scope()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,7 +13,7 @@ from xpl_cli.evaluation.runs.stopping import stopping_point
 from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs, bootstrap, exact, wilson
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from xpl_cli.evaluation.records.records import Run
 
@@ -35,6 +35,8 @@ class Cell:
         planned: number of seeds.
         counted: final lines, in the order of the plan.
         beyond: number of final lines that do not count, because the cell had ended before them.
+        survived: episodes in an earlier attempt of which the policy's process had died.
+        is_judged: whether an episode of the run, of this cell or another, has a success to speak of.
         ended: whether its success rate was known well enough before all seeds were played.
     """
 
@@ -46,6 +48,8 @@ class Cell:
     counted: tuple[Line, ...]
     beyond: int
     ended: bool
+    survived: frozenset[int] = frozenset()
+    is_judged: bool = False
 
     @property
     def unplayed(self) -> int:
@@ -58,23 +62,41 @@ class Cell:
         return [found for found in map(outcome, self.counted) if found is not None]
 
     @property
+    def certain(self) -> list[bool]:
+        """Whether each episode certainly succeeded (`certainly`); none where no episode has a success to speak of."""
+        return [told for told in map(self.certainly, self.counted) if told is not None] if self._tells else []
+
+    @property
     def scores(self) -> list[float]:
-        """Scores of the episodes that have one."""
-        return [found for found in map(score, self.counted) if found is not None]
+        """Scores of the episodes, 0 for those that were spoilt; none where no episode has one."""
+        found = [score(line) for line in self.counted if line["failure"] != INFRASTRUCTURE]
+        known = [told for told in found if told is not None]
+        tells = bool(known) or (self.is_judged and not found)
+        return [*known, *[0.0] * self.failed(INFRASTRUCTURE)] if tells else []
 
     @property
     def by_seed(self) -> dict[int, bool]:
-        """Seed to whether the episode succeeded, of those that count for the success rate."""
-        told = ((line[sdk.Deploy.SEED], outcome(line)) for line in self.counted)
-        return {seed: found for seed, found in told if found is not None}
+        """Seed to whether the episode certainly succeeded."""
+        told = ((line[sdk.Deploy.SEED], self.certainly(line)) for line in self.counted)
+        return {seed: found for seed, found in told if found is not None} if self._tells else {}
+
+    @property
+    def _tells(self) -> bool:
+        """Whether there is a success to speak of; where all episodes were spoilt, other cells of the run tell."""
+        is_silent = any(outcome(line) is None and line["failure"] != INFRASTRUCTURE for line in self.counted)
+        return bool(self.outcomes) or (self.is_judged and not is_silent)
+
+    def certainly(self, line: Line) -> bool | None:
+        """Return whether an episode of this cell succeeded beyond doubt (`certainly`)."""
+        return certainly(line, self.survived)
 
     def failed(self, kind: str) -> int:
         """Return the number of episodes whose failure is of this class."""
         return sum(line["failure"] == kind for line in self.counted)
 
     def success_rate(self, method: str) -> Estimate | None:
-        """Return the success rate, its interval by one of METHODS; None if no episode has a success to speak of."""
-        outcomes = self.outcomes
+        """Return the rate of certain successes, its interval by one of METHODS; None if no episode tells of success."""
+        outcomes = self.certain
         if not outcomes:
             return None
         return Estimate(sum(outcomes) / len(outcomes), METHODS[method](sum(outcomes), len(outcomes)))
@@ -86,10 +108,32 @@ class Cell:
 
 
 def outcome(line: Mapping[str, Any]) -> bool | None:
-    """Return whether an episode succeeded, or None if it counts neither way."""
-    if line["failure"] == "policy":
+    """Return whether an episode succeeded, or None if that cannot be said."""
+    if line["failure"] == INFRASTRUCTURE:
+        return None
+    return False if line["failure"] is not None else line["success"]
+
+
+def certainly(line: Mapping[str, Any], survived: Collection[int]) -> bool | None:
+    """Return whether an episode succeeded beyond doubt, or None if there is nothing to succeed at.
+
+    Nobody gains by an attempt that ends without a verdict: an episode counts as failed where the infrastructure spoilt
+    it for good, for nobody can tell who was to blame, and where it succeeded only after the policy's process had died
+    in it.
+
+    Args:
+        line: the final line.
+        survived: episodes in an earlier attempt of which the policy's process had died (`survivors`).
+    """
+    if line["failure"] == INFRASTRUCTURE:
         return False
-    return None if line["failure"] == INFRASTRUCTURE else line["success"]
+    found = outcome(line)
+    return found and line["index"] not in survived if found is not None else None
+
+
+def survivors(attempts: Iterable[Mapping[str, Any]]) -> frozenset[int]:
+    """Return the episodes that were played again because the policy's process had died."""
+    return frozenset(line["index"] for line in attempts if line["failure"] == "policy" and not line["final"])
 
 
 def score(line: Mapping[str, Any]) -> float | None:
@@ -111,19 +155,23 @@ def cells(run: Run) -> list[Cell]:
     places: dict[int, list[Slot]] = defaultdict(list)
     for slot in slots(run.plan):
         places[slot.cell].append(slot)
-    width = run.plan.get("until_width")
-    return [
-        _cell(entry, [run.finals.get(slot.index) for slot in places[number]], width)
+    width, survived = run.plan.get("until_width"), survivors(run.attempts)
+    is_judged = any(outcome(line) is not None for line in run.finals.values())
+    found = [
+        _cell(entry, [run.finals.get(slot.index) for slot in places[number]], width, survived)
         for number, entry in enumerate(run.plan["cells"])
     ]
+    return [replace(cell, is_judged=is_judged) for cell in found]
 
 
-def _cell(entry: Mapping[str, Any], finals: Sequence[Line | None], width: float | None) -> Cell:
+def _cell(
+    entry: Mapping[str, Any], finals: Sequence[Line | None], width: float | None, survived: frozenset[int]
+) -> Cell:
     played = [line for line in finals if line is not None]
     point = None
     if width is not None:
         leading = takewhile(lambda line: line is not None, finals)
-        point = stopping_point((outcome(line) for line in leading if line is not None), width)
+        point = stopping_point((certainly(line, survived) for line in leading if line is not None), width)
     counted = tuple(played if point is None else played[:point])
     return Cell(
         task=entry["task"],
@@ -134,4 +182,5 @@ def _cell(entry: Mapping[str, Any], finals: Sequence[Line | None], width: float 
         counted=counted,
         beyond=len(played) - len(counted),
         ended=point is not None,
+        survived=survived,
     )

@@ -14,8 +14,13 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.records import Line
 
 TASK, POLICY = "task", "policy"
-POLICY_ERROR = "policy_error"
+POLICY_ERROR, POLICY_DIED = "policy_error", "policy_died"
+"""`end_reason` where the policy's side raised or answered with nonsense, and where its process ended or hung."""
+SUCCESS, MAX_STEPS = "success", "max_steps"
+MOST_SPOILT = 0.1
+"""Share of a run's episodes that the infrastructure may spoil; with more of them it is neither ranked nor bundled."""
 _GUARDED = (FAR_FIRST_ACTION, NON_FINITE)
+_NO_SUCCESS = (None, MAX_STEPS, POLICY_ERROR, POLICY_DIED, INFRASTRUCTURE, *_GUARDED)
 _TOLD = (
     sdk.Obs.INSTRUCTION,
     "layout",
@@ -51,6 +56,36 @@ def played(result: Mapping[str, Any]) -> Line:
 def failed(result: Mapping[str, Any], reason: str) -> Line:
     """Return what is recorded where the policy broke an episode off: no success, and the score that it had come to."""
     return {**_told(result), "success": False, "failure": POLICY, "end_reason": POLICY_ERROR, "error": reason}
+
+
+def died(result: Mapping[str, Any], reason: str) -> Line:
+    """Return what is recorded where a process that runs the adapter's code ended or hung: a failure of the policy.
+
+    It may be played again, because machines do kill processes; an episode of which no attempt survives has failed.
+    """
+    return {**failed(result, reason), "end_reason": POLICY_DIED}
+
+
+def is_open(line: Mapping[str, Any]) -> bool:
+    """Tell whether an attempt that ended so may be followed by another one."""
+    return bool(line["failure"] == INFRASTRUCTURE or line["end_reason"] == POLICY_DIED)
+
+
+def contradiction(line: Mapping[str, Any]) -> str | None:
+    """Return in what the line of an episode contradicts itself about success, or None."""
+    if line["success"] is False:
+        return "did not succeed, but ended with success" if line["end_reason"] == SUCCESS else None
+    if not line["success"]:
+        return None
+    stages = line.get("stages")
+    against = {
+        f"with a failure of the class {line['failure']}": line["failure"] is not None,
+        f"but ended with {line['end_reason'] or 'nothing'}": line["end_reason"] in _NO_SUCCESS,
+        "with a score of 0": line["score"] == 0,
+        "but reached no stage": stages and not any(stages.values()),
+    }
+    found = next((said for said, holds in against.items() if holds), None)
+    return None if found is None else f"succeeded, {found}"
 
 
 def spoilt(reason: str) -> Line:

@@ -266,7 +266,7 @@ def _failures(run: Run, overall: Row) -> dict[str, Any]:
     return {
         "said": (
             "Of all episodes that were planned. A policy that fails or is stopped has not succeeded; what the "
-            "infrastructure spoilt is played again within a bound, and then counts neither way."
+            "infrastructure spoilt is played again within a bound, and then counts as failed."
         ),
         "figure": figures.shares(counts, ", ".join(f"{names[kind]} {count}" for kind, count in counts.items())),
         "parts": [{"kind": kind, "name": names[kind], "count": count} for kind, count in counts.items() if count],

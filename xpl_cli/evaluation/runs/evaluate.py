@@ -175,6 +175,6 @@ def check(run: Run) -> None:
     spoilt = sum(line["failure"] == INFRASTRUCTURE for line in run.finals.values())
     if spoilt:
         raise UserError(
-            f"{spoilt} of {len(run.finals)} episodes were spoilt by the infrastructure and count neither way",
+            f"{spoilt} of {len(run.finals)} episodes were spoilt by the infrastructure, and count as failed",
             code=ExitCode.NOT_RUN,
         )

@@ -13,6 +13,7 @@ from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.records.failures import is_open
 from xpl_cli.evaluation.records.records import RecordError
 
 if TYPE_CHECKING:
@@ -118,9 +119,8 @@ class _Outage:
 def _record(writer: Writer, outcome: Outcome, attempts: int) -> Line:
     """Write an attempt down, its files first, and return its line."""
     job, plan, folder = outcome.job, writer.run.plan, writer.run.folder
-    spoilt = outcome.line["failure"] == INFRASTRUCTURE
     line = {
-        **_head(plan, job, final=not spoilt or job.attempt >= attempts),
+        **_head(plan, job, final=not is_open(outcome.line) or job.attempt >= attempts),
         **outcome.line,
         "machine": writer.machine(outcome.facts),
     }

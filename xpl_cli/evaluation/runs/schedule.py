@@ -6,6 +6,7 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.lanes.backend import Job
+from xpl_cli.evaluation.records.cells import certainly, survivors
 from xpl_cli.evaluation.records.records import slots
 
 if TYPE_CHECKING:
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 class Schedule:
     """The episodes of a plan that are still to be played.
 
-    An attempt that the infrastructure spoilt is played again after the other episodes of its cell: what is out of order
-    may be in order again by then.
+    An attempt that the infrastructure spoilt, or in which the policy's process died, is played again after the other
+    episodes of its cell: what is out of order may be in order again by then.
 
     Args:
         run: what is recorded so far.
@@ -31,6 +32,7 @@ class Schedule:
         self._run = run
         self._is_enough = is_enough
         self._attempts = Counter(line["index"] for line in run.attempts)
+        self._survived = survivors(run.attempts)
         self._cells: list[list[Slot]] = [[] for _ in run.plan["cells"]]
         for slot in slots(run.plan):
             self._cells[slot.cell].append(slot)
@@ -70,6 +72,7 @@ class Schedule:
         slot = self._cell_of[line["index"]]
         self._playing.discard(slot.index)
         self._attempts[slot.index] += 1
+        self._survived |= survivors([line])
         if not line["final"]:
             self._waiting[slot.cell].append(slot)
         self._look(slot.cell)
@@ -81,6 +84,6 @@ class Schedule:
             final = self._run.finals.get(slot.index)
             if final is None:
                 break
-            outcomes.append(final["success"])
+            outcomes.append(certainly(final, self._survived))
         if self._is_enough(outcomes):
             self._waiting[number].clear()

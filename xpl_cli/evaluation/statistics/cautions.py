@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, outcome
+from xpl_cli.evaluation.records.failures import MOST_SPOILT
 from xpl_cli.evaluation.runs.stopping import episodes_needed
 from xpl_cli.evaluation.statistics.wording import interval, many, percent, were
 
@@ -82,16 +84,33 @@ def _of_what_is_missing(overall: Mapping[str, Any], found: Sequence[Cell]) -> It
             f"{many(overall['unplayed'], 'episode')} of {overall['planned']} still to be played: the rows tell of "
             "those that were."
         )
-    spoilt = overall["failures"]["infrastructure"]
-    if spoilt:
-        said, told = f"{were(spoilt, 'episode')} spoilt by the infrastructure, and counted neither way", ""
-        if overall["if_spoilt"]:
-            worst, best = map(percent, overall["if_spoilt"])
-            told = f": the overall rate would be {worst} had they failed, {best} had they succeeded"
-        yield f"{said}{told}."
+    yield from _of_what_was_spoilt(overall, found)
     blank = [f"{cell.task} ({cell.setting})" for cell in found if cell.counted and not cell.outcomes]
     if blank:
         yield f"No episode with a success to speak of: {', '.join(blank)}; rows over several tasks leave these out."
+
+
+def _of_what_was_spoilt(overall: Mapping[str, Any], found: Sequence[Cell]) -> Iterator[str]:
+    spoilt = overall["failures"][INFRASTRUCTURE]
+    revived = sum(cell.certainly(line) is False for cell in found for line in cell.counted if outcome(line))
+    if spoilt and overall["judged"]:
+        rate = percent(overall["successes"] / overall["judged"])
+        yield (
+            f"{were(spoilt, 'episode')} spoilt by the infrastructure, and counted as failed, because nobody can tell "
+            f"who was to blame: without them {overall['successes']} of {overall['judged']} succeeded ({rate})."
+        )
+    elif spoilt:
+        yield f"{were(spoilt, 'episode')} spoilt by the infrastructure: nothing can be said of them."
+    if revived:
+        yield (
+            f"{many(revived, 'episode')} succeeded only after the policy's process had died in an earlier attempt, and "
+            "counted as failed."
+        )
+    if overall["if_spoilt"]:
+        worst, best = map(percent, overall["if_spoilt"])
+        yield f"The overall rate is {worst} with these as failures; it would be {best} had all of them succeeded."
+    if (share := spoilt / max(1, overall["played"])) > MOST_SPOILT:
+        yield f"{percent(share)} of the episodes were spoilt, more than {percent(MOST_SPOILT)}: the run is not ranked."
 
 
 def _of_stopping(width: float | None, found: Sequence[Cell]) -> Iterator[str]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.records.cells import cells, matched, outcome, score
+from xpl_cli.evaluation.records.cells import cells, matched, score
 from xpl_cli.evaluation.statistics import cautions, intervals, verdicts
 from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs
 from xpl_cli.evaluation.statistics.matching import differences
@@ -35,23 +35,23 @@ class IncomparableError(UserError):
 
 @dataclass(frozen=True)
 class _Matches:
-    """Episodes of one task and setting that both runs played, and that count in both.
+    """Episodes of one task and setting that both runs played to an end, a spoilt one too: it counts as failed.
 
     Attributes:
         task, setting: what was played.
         lines: of the first run and of the second, for each common seed.
+        successes: whether each of the two certainly succeeded, for each common seed.
     """
 
     task: str
     setting: str
     lines: Sequence[tuple[Line, Line]]
+    successes: Sequence[tuple[bool, bool]]
 
     @property
     def pairs(self) -> Pairs:
         """How often both, one or none succeeded."""
-        first, second = (
-            {number: bool(outcome(pair[side])) for number, pair in enumerate(self.lines)} for side in (0, 1)
-        )
+        first, second = (dict(enumerate(pair[side] for pair in self.successes)) for side in (0, 1))
         return matched(first, second)
 
     def score_difference(self) -> Estimate | None:
@@ -104,20 +104,22 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
 
 def _matches(first: Run, second: Run) -> list[_Matches]:
     """Return the episodes that both have, in the order of the first plan; cells without any are left out."""
-    others = {(cell.task, cell.setting): _by_seed(cell.counted) for cell in cells(second)}
+    others = {(cell.task, cell.setting): cell for cell in cells(second)}
     found = []
     for cell in cells(first):
-        other = others.get((cell.task, cell.setting), {})
-        own = _by_seed(cell.counted)
-        lines = [(line, other[seed]) for seed, line in own.items() if seed in other]
-        if lines:
-            found.append(_Matches(cell.task, cell.setting, lines))
+        other = others.get((cell.task, cell.setting))
+        if other is None:
+            continue
+        ends, lines = (cell.by_seed, other.by_seed), (_by_seed(cell.counted), _by_seed(other.counted))
+        common = [seed for seed in ends[0] if seed in ends[1]]
+        if common:
+            pairs = [(lines[0][seed], lines[1][seed]) for seed in common]
+            found.append(_Matches(cell.task, cell.setting, pairs, [(ends[0][seed], ends[1][seed]) for seed in common]))
     return found
 
 
 def _by_seed(lines: Iterable[Line]) -> dict[int, Line]:
-    """Return the lines that count for the success rate, by seed."""
-    return {line[sdk.Deploy.SEED]: line for line in lines if outcome(line) is not None}
+    return {line[sdk.Deploy.SEED]: line for line in lines}
 
 
 def _refuse_other_layouts(matches: Sequence[_Matches]) -> None:

@@ -114,14 +114,17 @@ def _conduct(members: Sequence[Cell]) -> dict[str, Any]:
 def _if_spoilt(members: Sequence[Cell]) -> list[float] | None:
     """Return what the success rate would be if all spoilt episodes had failed, and if all had succeeded.
 
-    None where none was spoilt, or no episode has a success to speak of.
+    Spoilt is what the infrastructure broke off, and what succeeded only after the policy's process had died. None where
+    nothing was, or no episode has a success to speak of.
     """
-    rates = []
+    rates, doubtful = [], 0
     for cell in members:
-        successes, spoilt = sum(cell.outcomes), cell.failed(INFRASTRUCTURE)
-        if count := len(cell.outcomes) + spoilt:
-            rates.append((successes / count, (successes + spoilt) / count))
-    if not any(cell.failed(INFRASTRUCTURE) for cell in members) or not any(cell.outcomes for cell in members):
+        least, spoilt = sum(cell.certain), cell.failed(INFRASTRUCTURE)
+        most, count = sum(cell.outcomes) + spoilt, len(cell.certain)
+        doubtful += most - least
+        if count:
+            rates.append((least / count, most / count))
+    if not doubtful or not rates:
         return None
     return [sum(ends) / len(rates) for ends in zip(*rates, strict=True)]
 

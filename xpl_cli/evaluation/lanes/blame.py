@@ -1,0 +1,63 @@
+"""Whose failure it is that an episode broke off: the policy's, whose process ended or hung, or nobody's that is known.
+
+Only what is seen to be outside of the adapter's processes is the infrastructure's: the front end of the server is gone,
+the environment's process is, or the network. A policy that ends itself when it is about to lose gains nothing by it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from xpl import _spec as sdk
+from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerFailedError
+from xpl_cli.evaluation.loop.process import LoopLostError
+
+if TYPE_CHECKING:
+    import ssl
+
+_OUTSIDE = (sdk.ErrorReason.SHUTTING_DOWN,)
+"""Reasons of an answer in which the front end speaks of itself."""
+_ANSWER_S = 5.0
+
+
+def is_death(error: Exception, url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
+    """Tell whether an error shows that a process which runs the adapter's code ended or hung.
+
+    Args:
+        error: what broke an episode off.
+        url: of the policy server.
+        ssl_context: for `wss://`.
+    """
+    if isinstance(error, (LoopLostError, ServerFailedError)):
+        return True
+    if isinstance(error, PolicyServerError):
+        return error.details.get("reason") == sdk.ErrorReason.WORKER_DIED
+    return isinstance(error, RequestTimeoutError) and answers(url, ssl_context)
+
+
+def is_outside(error: ClientError) -> bool:
+    """Tell whether an error of a client, which is no death of the policy's, says nothing about the policy."""
+    if isinstance(error, PolicyServerError):
+        return error.details.get("reason") in _OUTSIDE
+    return error.spoils_trial
+
+
+def answers(url: str, ssl_context: ssl.SSLContext | None = None) -> bool:
+    """Tell whether the front end of a server answers, whatever it says: then it is the model that hangs."""
+    address = urlsplit(url)
+    host, port = address.hostname or "", address.port
+    with contextlib.suppress(OSError, http.client.HTTPException):
+        if address.scheme == "wss":
+            connection: http.client.HTTPConnection = http.client.HTTPSConnection(
+                host, port, timeout=_ANSWER_S, context=ssl_context
+            )
+        else:
+            connection = http.client.HTTPConnection(host, port, timeout=_ANSWER_S)
+        with contextlib.closing(connection):
+            connection.request("GET", "/healthz")
+            connection.getresponse()
+            return True
+    return False
