@@ -35,6 +35,17 @@ found.loader.exec_module(module)
 """Makes `import xpl` work in any interpreter without putting a folder on its path: nothing but the SDK becomes
 importable. Its first argument is the SDK's folder; further code may follow. Python 3.9, standard library."""
 
+KEPT_START = """
+import os, sys
+if sys.executable:
+    _worker = os.fork()
+    if _worker:
+        _keeper = [sys.executable, "-I", "-S", sys.argv[1] + "/process/keeper.py", str(_worker), sys.argv[2]]
+        os.execv(_keeper[0], _keeper)
+"""
+"""Puts a keeper (`xpl.process.keeper`) above this process; comes before `SDK_START`. Its second argument is the number
+of its end of the link."""
+
 
 def serve(descriptor: int, handle: Handle) -> NoReturn:
     """Answer messages that arrive on a descriptor until it is closed, then end.

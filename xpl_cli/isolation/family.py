@@ -10,17 +10,20 @@ import ctypes
 import os
 import signal
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator
+    from collections.abc import Container, Iterator, Sequence
 
 _PROC = Path("/proc")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _SET_CHILD_SUBREAPER = 36  # prctl(2)
 _ZOMBIE = "Z"
+_ROUNDS, _ROUND_S = 200, 0.005
+"""How often, and how long after each other, processes are ended that may start others while they are."""
 LAUNCHERS = 2
 """Processes above a command that is kept apart (`launch.py`; bubblewrap's are as many)."""
 
@@ -33,6 +36,7 @@ class Member:
         pid: its number.
         parent: the process that started it, or adopted it.
         group: its process group; a worker leads one of its own.
+        session: its session.
         started: when it started, in the system's ticks; with the number, it names a process for good.
         name: what it runs, in at most 15 characters.
     """
@@ -40,6 +44,7 @@ class Member:
     pid: int
     parent: int
     group: int
+    session: int
     started: int
     name: str
 
@@ -59,8 +64,11 @@ class Member:
 
 
 def descendants(pid: int) -> list[Member]:
-    """Return the processes below one, and those of its group: children of children too."""
-    return _below(pid, _members())
+    """Return the processes below one, children of children too, and those of the session that it began."""
+    known = list(_members())
+    # Not those of its group: in a pipeline that is the user's, and its other commands are in it. A session is never
+    # joined, only inherited.
+    return _below(pid, known, {one.pid for one in known if one.session == pid})
 
 
 def with_descendants(pid: int) -> list[int]:
@@ -73,12 +81,18 @@ def behind_launcher(pid: int) -> list[int]:
 
     The list ends with what there is so far: one that has just been started has nothing below it.
     """
+    return first_ones(pid, LAUNCHERS)
+
+
+def first_ones(pid: int, levels: int) -> list[int]:
+    """Return a process, the first that it started, the first that this one started, and so on."""
     known, found = list(_members()), [pid]
-    while len(found) <= LAUNCHERS:
+    while len(found) <= levels:
         children = [member for member in known if member.parent == found[-1]]
         if not children:
             break
-        found.append(min(children, key=lambda member: member.started).pid)  # what it adopts later came later
+        # What it adopts later came later.
+        found.append(min(children, key=lambda member: (member.started, member.pid)).pid)
     return found
 
 
@@ -104,9 +118,28 @@ def adopt_orphans() -> None:
         ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, ctypes.c_ulong(1), *[ctypes.c_ulong(0)] * 3)
 
 
-def end_descendants() -> list[Member]:
-    """Kill the processes below this one and return them."""
-    return _ended(descendants(os.getpid()))
+def end(pid: int) -> None:
+    """Kill a process and those below it."""
+    for number in with_descendants(pid):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.kill(number, signal.SIGKILL)
+
+
+def end_descendants(before: Container[int]) -> list[Member]:
+    """Kill the processes below this one, until there are none, and return them.
+
+    Args:
+        before: numbers of those that this process had when it began, such as the reader of its output, which a shell
+            started before it became this process; they and theirs are spared.
+    """
+    found: dict[Member, None] = {}
+    for _ in range(_ROUNDS):
+        left = _below(os.getpid(), [one for one in _members() if one.pid not in before])
+        if not left:
+            break
+        found.update(dict.fromkeys(_ended(left)))
+        time.sleep(_ROUND_S)  # for those whose parent is another one
+    return list(found)
 
 
 def end_adopted(before: Container[int]) -> list[Member]:
@@ -131,11 +164,11 @@ def _ended(members: list[Member]) -> list[Member]:
     return members
 
 
-def _below(pid: int, members: Iterable[Member]) -> list[Member]:
-    known = list(members)
+def _below(pid: int, known: Sequence[Member], also: Container[int] = ()) -> list[Member]:
+    """Return the processes below one and below some others, with these others."""
     inside = {pid}
     while True:
-        found = {one.pid for one in known if one.parent in inside or one.group == pid} | {pid}
+        found = {one.pid for one in known if one.parent in inside or one.pid in also} | inside
         if found == inside:
             return [one for one in known if one.pid in inside and one.pid != pid]
         inside = found
@@ -158,7 +191,7 @@ def _member(pid: int) -> Member | None:
     fields = after.split()
     if fields[0] == _ZOMBIE:
         return None
-    return Member(pid, int(fields[1]), int(fields[2]), int(fields[19]), before.partition("(")[2])
+    return Member(pid, int(fields[1]), int(fields[2]), int(fields[3]), int(fields[19]), before.partition("(")[2])
 
 
 def _proportional(pid: int) -> int:

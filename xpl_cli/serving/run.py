@@ -217,6 +217,7 @@ async def _serve(run: _Run) -> str | None:
     ending.listen(until_stdin_ends=run.options.until_stdin_ends)
     segment.sweep()  # what a server that was killed left behind
     family.adopt_orphans()
+    before = {member.pid for member in family.descendants(os.getpid())}
     processes: list[WorkerProcess] = []
     try:
         for number in range(run.options.workers):
@@ -239,7 +240,7 @@ async def _serve(run: _Run) -> str | None:
             return await _until_ended(run, front_end, servers, ending)
     finally:
         await asyncio.gather(*(process.stop(grace=1.0) for process in processes))
-        for stray in family.end_descendants():
+        for stray in family.end_descendants(before):
             log(f"ended process {stray.pid} ({stray.name}), which had left the adapter's process group")
 
 

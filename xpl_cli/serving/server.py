@@ -180,7 +180,7 @@ class FrontEnd:
         """Return the state, and what a person or a supervisor wants to know of it."""
         workers = [
             {
-                "process": worker.process.pid,
+                "process": worker.process.adapter_pid(),
                 "busy_s": round(worker.busy_for(), 3),
                 "waiting": len(worker.line),
                 "memory_bytes": worker.process.memory(),

@@ -267,7 +267,7 @@ class Worker:
     def _tell(self, busy: float) -> None:
         limit = "there is no limit" if self._timeout is None else f"it is ended after {self._timeout:g} s"
         names = ", ".join(sorted({job.method for job in self._running})) or "an errand"
-        log(f"the model has been at work for {busy:.0f} s (process {self.process.pid}, {names}); {limit}")
+        log(f"the model has been at work for {busy:.0f} s (process {self.process.adapter_pid()}, {names}); {limit}")
 
 
 def _died(reason: str) -> RequestError:

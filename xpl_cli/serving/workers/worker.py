@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import xpl
 from xpl.process import link
-from xpl.process.child import SDK_START
+from xpl.process.child import KEPT_START, SDK_START
 from xpl.process.link import Inbox
 from xpl_cli.isolation import family
 
@@ -41,7 +41,7 @@ class WorkerProcess:
     """One adapter in a process of its own, asked one message at a time.
 
     Attributes:
-        pid: the process, which leads a group of its own.
+        pid: the process above the adapter's, which leads a group of its own.
         last_line: what the adapter printed last.
         died: resolves with the reason when the link breaks.
     """
@@ -98,7 +98,7 @@ class WorkerProcess:
                 *(() if isolation is None else isolation.prefix),
                 python,
                 "-c",
-                _BOOTSTRAP,
+                (KEPT_START if isolation is None else "") + _BOOTSTRAP,
                 sdk,
                 str(theirs.fileno()),
                 stdin=asyncio.subprocess.DEVNULL,
@@ -144,7 +144,7 @@ class WorkerProcess:
 
     def memory(self) -> int:
         """Return the memory that the worker uses itself, bytes; 0 where the system does not tell."""
-        return family.resident(self._interpreter())
+        return family.resident(self.adapter_pid())
 
     def until_it_ends(self, watch: Coroutine[Any, Any, None]) -> None:
         """Run something beside the worker, until it has ended; the worker ends if that fails."""
@@ -155,21 +155,19 @@ class WorkerProcess:
     def show_stacks(self) -> None:
         """Have the worker print where each of its threads is, also while it hangs."""
         with contextlib.suppress(ProcessLookupError):
-            os.kill(self._interpreter(), signal.SIGUSR1)
+            os.kill(self.adapter_pid(), signal.SIGUSR1)
 
     def kill(self, reason: str) -> None:
         """End the worker and all its children at once, and give a reason for it."""
         self._break(reason)
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.pid, signal.SIGKILL)
+        family.end(self.pid)
 
     async def stop(self, grace: float) -> None:
         """End the worker and all its children: close the link, wait `grace` seconds, then kill the group."""
         self._break("the worker was stopped")
         with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(self._process.wait(), grace)
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.pid, signal.SIGKILL)
+        family.end(self.pid)
         await self._process.wait()
         # What has left the group and still holds the pipe would keep it open for ever.
         with contextlib.suppress(asyncio.TimeoutError):
@@ -190,10 +188,11 @@ class WorkerProcess:
         if error is not None:
             self.kill(f"the worker could not be watched: {type(error).__name__}: {error}")
 
-    def _interpreter(self) -> int:
-        """Return the process that runs the adapter: the one that was started, or the last one below it."""
-        if self._wrapped and len(self._found) <= family.LAUNCHERS:
-            self._found = family.behind_launcher(self.pid)
+    def adapter_pid(self) -> int:
+        """Return the process that runs the adapter, below its keeper, or below what keeps it apart."""
+        wanted = family.LAUNCHERS if self._wrapped else 1
+        if len(self._found) <= wanted:
+            self._found = family.first_ones(self.pid, wanted)
         return self._found[-1]
 
     def _write(self) -> None:
