@@ -497,7 +497,7 @@ def test_null_means_the_default() -> None:
 
 def test_the_policy_folder_is_the_modules() -> None:
     """Relative paths start there."""
-    assert Tracing(config()).policy_dir.name == "tests"
+    assert Tracing(config()).policy_dir.name == "sdk"
 
 
 def test_what_an_adapter_must_define_is_named() -> None:
