@@ -143,6 +143,8 @@ def test_changed_files_are_found(
     ("change", "where", "said"),
     [
         (_records(lambda lines: lines[-1].update(success=False, failure="task")), "claims", "counts otherwise"),
+        (_records(lambda lines: lines[-1].update(end_reason="max_steps")), "records", "but ended with max_steps"),
+        (_records(lambda lines: lines[-1].update(score=0.0)), "records", "with a score of 0"),
         (_records(lambda lines: lines.pop()), "records", "were not played"),
         (
             lambda folder: (folder / "policy/scripted_expert/moves.py").write_text("", encoding="utf-8"),
@@ -235,6 +237,41 @@ class TestReplay:
         monkeypatch.chdir(tmp_path)
         with pytest.raises(UserError, match="does not wait for the policy"):
             Player(EXPERT).play(run, [0])
+
+
+_NOWHERE = dict.fromkeys(("path", "line", "column", "end_line", "end_column", "expected", "got", "evidence", "fix"))
+_FINDING = {**_NOWHERE, "message": "x", "explain": "xpl explain XPL101", "fingerprint": "0" * 16}
+
+
+def _audited(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
+    """Return what changes the static gate in a bundle's audit report."""
+
+    def edit(folder: Path) -> None:
+        told = json.loads((folder / bundle.AUDIT).read_bytes())
+        change(told["targets"][0]["gates"][0])
+        (folder / bundle.AUDIT).write_bytes(bundle.document(told))
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda gate: gate["results"][0].update(outcome="fail"), "its rules make it red (XPL101 fail)"),
+        (lambda gate: gate["results"][0].update(outcome="not_run"), "its rules make it incomplete (XPL101 not_run)"),
+        (lambda gate: gate["results"][0].update(severity="should", findings=[_FINDING]), "XPL101 fail"),
+        (lambda gate: gate["results"].pop(0), "the audit's static gate is without the rules XPL101"),
+        (lambda gate: gate["results"].append(gate["results"][0]), "two results of XPL101"),
+        (lambda gate: gate.update(digest="0" * 16), "the audit is not of the adapter in the bundle"),
+    ],
+    ids=["failed", "not run", "findings", "left out", "twice", "of another"],
+)
+def test_the_verdict_of_an_audit_follows_from_its_rules_and_the_adapter(
+    packed: Path, tmp_path: Path, change: Callable[[dict[str, Any]], Any], said: str
+) -> None:
+    """A report that says green over rules that failed, were left out or are of other files is found out."""
+    found = _problems(_forged(packed, tmp_path / "forged.zip", _audited(change)))
+    assert any(said in problem for problem in found["audit"]), found
 
 
 class TestCheckpoints:

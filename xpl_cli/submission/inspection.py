@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.environments import check
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments, package
-from xpl_cli.submission import bundle, claims, consistency
+from xpl_cli.submission import audited, bundle, claims, consistency
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from xpl_cli.submission.bundle import Bundle
 
 _Look = Callable[["Bundle", list["Run"]], Iterator[str]]
-_GREEN = "green"
 _SERVED_BY_MODEL = (None, "full")
 """Profiles of gates that no stand-in answered in."""
 
@@ -127,11 +125,7 @@ def _audit(found: Bundle, _: Sequence[Run]) -> Iterator[str]:
     if (target.get("name"), target.get("spec")) != (policy["name"], policy["spec"]):
         yield f"the audit is not of {policy['name']} by {policy['spec']}"
         return
-    if told["exit_code"] != 0 or target["verdict"] != _GREEN:
-        yield f"the audit is not green: {target['verdict']}"
-    missing = [gate.value for gate in Gate if gate.value not in {entry["name"] for entry in target["gates"]}]
-    if missing:
-        yield f"the audit ran without the gates {', '.join(missing)}"
+    yield from audited.problems(target, found.adapter)
     for gate in target["gates"]:
         if gate["profile"] not in _SERVED_BY_MODEL or gate["stubbed"]:
             yield f"the audit's {gate['name']} gate ran without the real model: {gate['stood_in']}"
