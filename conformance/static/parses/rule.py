@@ -40,6 +40,8 @@ def parses(source: Source) -> Iterator[Finding]:
             yield Finding(f"{name} cannot be checked: {reason}", path=name, expected="source text", got=str(reason))
             continue
         yield from _conflicts(source, name)
+        if name.endswith(".sh"):
+            yield from _shell(source, name)
         if name.endswith(".py"):
             yield from _python(source, name)
         if name.endswith(_DATA):
@@ -70,6 +72,13 @@ def _conflicts(source: Source, name: str) -> Iterator[Finding]:
                 fix=Fix("advice", "keep one side and delete the markers"),
             )
             return
+
+
+def _shell(source: Source, name: str) -> Iterator[Finding]:
+    try:
+        source.commands(name)
+    except NotRun as reason:
+        yield Finding(f"{name} cannot be checked: {reason}", path=name, expected="a script", got=str(reason))
 
 
 def _python(source: Source, name: str) -> Iterator[Finding]:

@@ -14,6 +14,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, targets
 from xpl_cli.standard import spec
 
+_MOST_NAMED = 20
 _CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "tuple"))
 
 
@@ -53,7 +54,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     line = next((number for number, text in enumerate(lines, start=1) if text.startswith(f"{unread[0]}:")), 1)
     what = "it" if len(unread) == 1 else "one of them"
     yield Finding(
-        f"nobody reads {', '.join(map(str, unread))}: changing {what} has no effect",
+        f"nobody reads {_named(unread)}: changing {what} has no effect",
         path=sdk.File.DEPLOY_YML,
         line=line,
         column=1,
@@ -63,10 +64,15 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     )
 
 
+def _named(keys: list[str]) -> str:
+    more = f" and {len(keys) - _MOST_NAMED} more" if len(keys) > _MOST_NAMED else ""
+    return ", ".join(str(key) for key in keys[:_MOST_NAMED]) + more
+
+
 def _deleted(source: Source, keys: list[str]) -> Fix:
     """Return the fix that deletes keys; it is unsafe, because a misspelt one should be renamed."""
-    edits = tuple(edit for key in keys for edit in deleted(source, sdk.File.DEPLOY_YML, str(key)))
-    text = f"delete {', '.join(map(str, keys))}, or give them the names that the code reads"
+    edits = tuple(deleted(source, sdk.File.DEPLOY_YML, [str(key) for key in keys]))
+    text = f"delete {_named(keys)}, or give them the names that the code reads"
     return Fix("unsafe_edit" if edits else "advice", text, edits)
 
 

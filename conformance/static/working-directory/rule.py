@@ -126,11 +126,7 @@ def _called_by(source: Source, script: str) -> Iterator[Finding]:
         words = [word for word in command.arguments if not word.text.startswith("-")]
         if len(words) > 1 and command.name in _RUNNERS:
             path = words[1]
-            if (
-                not path.text.startswith(("/", "$", "~"))
-                and "$" not in path.text
-                and (source.path / path.text).is_file()
-            ):
+            if not path.text.startswith(("/", "$", "~")) and "$" not in path.text and source.has(path.text):
                 yield Finding(
                     f"{script} finds {path.text} only when it is started in the adapter's own folder",
                     path=script,

@@ -12,7 +12,6 @@ from xpl import _spec as sdk
 from xpl_cli.audit import Edit, Finding, Fix, rule
 from xpl_cli.audit.static.source import Source
 
-_Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _SUSPECT: Final = re.compile(
     r"[\s:\[,-](?:[-+]?\d+[eE][-+]?\d+|[-+]?\d+\.\d*[eE]\d+|0\d+|\d+(?::\d\d?)+|\d{4}-\d\d?-\d\d?)(?=\s*(?:[,\]}#\n]|$))"
     r"|(?:name|version|tag|ckpt|checkpoint|run|revision|id)\s*:\s*\d+\.\d*0(?=\s)"
@@ -53,8 +52,7 @@ def yaml_misread(source: Source) -> Iterator[Finding]:
     for file in (sdk.File.DEPLOY_YML, sdk.File.POLICY_YML):
         if not source.has(file) or not _SUSPECT.search(source.text(file)) or source.yaml_problem(file) is not None:
             continue
-        root = yaml.compose(source.text(file), Loader=_Loader)
-        for key, node in _scalars(root, ""):
+        for key, node in _scalars(source.yaml_root(file), ""):
             read = _misread(key, node)
             if read is not None:
                 yield _finding(file, key, node, read)

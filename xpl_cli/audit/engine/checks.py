@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.facts import wanted
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import NotApplicable, NotRun, Outcome, Result
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import RegistryError, needed
+from xpl_cli.audit.static.limits import LONGEST_S, TooLong, deadline
 
 if TYPE_CHECKING:
     from xpl_cli.audit.engine.cache import Shelf
@@ -55,7 +58,7 @@ class Checks:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a rule's crash must not hide what the others find
             requirement = rule.requirement if rule is not None else ""
-            return Result(entry.code, entry.slug, requirement, "must", Outcome.ERROR, reason=_told(error))
+            return Result(entry.code, entry.slug, requirement, "must", Outcome.ERROR, reason=told(error))
         return result
 
     def _unmet(self, rule: Rule) -> Result | None:
@@ -70,11 +73,15 @@ class Checks:
     def _checked(self, rule: Rule) -> Result:
         try:
             self._require(rule)
-            findings: tuple[Finding, ...] = tuple(self._facts.call(rule.check))
+            with deadline() if rule.gate is Gate.STATIC else nullcontext():
+                findings: tuple[Finding, ...] = tuple(self._facts.call(rule.check))
         except NotApplicable as why:
             return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
         except NotRun as why:
             return self._result(rule, Outcome.NOT_RUN, reason=str(why))
+        except TooLong:
+            reason = f"not done within {LONGEST_S:.0f} s: the files are larger or more tangled than any adapter's"
+            return self._result(rule, Outcome.NOT_RUN, reason=reason)
         return self._result(rule, outcome_of(findings, rule.severity_in(self._version)), findings)
 
     def _require(self, rule: Rule) -> None:
@@ -104,7 +111,7 @@ def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:
     return Outcome.FAIL if severity == "must" else Outcome.WARN
 
 
-def _told(error: BaseException) -> str:
+def told(error: BaseException) -> str:
     """Return what a crash was and where, in one line."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.audit.engine import providers
 from xpl_cli.audit.engine.cache import Shelf
-from xpl_cli.audit.engine.checks import Checks
+from xpl_cli.audit.engine.checks import Checks, told
 from xpl_cli.audit.engine.waivers import waive
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.fingerprint import fingerprint
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.profiles import Profile
-from xpl_cli.audit.rules.registry import Entry, find, select
+from xpl_cli.audit.rules.registry import Entry, RegistryError, find, select
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.progress import Progress
 
@@ -54,6 +54,7 @@ def audit_all(targets: Sequence[Target], options: Options) -> list[TargetReport]
         return [audit(target.path, target.kind, options, shown=target.shown) for target in targets]
     from xpl_cli.basics.parallel import in_processes
 
+    select(options.names, options.ignore, options.gates)  # a mistake in these is the user's, and of no package
     reports = []
     static = replace(options, gates=(Gate.STATIC,), progress=Progress())
     later = replace(options, gates=tuple(gate for gate in options.gates if gate is not Gate.STATIC))
@@ -67,13 +68,20 @@ def audit_all(targets: Sequence[Target], options: Options) -> list[TargetReport]
 
 
 def _static(order: tuple[Target, Options]) -> TargetReport:
+    """Audit one of many packages; what goes wrong with one costs no other its verdict."""
     target, options = order
-    return audit(target.path, target.kind, options, shown=target.shown)
+    try:
+        return audit(target.path, target.kind, options, shown=target.shown)
+    except RegistryError:
+        raise
+    except Exception as error:  # noqa: BLE001 - whatever it is, the others are to be audited
+        return _lost(target, f"{told(error)}; xpl audit of this package alone shows more")
 
 
-def _lost(target: Target) -> TargetReport:
+def _lost(
+    target: Target, reason: str = "the process that read the package died; xpl audit of this package alone shows how"
+) -> TargetReport:
     """Return the report on a package whose reader died, of memory or of a fault of the interpreter."""
-    reason = "the process that read the package died; xpl audit of this package alone shows how"
     rule = find("parses")
     result = Result(rule.code, rule.slug, rule.requirement, rule.severity, Outcome.ERROR, reason=reason)
     gate = GateReport(name=Gate.STATIC, results=[result])

@@ -10,7 +10,7 @@ from xpl_cli.audit.rules.model import Edit, Finding, Fix
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
     import yaml
 
@@ -59,7 +59,7 @@ def renamed(source: Source, name: str, key: str) -> Fix:
         if re.fullmatch(r"[A-Za-z_]\w*", wanted) and isinstance(spec.parse_yaml(wanted), str)
         else json.dumps(wanted)
     )
-    values = [value for _, value in _pairs(_root(source, name), key) if isinstance(value, yaml.ScalarNode)]
+    values = [value for _, value in _pairs(source.yaml_root(name), key) if isinstance(value, yaml.ScalarNode)]
     edits = tuple(
         Edit(name, start.line + 1, start.column + 1, end.line + 1, end.column + 1, text)
         for start, end in ((value.start_mark, value.end_mark) for value in values)
@@ -67,10 +67,10 @@ def renamed(source: Source, name: str, key: str) -> Fix:
     return Fix("safe_edit", f"{key}: {text}", edits)
 
 
-def deleted(source: Source, name: str, key: str) -> Iterator[Edit]:
-    """Yield the edit that deletes a top-level key of a YAML file, with the whole lines that it and its value take."""
+def deleted(source: Source, name: str, keys: Collection[str]) -> Iterator[Edit]:
+    """Yield the edits that delete top-level keys of a YAML file, with the whole lines that these take."""
     lines = len(source.text(name).split("\n"))
-    for given, value in _pairs(_root(source, name), key):
+    for given, value in _pairs(source.yaml_root(name), *keys):
         last = max(_lines(value))
         if last + 2 <= lines:
             yield Edit(name, given.start_mark.line + 1, 1, last + 2, 1, "")
@@ -89,7 +89,7 @@ def required_input(source: Source, entry: str) -> Fix:
     name, group = sdk.File.POLICY_YML, "required"
     text = f"inputs.{group}: [..., {entry}]"
     edits = []
-    for _, inputs in _pairs(_root(source, name), "inputs"):
+    for _, inputs in _pairs(source.yaml_root(name), "inputs"):
         for kind, value in inputs.value if isinstance(inputs, yaml.MappingNode) else ():
             listed = [str(item.value) for item in value.value] if isinstance(value, yaml.SequenceNode) else []
             wanted = [item for item in listed if item != entry] + [entry] * (kind.value == group)
@@ -109,7 +109,7 @@ def _sized(source: Source, entry: str) -> Iterator[Edit]:
     import yaml
 
     name, (group, _, camera) = sdk.File.POLICY_YML, entry.partition(".")
-    for _, cameras in _pairs(_root(source, name), "cameras"):
+    for _, cameras in _pairs(source.yaml_root(name), "cameras"):
         if group != sdk.Obs.VISION or not isinstance(cameras, yaml.MappingNode):
             continue
         known = [key.value for key, _ in cameras.value]
@@ -127,18 +127,13 @@ def _sized(source: Source, entry: str) -> Iterator[Edit]:
             yield Edit(name, place.line + 1, place.column, place.line + 1, place.column, new)
 
 
-def _root(source: Source, name: str) -> yaml.Node | None:
+def _pairs(root: yaml.Node | None, *keys: str) -> list[tuple[yaml.Node, yaml.Node]]:
+    """Return the entries of a map that have one of these keys."""
     import yaml
 
-    return yaml.compose(source.text(name), Loader=yaml.SafeLoader)
-
-
-def _pairs(root: yaml.Node | None, key: str) -> list[tuple[yaml.Node, yaml.Node]]:
-    """Return the entries of a map that have a key."""
-    import yaml
-
+    wanted = frozenset(keys)
     pairs = root.value if isinstance(root, yaml.MappingNode) else []
-    return [(given, value) for given, value in pairs if given.value == key]
+    return [(given, value) for given, value in pairs if isinstance(given, yaml.ScalarNode) and given.value in wanted]
 
 
 def _lines(node: yaml.Node) -> Iterator[int]:

@@ -14,6 +14,7 @@ from xpl_cli.audit.rules.model import NotRun
 if TYPE_CHECKING:
     from pathlib import Path
 
+_ASCII: Final = bytes(range(0x20, 0x7F)).replace(b"\\", b"") + b"\t\n\r\\x41~{+AGE-.xn--4ca"
 SIZE_LIMIT: Final = 2 * 1024 * 1024
 """Files beyond this many bytes are data, not source."""
 
@@ -72,8 +73,8 @@ def decoded(data: bytes, *, python: bool) -> tuple[str, str | None]:
     if python:
         try:
             encoding, _ = tokenize.detect_encoding(io.BytesIO(data).readline)
-            text_codec = codecs.lookup(encoding).name
-            data.decode(text_codec)
+            _require_ascii(encoding)
+            data.decode(codecs.lookup(encoding).name)
         except (SyntaxError, LookupError) as error:
             encoding, problem = "utf-8", str(error)
         except UnicodeDecodeError as error:
@@ -81,3 +82,19 @@ def decoded(data: bytes, *, python: bool) -> tuple[str, str | None]:
             problem = f"byte {error.object[error.start]:#04x} in line {place} is not {error.encoding}"
     text = data.decode(encoding, errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n").removeprefix("\ufeff"), problem
+
+
+def _require_ascii(encoding: str) -> None:
+    """Refuse an encoding that does not leave ASCII as it is: punycode, idna, escapes and UTF-7 hide what people read.
+
+    Some of those cannot replace what does not decode, either, or take a time that grows with the square of the size.
+
+    Raises:
+        LookupError: if it is one of them, or none at all.
+    """
+    try:
+        if _ASCII.decode(encoding, errors="replace") == _ASCII.decode("ascii"):
+            return
+    except UnicodeError:
+        pass
+    raise LookupError(f"{encoding} is no encoding for source: in it, ASCII stands for something else")

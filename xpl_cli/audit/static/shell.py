@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
+from xpl_cli.audit.static.limits import TooMuchError
+
 _OPENERS: Final = frozenset(("while", "until", "for"))
 _KEYWORDS: Final = frozenset(
     ("if", "then", "elif", "else", "do", "while", "until", "!", "{", "}", "fi", "done", "time")
 )
+_GRAMMAR: Final = _KEYWORDS | _OPENERS
+_MOST_WORDS: Final = 50_000
+_MOST_LEVELS: Final = 100
 _HEREDOC: Final = re.compile(r"<<-?\s*(['\"\\]?)([A-Za-z_]\w*)\1")
 _REDIRECTION: Final = re.compile(r"<<<|&>>?|[<>]+[&|]?[\d-]*")
 _ASSIGNMENT: Final = re.compile(r"([A-Za-z_]\w*)\+?=(.*)", re.DOTALL)
@@ -163,7 +169,11 @@ class Script(list[Command]):
 
 
 def parse(script: str) -> Script:
-    """Return the simple commands of a script."""
+    """Return the simple commands of a script.
+
+    Raises:
+        TooMuchError: if it has more words, or is nested more deeply, than any that a person wrote.
+    """
     return Script(_Parser(script).commands())
 
 
@@ -199,6 +209,8 @@ class _Parser:
         self._line_starts = [0, *(found.end() for found in re.finditer("\n", script))]
         self._found: list[Command] = []
         self._words: list[Word] = []
+        self._read = 0
+        self._depth = 0
         self._loops = 0
         self._blocks: list[bool] = []  # for each open brace, whether it is a function's
         self._is_function = False
@@ -252,8 +264,8 @@ class _Parser:
 
     def _end(self, operator: str = "") -> None:
         words, keywords = self._words, list[str]()
-        while words and words[0].raw in _KEYWORDS | _OPENERS:
-            keyword = words.pop(0).raw
+        for word in itertools.takewhile(lambda word: word.raw in _GRAMMAR, words):
+            keyword = word.raw
             keywords.append(keyword)
             self._loops += (keyword in _OPENERS) - (keyword == "done")
             if keyword == "{":
@@ -261,6 +273,9 @@ class _Parser:
                 self._is_function = False
             elif keyword == "}" and self._blocks:
                 self._blocks.pop()
+        words = words[len(keywords) :]
+        if len(self._blocks) > _MOST_LEVELS:
+            raise TooMuchError(f"nested more than {_MOST_LEVELS} levels deep")
         if words and words[0].raw == "function":
             self._is_function = True
             self._blocks += [True] * (words[-1].raw == "{")
@@ -282,6 +297,9 @@ class _Parser:
         if self._script.startswith("(", self._at) and self._script[self._at - 1] == "=":
             self._group("(", ")")
         line = self._line_of(start)
+        self._read += 1
+        if self._read > _MOST_WORDS:
+            raise TooMuchError(f"more than {_MOST_WORDS} words")
         self._words.append(Word(self._script[start : self._at], line, start - self._line_starts[line - 1] + 1))
 
     def _piece(self) -> None:
@@ -302,12 +320,13 @@ class _Parser:
                     plain = _QUOTED.match(script, self._at)
                     self._at = plain.end() if plain else self._at + 1
             self._at += 1
-        elif script.startswith("$(", self._at):
+        elif script.startswith(("$(", "${"), self._at):
             self._at += 1
-            self._group("(", ")")
-        elif script.startswith("${", self._at):
-            self._at += 1
-            self._group("{", "}")
+            self._depth += 1
+            if self._depth > _MOST_LEVELS:
+                raise TooMuchError(f"nested more than {_MOST_LEVELS} levels deep")
+            self._group(*("()" if script[self._at] == "(" else "{}"))
+            self._depth -= 1
         elif character == "`":
             end = script.find("`", self._at + 1)
             self._at = len(script) if end < 0 else end + 1

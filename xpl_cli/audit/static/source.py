@@ -17,14 +17,22 @@ from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.static import reading
 from xpl_cli.audit.static.function import Function, Symbols
+from xpl_cli.audit.static.limits import TooMuchError, measured
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.shell import Command, parse
+from xpl_cli.basics.yaml import text as yaml_text
 from xpl_cli.packages.package import ENV
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
+    from yaml import Node
+
     from xpl_cli.audit.static.syntax import FunctionNode
 
+_LONGEST_PATH = 4096
+"""Characters; no system takes a longer one."""
+_MOST_PARTS = 64
+_PYTHON_FILE = re.compile(r"[^\s\"'()=]+\.py\b")
 _SOURCE_SUFFIXES = frozenset((".py", ".sh", ".yml", ".yaml", ".md", ".toml", ".txt", ".cfg", ".json"))
 
 
@@ -46,7 +54,7 @@ class Source:
     _contents: dict[str, bytes] = field(default_factory=dict)
     _texts: dict[str, str] = field(default_factory=dict)
     _encoding_errors: dict[str, str | None] = field(default_factory=dict)
-    _yaml: dict[str, tuple[Any, tuple[str, int, int] | None]] = field(default_factory=dict)
+    _yaml: dict[str, tuple[yaml_text.Document, tuple[str, int, int] | None]] = field(default_factory=dict)
     _trees: dict[str, ast.Module] = field(default_factory=dict)
     _errors: dict[str, Exception] = field(default_factory=dict)
     _nodes: dict[str, tuple[ast.AST, ...]] = field(default_factory=dict)
@@ -141,7 +149,9 @@ class Source:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # an invalid escape is not ours to print
-                    self._trees[name] = ast.parse(text, filename=name)
+                    tree = ast.parse(text, filename=name)
+                self._nodes[name] = measured(tree)
+                self._trees[name] = tree
             except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
                 self._errors[name] = error
         return self._errors.get(name)
@@ -153,7 +163,7 @@ class Source:
             NotRun: if there is no such file, or it does not parse.
         """
         if name not in self._nodes:
-            self._nodes[name] = tuple(ast.walk(self.tree(name)))
+            self.tree(name)
         return self._nodes[name]
 
     def function(self, name: str, node: FunctionNode, owner: ast.ClassDef | None = None) -> Function:
@@ -194,7 +204,16 @@ class Source:
         problem = self.yaml_problem(name)
         if problem is not None:
             raise NotRun(f"{name} does not parse: {problem[0]}")
-        return self._yaml[name][0]
+        return self._yaml[name][0].data
+
+    def yaml_root(self, name: str) -> Node | None:
+        """Return the nodes of a YAML file, which know their places; None for an empty one, or one that does not parse.
+
+        Raises:
+            NotRun: if there is no such file, or it cannot be read or is too large.
+        """
+        self.yaml_problem(name)
+        return self._yaml[name][0].root
 
     def yaml_problem(self, name: str) -> tuple[str, int, int] | None:
         """Return why a YAML file does not parse, with line and column, or None if it does.
@@ -294,10 +313,13 @@ class Source:
         """Return the commands of a shell script.
 
         Raises:
-            NotRun: if there is no such file, or it is too large.
+            NotRun: if there is no such file, or it is too large or too deep.
         """
         if name not in self._commands:
-            self._commands[name] = parse(self.text(name))
+            try:
+                self._commands[name] = parse(self.text(name))
+            except TooMuchError as error:
+                raise NotRun(f"{name} does not parse: {error}") from None
         return self._commands[name]
 
     @cached_property
@@ -339,8 +361,8 @@ class Source:
         for command in commands:
             values.update({variable: _expanded(word.text, values) for variable, word in command.assignments})
             for word in command.words:
-                for text in re.findall(r"[^\s\"'()=]+\.py\b", _expanded(word.raw, values)):
-                    parts = [part for part in text.split("/") if part not in {"", "."}]
+                for text in _PYTHON_FILE.findall(_expanded(word.raw, values)) if len(word.raw) <= _LONGEST_PATH else ():
+                    parts = [part for part in text.split("/") if part not in {"", "."}][-_MOST_PARTS:]
                     tails = ("/".join(parts[place:]) for place in range(len(parts)))
                     ours = (reading.inside(self._folder, tail) for tail in tails)
                     found.update({next(filter(None, ours), "")} - {""})
@@ -357,20 +379,24 @@ class Source:
             return 0
 
 
-def _parsed_yaml(content: bytes) -> tuple[Any, tuple[str, int, int] | None]:
+def _parsed_yaml(content: bytes) -> tuple[yaml_text.Document, tuple[str, int, int] | None]:
     """Return what YAML holds, and why it does not parse, with line and column."""
     import yaml
 
+    nothing = yaml_text.Document(None, None)
     try:
-        return spec.parse_yaml(content), None
+        return yaml_text.read(content), None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
-        return None, (str(error.problem or error), (mark.line + 1 if mark else 1), (mark.column + 1 if mark else 1))
+        return nothing, (str(error.problem or error), (mark.line + 1 if mark else 1), (mark.column + 1 if mark else 1))
     except (ValueError, RecursionError, yaml.YAMLError) as error:
-        return None, (" ".join(str(error).split()), 1, 1)
+        return nothing, (" ".join(str(error).split()), 1, 1)
 
 
 def _expanded(text: str, values: dict[str, str]) -> str:
     """Put the values of known variables into a word; substitutions and the unknown become a folder of no name."""
+    if len(text) > _LONGEST_PATH:
+        return ""
     text = re.sub(r"\$\((?:[^()]|\([^()]*\))*\)", "", text)
-    return re.sub(r"\$\{?(\w+)(?::?[-=][^}]*)?\}?", lambda found: values.get(found.group(1), ""), text)
+    told = re.sub(r"\$\{?(\w+)(?::?[-=][^}]*)?\}?", lambda found: values.get(found.group(1), ""), text)
+    return told if len(told) <= _LONGEST_PATH else ""  # variables of variables double with each line

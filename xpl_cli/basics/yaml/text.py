@@ -116,8 +116,11 @@ def _survey(text: str) -> bool:
 
     That is aliases, and numbers of many digits.
     """
-    depth, aliases = 0, False
+    depth, aliases, values = 0, False, 0
     for event in yaml.parse(text, Loader=_Loader):
+        values += isinstance(event, yaml.NodeEvent)
+        if values > _MOST_VALUES:
+            raise _at(f"more than {_MOST_VALUES} values", event)
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > _MOST_LEVELS:
             raise _at(f"nested more than {_MOST_LEVELS} levels deep", event)
