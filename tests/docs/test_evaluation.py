@@ -38,7 +38,7 @@ def _arguments() -> list[str]:
 def test_the_command_plays_what_the_table_shows() -> None:
     """Its options are known, and lead to the tasks, settings and episodes of the table."""
     name, *arguments = _arguments()
-    command = typer.main.get_command(app).get_command(None, name)  # type: ignore[attr-defined, arg-type]
+    command = typer.main.get_command(app).get_command(None, name)  # type: ignore[attr-defined]
     given = command.make_context(name, arguments).params
     adapter = package.load(ROOT / given["policy"])
     wishes = plan.Wishes(given["task"], given["setting"], given["episodes"], horizon=given["horizon"])

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from tests.support import pages
-from tests.support.pages import ROOT, Block
 from tests.support.peer import xpl
+from tests.support.places import ROOT
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.serving.launch import serving
@@ -24,7 +24,7 @@ TUTORIAL = list(pages.blocks([ROOT / "docs" / "tutorial.md"]))
 SERVED = [block for block in pages.blocks() if block.mark == "runs with a server"]
 
 
-def _follow(folder: Path, blocks: list[Block], *, gates: set[str]) -> list[tuple[list[str], int]]:
+def _follow(folder: Path, blocks: list[pages.Block], *, gates: set[str]) -> list[tuple[list[str], int]]:
     """Do what blocks of the tutorial say in a folder; return the commands with their exit codes.
 
     Args:
@@ -117,7 +117,7 @@ def url() -> Any:
 
 
 @pytest.mark.parametrize("block", SERVED, ids=str)
-def test_a_client_of_the_pages_gets_its_answer(block: Block, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_of_the_pages_gets_its_answer(block: pages.Block, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The code runs as it is, but for the server's address; what the page takes as given is an observation."""
     arms = {f"{side}_arm_joint_state": [0.0] * 6 for side in ("left", "right")}
     grippers = {f"{side}_ee_joint_state": [1.0] for side in ("left", "right")}

@@ -17,8 +17,8 @@ import yaml
 from typer.main import get_command
 
 from tests.support import pages
-from tests.support.pages import ROOT, Block
 from tests.support.peer import xpl
+from tests.support.places import ROOT
 from xpl_cli.audit.formats import FORMATS
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
@@ -49,7 +49,7 @@ MANIFESTS = ("policy", "deploy", "env")
 BLOCKS = list(pages.blocks())
 
 
-def _of(*languages: str) -> list[Block]:
+def _of(*languages: str) -> list[pages.Block]:
     return [block for block in BLOCKS if block.language in languages]
 
 
@@ -116,7 +116,7 @@ def test_a_harmless_command_runs(words: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("block", _of(*SHELL), ids=str)
-def test_a_shell_block_is_shell(block: Block) -> None:
+def test_a_shell_block_is_shell(block: pages.Block) -> None:
     """Bash reads it, and every command is ours or one that is known."""
     found = pages.shell(block.text)
     assert found
@@ -142,7 +142,7 @@ def test_commands_in_sentences_name_what_there_is(path: Path) -> None:
 
 
 @pytest.mark.parametrize("block", _of("python"), ids=str)
-def test_python_compiles_and_imports_what_there_is(block: Block) -> None:
+def test_python_compiles_and_imports_what_there_is(block: pages.Block) -> None:
     """Names that are imported from our packages are there; a block that is marked so runs."""
     tree = compile(block.text, str(block), "exec", ast.PyCF_ONLY_AST | ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
     for node in ast.walk(tree):
@@ -154,7 +154,7 @@ def test_python_compiles_and_imports_what_there_is(block: Block) -> None:
 
 
 @pytest.mark.parametrize("block", _of("yaml"), ids=str)
-def test_yaml_is_a_part_of_a_manifest_or_known(block: Block) -> None:
+def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
     """Every key of a manifest has a value that its schema takes, whichever manifest it is."""
     part = yaml.load(block.text, yaml.BaseLoader)  # noqa: S506 - texts only; `on` stays a word
     if any(set(part) <= keys for keys in FOREIGN):
@@ -166,7 +166,7 @@ def test_yaml_is_a_part_of_a_manifest_or_known(block: Block) -> None:
 
 
 @pytest.mark.parametrize("block", _of("json"), ids=str)
-def test_json_is_a_document(block: Block) -> None:
+def test_json_is_a_document(block: pages.Block) -> None:
     """It parses, and one that names its schema is valid."""
     document = json.loads(block.text)
     if "schema" in document:

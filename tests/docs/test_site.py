@@ -14,7 +14,7 @@ import yaml
 
 import xpl
 from tests.support import pages
-from tests.support.pages import ROOT
+from tests.support.places import ROOT
 from xpl_cli.audit.rules.gates import Gate
 
 SVG = "{http://www.w3.org/2000/svg}"

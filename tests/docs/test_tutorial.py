@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from tests.support import pages
-from tests.support.pages import ROOT, Block
 from tests.support.peer import xpl
+from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
 
 PAGE = ROOT / "docs" / "tutorial-torch.md"
@@ -33,7 +33,7 @@ def _torch() -> str | None:
     return os.environ.get(TORCH) or (sys.executable if importlib.util.find_spec("torch") else None)
 
 
-def _write(block: Block, folder: Path) -> None:
+def _write(block: pages.Block, folder: Path) -> None:
     """Put code where the page says: a whole file, or a function in place of the one of its name."""
     path = folder / block.mark
     if not path.exists():
