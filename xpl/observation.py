@@ -103,6 +103,23 @@ def get_instruction(obs: Mapping[str, Any]) -> str | None:
     return value
 
 
+def offered_inputs(obs: Mapping[str, Any]) -> list[str]:
+    """Return the inputs that an observation holds, by their names in policy.yml: `state.ee_pose`, `vision.cam_head`."""
+    state = obs.get(spec.Obs.STATE) or {}
+    prefixes = {prefix for names in spec.ARM_PREFIXES.values() for prefix in names if prefix}
+    bare = [next((key[len(prefix) :] for prefix in prefixes if key.startswith(prefix)), key) for key in state]
+    found = [f"{spec.Obs.STATE}.{key}" for key in dict.fromkeys(bare)]
+    found += [f"{spec.Obs.VISION}.{camera}" for camera in obs.get(spec.Obs.VISION) or {}]
+    found += [name for name in (spec.Obs.INSTRUCTION, spec.Obs.PRIVILEGED) if obs.get(name) is not None]
+    return found
+
+
+def offered_cameras(obs: Mapping[str, Any]) -> dict[str, dict[str, int]]:
+    """Return the `width` and `height` of each camera's image in an observation."""
+    sizes = {name: camera[spec.Camera.COLOR].shape[:2] for name, camera in (obs.get(spec.Obs.VISION) or {}).items()}
+    return {name: {"width": int(width), "height": int(height)} for name, (height, width) in sizes.items()}
+
+
 def env_indices(observations: Sequence[Mapping[str, Any]]) -> list[int]:
     """Return the environment index of each observation of a batch.
 

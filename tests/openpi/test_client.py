@@ -1,4 +1,4 @@
-"""`xpl.openpi.client` and `--kind remote` in front of openpi's server, and what is told of servers of other makes."""
+"""`xpl.client.openpi` and `--kind remote` in front of openpi's server, and what is told of servers of other makes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import pytest
 from tests.support.openpi import METADATA, policy_server
 from xpl import AsyncClient, Client, get_embodiment
 from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
+from xpl.client.openpi import OpenpiClient
 from xpl.observation import ObservationError
-from xpl.openpi.client import OpenpiClient
 from xpl.policy import ConfigError, PolicyStateError
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.serving.launch import serving

@@ -1,4 +1,4 @@
-"""The floor plan: no room is crowded, no prefix tells a family, and what documents import from the SDK stays put."""
+"""The floor plan: no room is crowded, no prefix tells a family, and what documents import stays where it is."""
 
 from __future__ import annotations
 
@@ -36,7 +36,6 @@ PUBLIC = {
     "xpl.action": ("ActionError", "action_dim", "check_step", "pack", "unpack"),
     "xpl.checkpoint": ("resolve", "resolve_step"),
     "xpl.client": ("ClientError",),
-    "xpl.client.agreement": ("offered_inputs",),
     "xpl.decoding": ("ensemble", "within_limits"),
     "xpl.embodiment": ("Arm", "Embodiment", "get_embodiment"),
     "xpl.environment": ("Environment", "EnvironmentBase", "Episode", "Setup", "TaskEnv", "one_of", "read_manifest"),
@@ -44,7 +43,14 @@ PUBLIC = {
     "xpl.guard": ("GuardedEnv",),
     "xpl.images": ("decode",),
     "xpl.kinematics": ("Chain",),
-    "xpl.observation": ("ObservationError", "env_indices", "get_image", "get_instruction", "pack_state"),
+    "xpl.observation": (
+        "ObservationError",
+        "env_indices",
+        "get_image",
+        "get_instruction",
+        "offered_inputs",
+        "pack_state",
+    ),
     "xpl.poses": ("compose", "invert", "pose", "transform"),
     "xpl.process": ("link",),
     "xpl.rollout": ("run_batch",),
@@ -53,8 +59,11 @@ PUBLIC = {
     "xpl.vector": ("VectorEnv",),
     "xpl.wire": ("packed",),
     "xpl.wire.codec": ("WireError",),
+    "xpl_cli": ("environments",),
+    "xpl_cli.basics.content": ("load_module", "room"),
+    "xpl_cli.environments": ("make", "play"),
 }
-"""What documents, templates and our own packages import from the SDK; it stays where it is."""
+"""What documents, templates and our own packages import; it stays where it is."""
 
 
 def packages(root: Path = ROOT) -> dict[str, list[str]]:
@@ -81,8 +90,8 @@ def complaints(root: Path = ROOT) -> list[str]:
 
 
 def named(text: str) -> Iterator[tuple[str, str]]:
-    """Yield every module of the SDK and public name in it that a text imports, or writes out as code."""
-    for module, wrapped, plain in re.findall(r"from (xpl(?:\.\w+)*) import (?:\(([\w\s,]+)\)|([\w ,]+))", text):
+    """Yield every module of ours and public name in it that a text imports, or of the SDK writes out as code."""
+    for module, wrapped, plain in re.findall(r"from (xpl(?:_cli)?[.\w]*) import (?:\(([\w\s,]+)\)|([\w ,]+))", text):
         words = [name.partition(" as ")[0].strip() for name in (wrapped or plain).split(",")]
         yield from ((module, word) for word in words if word and not word.startswith("_"))
     for path in re.findall(r"`xpl\.([\w.]+)", text):
@@ -117,7 +126,7 @@ def test_a_crowded_room_and_a_family_with_a_prefix_are_found(tmp_path: Path) -> 
 
 
 def documented() -> dict[str, set[str]]:
-    """Return what documents name of the SDK: per module the names in it."""
+    """Return what documents import or name: per module the names in it."""
     found = defaultdict(set)
     for place in map(ROOT.joinpath, DOCUMENTS):
         for path in [place] if place.is_file() else _texts(place):
@@ -162,7 +171,7 @@ def test_names_are_found_in_every_form() -> None:
 
 @pytest.mark.parametrize("module", PUBLIC)
 def test_a_public_name_is_imported_first_thing(module: str) -> None:
-    """In a process that has imported nothing else of the SDK."""
+    """In a process that has imported nothing else of ours."""
     command = [sys.executable, "-c", f"from {module} import {', '.join(PUBLIC[module])}"]
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")

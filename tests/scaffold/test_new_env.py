@@ -25,23 +25,22 @@ from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages import environments
 from xpl_cli.packages.targets import find_target
-from xpl_cli.scaffold import adapter, lock
-from xpl_cli.scaffold import environment as scaffold_env
+from xpl_cli.scaffold import adapter, environment, lock
 from xpl_cli.standard.spec import data
 from xpl_cli.standard.validate import validate_yaml_file
 
 OURS = sorted(path.parent.name for path in (ROOT / "envs").glob("*/env.yml"))
 
 
-def _answers(**changes: Any) -> scaffold_env.EnvAnswers:
-    return scaffold_env.EnvAnswers(**{"name": "Foo", **scaffold_env.env_defaults(), **changes})
+def _answers(**changes: Any) -> environment.EnvAnswers:
+    return environment.EnvAnswers(**{"name": "Foo", **environment.env_defaults(), **changes})
 
 
 @pytest.fixture(scope="session")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return an environment that was scaffolded with nothing but a name; not to be changed."""
     target = tmp_path_factory.mktemp("default") / "envs" / "Foo"
-    assert adapter.write(scaffold_env.render_env(_answers()), target) == "written"
+    assert adapter.write(environment.render_env(_answers()), target) == "written"
     return target
 
 
@@ -49,10 +48,10 @@ def _tree(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("robot", scaffold_env.movable())
+@pytest.mark.parametrize("robot", environment.movable())
 def test_every_robot_makes_an_environment_that_can_be_solved(robot: str, tmp_path: Path) -> None:
     """The manifest is valid, and who is shown the ball goes there, in either kind of control."""
-    adapter.write(scaffold_env.render_env(_answers(embodiment=robot, task="touch_it")), tmp_path / "Foo")
+    adapter.write(environment.render_env(_answers(embodiment=robot, task="touch_it")), tmp_path / "Foo")
     assert validate_yaml_file(tmp_path / "Foo" / "env.yml", "env") == []
     embodiment = get_embodiment(robot)
     pose = embodiment.prefixes[0] + spec.State.EE_POSE
@@ -148,7 +147,7 @@ def test_an_environment_that_hangs_or_dies_is_a_finding(
     """It runs in a process of its own: the audit goes on, and says what happened."""
     monkeypatch.setattr("xpl_cli.audit.environments.stage.CALL_S", 1.0)
     target = tmp_path / "Foo"
-    adapter.write(scaffold_env.render_env(_answers()), target)
+    adapter.write(environment.render_env(_answers()), target)
     source = (target / "episode.py").read_text()
     (target / "episode.py").write_text(source.replace("        rng = np", f"        {line}\n        rng = np"))
     report = engine.audit(target, "env", Options((Gate.OFFLINE,), ("env-plays",), overrides={"action_type": "ee"}))
@@ -160,8 +159,8 @@ def test_an_environment_that_hangs_or_dies_is_a_finding(
 def test_the_tests_that_come_with_it_pass(package: Path) -> None:
     """They are the author's to begin with."""
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(package), str(package)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=package, env=environment)
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=package, env=variables)
     assert done.returncode == 0, done.stdout
 
 
@@ -181,15 +180,15 @@ def test_the_same_answers_give_the_same_bytes(package: Path) -> None:
     """A render can be made again from the recorded answers alone."""
     recorded = lock.read(package)
     assert recorded is not None
-    assert recorded.template == scaffold_env.ENV_TEMPLATE
+    assert recorded.template == environment.ENV_TEMPLATE
     kept = {name: content for name, content in _tree(package).items() if "__pycache__" not in name}
-    assert scaffold_env.render_env(scaffold_env.recorded_env(recorded)) == kept
+    assert environment.render_env(environment.recorded_env(recorded)) == kept
 
 
 def test_placeholders_are_counted_with_their_place(package: Path) -> None:
     """Each stands in a line of its own."""
     marker = data("package")["placeholder"]
-    files = scaffold_env.render_env(_answers())
+    files = environment.render_env(_answers())
     places = adapter.placeholders(files)
     assert len(places) == sum(content.decode().count(marker) for content in files.values()) > 5
     for place in places:
@@ -210,7 +209,7 @@ def test_placeholders_are_counted_with_their_place(package: Path) -> None:
 def test_answers_that_are_not_allowed_are_refused(changes: dict[str, str], said: str) -> None:
     """With one that would do."""
     with pytest.raises(UserError) as raised:
-        scaffold_env.check_env(_answers(**changes))
+        environment.check_env(_answers(**changes))
     assert said in f"{raised.value} {raised.value.hint}"
 
 

@@ -24,8 +24,7 @@ from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.yaml.edit import Document, EditError
 from xpl_cli.scaffold import adapter as scaffold
-from xpl_cli.scaffold import environment as scaffold_env
-from xpl_cli.scaffold import lock, migrations, undo
+from xpl_cli.scaffold import environment, lock, migrations, undo
 from xpl_cli.scaffold import update as updating
 from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import spec
@@ -355,8 +354,8 @@ def test_after_a_kill_the_next_run_brings_the_package_back(adapter: Path) -> Non
         "undo._put = killed; folder = Path(sys.argv[1])\n"
         "undo.apply(folder, update.plan(folder).changes, 'a test')\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", program, str(adapter)], check=False, env=environment)
+    variables = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", program, str(adapter)], check=False, env=variables)
     assert done.returncode == -9
     assert _tree(adapter) != before
     assert undo.recover(adapter)
@@ -484,9 +483,9 @@ def test_an_edited_generated_file_is_rendered_again_by_the_fix(tmp_path: Path) -
 
 def test_an_environment_is_brought_along(tmp_path: Path) -> None:
     """An env.yml keeps what its author wrote, and names the newer version; the lock takes over from the answers."""
-    answers = scaffold_env.EnvAnswers(name="Foo", **scaffold_env.env_defaults("env/v1"))
+    answers = environment.EnvAnswers(name="Foo", **environment.env_defaults("env/v1"))
     folder = tmp_path / "Foo"
-    scaffold.write(scaffold_env.render_env(answers, "env/v1"), folder)
+    scaffold.write(environment.render_env(answers, "env/v1"), folder)
     manifest = folder / "env.yml"
     manifest.write_text(manifest.read_text().replace("max_steps: 100", "max_steps: 120 # mine"), encoding="utf-8")
 

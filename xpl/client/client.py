@@ -59,7 +59,7 @@ class Client(ClientBase):
         trial_id: name of the trial, where the benchmark has one.
         config: the timing keys of deploy.yml; the spec's defaults otherwise. null in a limit means none, and 0 means
             no cap on attempts and on the time to connect. With `wire: openpi` a client of openpi's servers is returned
-            (`xpl.openpi.client`), whose operations are the same.
+            (`xpl.client.openpi`), whose operations are the same.
         token: bearer token, where the server asks for one.
         ssl_context: for `wss://`, where the system's certificates are not enough.
         environment: what the environment offers: `embodiment`, `action_type`, `control_frequency` (Hz), `inputs`. A
@@ -83,7 +83,7 @@ class Client(ClientBase):
             config = options.get("config") or {}
             if makes.wire_of(config) != makes.OPENPI:
                 return super().__new__(cls)
-            from xpl.openpi.client import OpenpiClient
+            from xpl.client.openpi import OpenpiClient
 
             known = {name: options[name] for name in ("token", "ssl_context") if name in options}
             return OpenpiClient(url, config=config, **known)

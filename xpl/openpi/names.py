@@ -15,10 +15,9 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.action import ActionError, action_dim, pack, unpack
-from xpl.client.agreement import offered_inputs
 from xpl.decoding import decode_rows
 from xpl.embodiment import Embodiment, get_embodiment
-from xpl.observation import ObservationError, get_image, get_instruction, pack_state
+from xpl.observation import ObservationError, get_image, get_instruction, offered_inputs, pack_state
 from xpl.openpi.settings import KEY, LAYOUTS, gripper_ends, read
 from xpl.policy import ConfigError
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING, Any
 
-from xpl import Client
-from xpl.client import ClientError, EnvironmentMismatchError, agreement
+from xpl import Client, observation
+from xpl.client import ClientError, EnvironmentMismatchError
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.serving.launch import serving
 
@@ -51,7 +51,7 @@ class Session:
         if self._client is None:
             request = self._request
             obs = task_env.get_obs_batch([0])[0]
-            seen = {"inputs": agreement.offered_inputs(obs), "cameras": agreement.offered_cameras(obs)}
+            seen = {"inputs": observation.offered_inputs(obs), "cameras": observation.offered_cameras(obs)}
             try:
                 url = request.connect or self._stack.enter_context(self._serving()).url
                 client = Client(

@@ -18,12 +18,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from xpl import _spec as sdk
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError, one_of
-from xpl_cli.scaffold import context as policy_context
-from xpl_cli.scaffold import kinds, lock
+from xpl_cli.scaffold import context, kinds, lock
 from xpl_cli.scaffold import template as templates
 from xpl_cli.scaffold.answers import Answers
-from xpl_cli.standard import schemas as spec_schemas
-from xpl_cli.standard import spec
+from xpl_cli.standard import schemas, spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -145,9 +143,9 @@ def render(answers: Answers, template: str = POLICY_TEMPLATE) -> Files:
     """
     version = templates.parts(template)[1]
     training = spec.data("package", version)["files"]["training"]
-    context = policy_context.context(answers, template, _asked(answers, template))
-    leave_out = training if context["evaluation_only"] else ()
-    files = templates.render(template, context, leave_out, answers.kind)
+    said = context.context(answers, template, _asked(answers, template))
+    leave_out = training if said["evaluation_only"] else ()
+    files = templates.render(template, said, leave_out, answers.kind)
     return locked(files, template, _asked(answers, template))
 
 
@@ -157,9 +155,9 @@ def locked(files: Files, template: str, answers: Mapping[str, Any]) -> Files:
     if not roles:
         return files
     version = templates.parts(template)[1]
-    schemas = {spec_schemas.path(name): spec_schemas.render(name, version) for name in roles["schemas"]}
-    generated = {*roles["generated"], *schemas}
-    files = {**files, **schemas}
+    for_editors = {schemas.path(name): schemas.render(name, version) for name in roles["schemas"]}
+    generated = {*roles["generated"], *for_editors}
+    files = {**files, **for_editors}
     digests = {name: lock.digest(content) for name, content in files.items()}
     kept = lock.Lock(
         template,

@@ -55,10 +55,10 @@ def validate(
 ) -> None:
     """Check files against the standard, or the standard against itself: all versions, none of the frozen changed."""
     from xpl_cli.basics import console
-    from xpl_cli.standard import check as spec_check
+    from xpl_cli.standard.check import check_all
     from xpl_cli.standard.problems import problem_json
 
-    problems = list(_file_problems(files, schema, version) if files else spec_check.check_all())
+    problems = list(_file_problems(files, schema, version) if files else check_all())
     if as_json:
         told = {"problems": [problem_json(problem) for problem in problems]}
         keys = dict.fromkeys(f"xpl spec show {_schema_of(file, schema, version)}" for file in files or ())
@@ -120,11 +120,11 @@ def freeze(
 ) -> None:
     """Freeze a version: record the digests of its files, which must not change from then on (in a checkout only)."""
     from xpl_cli.basics import console
-    from xpl_cli.standard import freeze as spec_freeze
+    from xpl_cli.standard import freeze as freezing
 
     root = _checkout()
-    written = spec_freeze.freeze(_known(version), again=again)
-    name = spec_freeze.record(version).relative_to(root)
+    written = freezing.freeze(_known(version), again=again)
+    name = freezing.record(version).relative_to(root)
     if as_json:
         told = {"version": version, "file": str(name), "state": "written" if written else "unchanged"}
         console.answer("xpl.spec-freeze/1", told, ["xpl spec check"])
@@ -163,16 +163,16 @@ def schemas(
     import json
 
     from xpl_cli.basics import console
-    from xpl_cli.standard import schemas as spec_schemas
     from xpl_cli.standard import spec
+    from xpl_cli.standard.schemas import render, write
 
     document: bytes | None = None
     written: list[str] = []
     if not folders:
         one_of("--schema", name, spec.schema_names(_known(version)))
-        document = spec_schemas.render(name, _known(version))
+        document = render(name, _known(version))
     for folder in folders or ():
-        written += [str(folder / file) for file in spec_schemas.write(folder, version and _known(version))]
+        written += [str(folder / file) for file in write(folder, version and _known(version))]
     if as_json:
         told = {"written": written, "document": None if document is None else json.loads(document)}
         console.answer("xpl.spec-schemas/1", told)

@@ -17,22 +17,22 @@ def metrics(
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Measure lines of model.py, and loops against the reference. By policy, and over all."""
-    from xpl_cli.audit.metrics import measure as measures
-    from xpl_cli.audit.metrics import plot as metrics_plot
+    from xpl_cli.audit.metrics import measure as measuring
+    from xpl_cli.audit.metrics import plot as drawing
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
 
     if every == bool(paths):
         raise UserError("name policies, or give --all: one of the two", hint="`xpl metrics --all`")
     if plot is not None:
-        metrics_plot.check(plot)
-    measured = [measures.measure(target) for target in measures.policies(paths or None)]
+        drawing.check(plot)
+    measured = [measuring.measure(target) for target in measuring.policies(paths or None)]
     if as_json:
-        console.data_json(measures.document(measured))
+        console.data_json(measuring.document(measured))
     else:
-        console.data(measures.text(measured))
+        console.data(measuring.text(measured))
     if plot is not None:
-        metrics_plot.write(measured, plot)
+        drawing.write(measured, plot)
         console.note(f"{plot}: written")
     if any(one.reasons for one in measured):
         raise typer.Exit(ExitCode.NOT_RUN)

@@ -59,15 +59,15 @@ def check(
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode
     from xpl_cli.basics.progress import progress
-    from xpl_cli.environments import check as env_check
+    from xpl_cli.environments import check as checking
 
     with progress() as say:
-        choice = env_check.Choice(task, embodiment, setting, episodes, action_type)
-        report = env_check.check(name, choice, say, workers)
+        choice = checking.Choice(task, embodiment, setting, episodes, action_type)
+        report = checking.check(name, choice, say, workers)
     if as_json:
         console.answer("xpl.env-check/1", report, [] if report["ok"] else [shlex.join(["xpl", "audit", name])])
     else:
-        console.data(env_check.text(report))
+        console.data(checking.text(report))
     if not report["ok"]:
         raise typer.Exit(ExitCode.FINDINGS)
 
@@ -87,9 +87,9 @@ def render(
     """Write what a camera sees when an episode begins."""
     from xpl_cli.basics import console
     from xpl_cli.environments import film
-    from xpl_cli.environments import play as env_play
+    from xpl_cli.environments.play import scenario
 
-    what = env_play.scenario(name, renderer, task=task, embodiment=embodiment, setting=setting)
+    what = scenario(name, renderer, task=task, embodiment=embodiment, setting=setting)
     shown = film.render(what, seed, camera, out)
     if as_json:
         console.answer("xpl.env-render/1", shown)
@@ -110,11 +110,11 @@ def sheet(
 ) -> None:
     """Write one picture of how an episode of every task begins."""
     from xpl_cli.basics import console
-    from xpl_cli.environments import play as env_play
-    from xpl_cli.environments import sheet as env_sheet
+    from xpl_cli.environments import sheet as drawing
+    from xpl_cli.environments.play import scenario
 
-    what = env_play.scenario(name, renderer, embodiment=embodiment, setting=setting)
-    shown = env_sheet.sheet(what, seed, camera, out)
+    what = scenario(name, renderer, embodiment=embodiment, setting=setting)
+    shown = drawing.sheet(what, seed, camera, out)
     if as_json:
         console.answer("xpl.env-sheet/1", shown)
     else:
@@ -139,9 +139,9 @@ def play(
     """Write a film of an episode, and say how it ended."""
     from xpl_cli.basics import console
     from xpl_cli.environments import film
-    from xpl_cli.environments import play as env_play
+    from xpl_cli.environments.play import scenario
 
-    what = env_play.scenario(name, renderer, action_type, task=task, embodiment=embodiment, setting=setting)
+    what = scenario(name, renderer, action_type, task=task, embodiment=embodiment, setting=setting)
     shown = film.film(what, by, seed, camera, out)
     if as_json:
         console.answer("xpl.env-play/1", shown)

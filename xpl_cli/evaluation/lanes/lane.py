@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl import Client, get_embodiment, rollout
+from xpl import Client, get_embodiment, observation, rollout
 from xpl import _spec as sdk
 from xpl.action import ActionError
-from xpl.client import ClientError, EnvironmentMismatchError, ServerFailedError, agreement
+from xpl.client import ClientError, EnvironmentMismatchError, ServerFailedError
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -225,7 +225,7 @@ class Lane:
             "control_frequency": scene.frequency,
         }
         try:
-            offer["inputs"] = agreement.offered_inputs(scene.env.get_obs_batch([0])[0])
+            offer["inputs"] = observation.offered_inputs(scene.env.get_obs_batch([0])[0])
             client = Client(url, config=_impatient(self._orders.config), token=self._token, environment=offer)
         except EnvironmentMismatchError as error:
             raise UserError(str(error), code=ExitCode.USAGE) from None
