@@ -23,6 +23,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.isolation import sandbox
 from xpl_cli.packages import environments
 from xpl_cli.packages.targets import find_target
 from xpl_cli.scaffold import adapter, environment, lock
@@ -107,13 +108,16 @@ def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
     assert any("No module named 'gymnasium'" in str(reason) and sys.executable in str(reason) for reason in reasons)
 
 
-def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(package: Path, tmp_path: Path) -> None:
+def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
+    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No interpreter, isolation that there is not, or an env.yml that the static gate has to deal with: not run."""
     gates, names = (Gate.OFFLINE,), ("env-plays",)
+    monkeypatch.setattr(sandbox, "_WAYS", {})
     for options, said in (
         (Options(gates, names, env="venv:nowhere"), "there is no interpreter at"),
         (Options(gates, names, python=str(package / "env.yml")), "cannot be started"),
-        (Options(gates, names, isolate=True), "leave --isolate out"),
+        (Options(gates, names, isolate=True), "isolation was asked for and cannot be had here"),
     ):
         (result,) = engine.audit(package, "env", options).gates[0].results
         assert result.outcome is Outcome.NOT_RUN

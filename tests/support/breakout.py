@@ -11,6 +11,7 @@ import contextlib
 import ctypes
 import errno
 import fcntl
+import functools
 import json
 import os
 import platform
@@ -185,7 +186,7 @@ def _look_into_a_process() -> str | None:
 @attack
 def _connect_by_ip() -> str | None:
     for address in (("127.0.0.1", _KNOWN["port"]), ("192.0.2.1", 80)):
-        got = _fails(lambda address=address: socket.create_connection(address, 1.0))
+        got = _fails(functools.partial(socket.create_connection, address, 1.0))
         if got:
             return got
     return None

@@ -25,6 +25,8 @@ _BUFFER = 1 << 22
 _LOOK_S = 0.5
 """How often a silent process is looked at: its children may hold the link open after it has ended."""
 _GRACE_S = 5.0
+_SIGNALLED = 128
+"""What a launcher adds to the number of the signal that ended what it had started."""
 
 
 class ProcessLostError(RuntimeError):
@@ -86,6 +88,7 @@ class Process:
                 self._channel.close()
                 raise
         self.pid = self._process.pid
+        self._is_launched = bool(prefix)
         self._inbox = link.Inbox(largest)
         self._ready: list[Data] = []
         self._limit_s = self._deadline = 0.0
@@ -159,6 +162,8 @@ class Process:
             code = self._process.wait(_GRACE_S)
         except subprocess.TimeoutExpired:
             return f"{self.name}'s process closed its link"
+        if self._is_launched and code > _SIGNALLED:
+            code = _SIGNALLED - code
         if code >= 0:
             return f"{self.name}'s process ended with exit code {code}"
         names = {number.value: number.name for number in signal.Signals}

@@ -6,6 +6,7 @@ The process leads a group of its own and ends with whoever started it, however t
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
@@ -52,6 +53,8 @@ class EnvProcess(Process):
 
     Args:
         python: interpreter; this one by default. It needs numpy and what the environment imports, and not the SDK.
+        prefix: what is put before the command, to keep it within bounds.
+        environment: variables of the process; ours by default.
 
     Attributes:
         pid: the process, which leads a group of its own.
@@ -63,8 +66,10 @@ class EnvProcess(Process):
     name = "the environment"
     lost_error = EnvLostError
 
-    def __init__(self, python: str | None = None) -> None:
-        super().__init__(_START, python)
+    def __init__(
+        self, python: str | None = None, *, prefix: Sequence[str] = (), environment: Mapping[str, str] | None = None
+    ) -> None:
+        super().__init__(_START, python, prefix=prefix, environment=environment)
 
     def receive(self) -> Any:
         """Return the answer to what was sent; its arrays are read-only.

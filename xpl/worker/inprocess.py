@@ -5,17 +5,24 @@ What an audit compares the served adapter with. Standard library and numpy only.
 
     {"policy_dir", "config", "manifest", "script": [[method, arguments], ...]}, further what stands in for the model
     and whether it is watched, as in the message by which a worker loads an adapter (`xpl.worker.main`)
-    {"answers": [packed map of a "result" or an "error", ...]}, or {"error"} if the adapter could not be loaded; with
-    "unreal": true where only the real model, or a real module, could have answered
+    one map for the load and one for each call, each after its length (u64, little endian) and written when it is known:
+    a "result" or an "error"; with "unreal": true where only the real model, or a real module, could have answered
+
+Whatever threads the adapter has left, the process ends when the script has ended. SIGUSR1 prints where it is.
 
 Observations are handed over as a simulator makes them: arrays of their own that may be written to.
 """
 
 from __future__ import annotations
 
+import faulthandler
+import os
+import signal
+import struct
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NoReturn
 
 from xpl import _spec as spec
 from xpl.policy import Policy
@@ -27,6 +34,8 @@ from xpl.worker.loading import ecosystem, load_model_class
 
 # SystemExit, too: see xpl.worker.main.
 _FAILURES = (Exception, SystemExit)
+LENGTH = struct.Struct("<Q")
+"""What stands before each answer in the file."""
 
 
 def load(order: Mapping[str, Any]) -> Any:
@@ -75,14 +84,22 @@ def _called(model: Any, method: str, arguments: Sequence[Any]) -> dict[str, Any]
     return {spec.Payload.RESULT: result}
 
 
-def main(script: str, answers: str) -> None:
-    """Play the script in one file and write the answers to another."""
+def main(script: str, answers: str) -> NoReturn:
+    """Play the script in one file, write the answers to another, and end."""
+    faulthandler.register(signal.SIGUSR1, all_threads=True)
     asked = packed.decode(Path(script).read_bytes())
-    told: dict[str, Any]
-    try:
-        model = load(asked)
-    except _FAILURES as error:
-        told = {"error": f"{type(error).__name__}: {error}"}
-    else:
-        told = {"answers": list(play(model, asked["script"]))}
-    Path(answers).write_bytes(b"".join(packed.encode(told)))
+    with Path(answers).open("wb", buffering=0) as told:
+        try:
+            model = load(asked)
+        except _FAILURES as error:
+            _tell(told, b"".join(packed.encode({"error": f"{type(error).__name__}: {error}"})))
+        else:
+            _tell(told, b"".join(packed.encode({spec.Payload.RESULT: None})))
+            for answer in play(model, asked["script"]):
+                _tell(told, answer)
+    sys.stdout.flush()
+    os._exit(0)  # an adapter's threads may go on for ever
+
+
+def _tell(told: BinaryIO, answer: bytes) -> None:
+    told.write(LENGTH.pack(len(answer)) + answer)

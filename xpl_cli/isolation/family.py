@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _PROC = Path("/proc")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _SET_CHILD_SUBREAPER = 36  # prctl(2)
-_ZOMBIE = "Z"
+_ZOMBIE, _STOPPED = "Z", "T"
 _ROUNDS, _ROUND_S = 200, 0.005
 """How often, and how long after each other, processes are ended that may start others while they are."""
 LAUNCHERS = 2
@@ -94,6 +94,27 @@ def first_ones(pid: int, levels: int) -> list[int]:
         # What it adopts later came later.
         found.append(min(children, key=lambda member: (member.started, member.pid)).pid)
     return found
+
+
+@dataclass(frozen=True)
+class Activity:
+    """What one process has done: processor time in the system's ticks, bytes read and written; whether it rests."""
+
+    ticks: int = 0
+    moved: int = 0
+    stopped: bool = False
+
+
+def activity(pid: int) -> Activity:
+    """Return what a process has done so far; nothing where the system does not tell."""
+    fields = _fields(pid)
+    if fields is None:
+        return Activity()
+    moved = 0
+    with contextlib.suppress(OSError, ValueError):
+        lines = (_PROC / str(pid) / "io").read_text(encoding="ascii").splitlines()
+        moved = sum(int(line.split()[1]) for line in lines if line.startswith(("rchar", "wchar")))
+    return Activity(int(fields[1][11]) + int(fields[1][12]), moved, fields[1][0] == _STOPPED)
 
 
 def resident(pid: int) -> int:
@@ -182,16 +203,22 @@ def _members() -> Iterator[Member]:
 
 
 def _member(pid: int) -> Member | None:
+    found = _fields(pid)
+    if found is None or found[1][0] == _ZOMBIE:
+        return None
+    name, fields = found
+    return Member(pid, int(fields[1]), int(fields[2]), int(fields[3]), int(fields[19]), name)
+
+
+def _fields(pid: int) -> tuple[str, list[str]] | None:
+    """Return a process's name and the fields of proc_pid_stat(5) from its state on; None if it is gone."""
     try:
         text = (_PROC / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
     # The name stands in parentheses and may hold any character, parentheses and spaces too.
     before, _, after = text.rpartition(")")
-    fields = after.split()
-    if fields[0] == _ZOMBIE:
-        return None
-    return Member(pid, int(fields[1]), int(fields[2]), int(fields[3]), int(fields[19]), before.partition("(")[2])
+    return before.partition("(")[2], after.split()
 
 
 def _proportional(pid: int) -> int:

@@ -191,6 +191,20 @@ def kept_apart(checkout: Path) -> Isolation:
     raise UserError(f"no PID namespace can be had here ({'; '.join(refused)})", code=ExitCode.NOT_RUN)
 
 
+@contextlib.contextmanager
+def confined(checkout: Path, *, isolate: bool, apart: bool) -> Iterator[Isolation | None]:
+    """Find the way that options ask for, for the length of a `with` block; None where they ask for none.
+
+    Raises:
+        UserError: if it cannot be had; exit code 4.
+    """
+    if isolate:
+        with isolated(checkout) as found:
+            yield found
+    else:
+        yield kept_apart(checkout) if apart else None
+
+
 def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> None:
     """Check that adapters can be kept within bounds on this machine.
 

@@ -21,7 +21,7 @@ from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import progress
 from xpl_cli.isolation import family
-from xpl_cli.isolation.sandbox import isolated, kept_apart
+from xpl_cli.isolation.sandbox import confined
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.serving import openpi
 from xpl_cli.serving.connection import Timing
@@ -31,6 +31,7 @@ from xpl_cli.serving.observe import Observer
 from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server import FrontEnd, Settings
 from xpl_cli.serving.stand_in import StandIn
+from xpl_cli.serving.workers import patience
 from xpl_cli.serving.workers.pool import STACKS_S, LoadError
 from xpl_cli.serving.workers.worker import WorkerProcess
 
@@ -72,6 +73,7 @@ class Options:
         memory_limit: what each worker may hold; None means what the machine has.
         isolate: keep the adapter from the network, and from writing to anything but a temporary folder.
         apart: let the adapter see and signal no process but its own.
+        patience: how long it may be silent while it loads or answers, s; None for as long as it takes.
         renew: build the model anew for every client.
         also: what is spoken besides, each at a port of its own: `openpi`, or `openpi:PORT`.
     """
@@ -95,6 +97,7 @@ class Options:
     memory_limit: MemoryLimit | None = None
     isolate: bool = False
     apart: bool = False
+    patience: float | None = None
     renew: bool = False
     also: Sequence[str] = ()
 
@@ -116,12 +119,8 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     except UserError as error:
         _failed(package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))})
         raise
-    confined: contextlib.AbstractContextManager[Isolation | None] = contextlib.nullcontext()
-    if options.isolate:
-        confined = isolated(package.path)
-    elif options.apart:
-        confined = contextlib.nullcontext(kept_apart(package.path))
-    with _trace(options.trace) as trace, confined as isolation:
+    kept = confined(package.path, isolate=options.isolate, apart=options.apart)
+    with _trace(options.trace) as trace, kept as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
         run = _Run(package, config, settings, options, python, observer, isolation, entrances)
         reason = asyncio.run(_serve(run))
@@ -226,6 +225,8 @@ async def _serve(run: _Run) -> str | None:
         for worker in front_end.workers.values():
             # What clients share with it lies where an isolated worker sees nothing of the machine.
             worker.shares_memory = run.isolation is None or run.isolation.folder is None
+            if run.options.patience is not None:
+                worker.process.until_it_ends(patience.hold(worker, run.options.patience))
         if run.observer is not None:
             run.observer.watch(front_end.health)
         with contextlib.ExitStack() as listening:
@@ -241,7 +242,8 @@ async def _serve(run: _Run) -> str | None:
     finally:
         await asyncio.gather(*(process.stop(grace=1.0) for process in processes))
         for stray in family.end_descendants(before):
-            log(f"ended process {stray.pid} ({stray.name}), which had left the adapter's process group")
+            if run.isolation is None:  # where processes are kept apart, the system ends them
+                log(f"ended process {stray.pid} ({stray.name}), which had left the adapter's process group")
 
 
 async def _start(run: _Run, number: int) -> WorkerProcess:

@@ -33,7 +33,7 @@ def own_loop(simulation: Simulation) -> Iterator[Finding]:
     No automatic fix.
     """
     probe = simulation.probe
-    with loop_of(probe.package.path, isolate=probe.options.isolate) as loop:
+    with loop_of(probe.package.path, probe.options) as loop:
         for batch, name in enumerate(spec.data("package")["loop"]["functions"]):
             with simulation.staged(2 if batch else 1) as (stage, session):
                 problem = problem_of(loop, stage, session, batch=bool(batch))

@@ -34,18 +34,32 @@ def serves(probe: Probe) -> Iterator[Finding]:
     try:
         probe.server()
     except NotRun:
+        if probe.presence.loss is not None:
+            yield _removed(probe.presence.loss)
+            return
         problem = probe.start_problem
         if problem is None:
             return  # it started, and ended later: `worker-lives` says why
         if problem.lacks is not None:
             raise
         yield blame(
-            f"the policy cannot be served: {problem.reason}",
+            f"the policy cannot be served: {probe.told(problem.reason, problem.log)}",
             expected="Model(config) returns and the server announces that it is ready",
             got=problem.log[-1] if problem.log else "no output",
             evidence={"log": list(problem.log[-12:])},
             fix=Fix("command", f"xpl serve {probe.package.path}"),
         )
         return
+    if probe.presence.loss is not None:
+        yield _removed(probe.presence.loss)
     if probe.choice.is_made_of_stubs:
         raise NotRun(f"the model was built of stubs in place of {', '.join(probe.choice.stubbed)}")
+
+
+def _removed(loss: str) -> Finding:
+    return blame(
+        f"{loss}; nobody can serve it again",
+        expected="files that stay as they are",
+        got=loss,
+        fix=Fix("advice", "write and delete in a temporary folder only"),
+    )

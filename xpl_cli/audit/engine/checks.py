@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.rules.facts import wanted
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import NotApplicable, NotRun, Outcome, Result
+from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import RegistryError, needed
 from xpl_cli.audit.static.limits import LONGEST_S, TooLong, deadline
@@ -35,6 +36,7 @@ class Checks:
         self._version = version
         self._shelf = shelf
         self._results: dict[str, Result] = {}
+        self._presence = Presence.of(facts.get("path"))
 
     def result(self, entry: Entry) -> Result:
         """Return what a rule finds, running it first if it has not run yet.
@@ -58,6 +60,9 @@ class Checks:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a rule's crash must not hide what the others find
             requirement = rule.requirement if rule is not None else ""
+            loss = self._presence.loss
+            if rule is not None and loss is not None:
+                return self._result(rule, Outcome.NOT_RUN, reason=loss)
             return Result(entry.code, entry.slug, requirement, "must", Outcome.ERROR, reason=told(error))
         return result
 
@@ -72,6 +77,7 @@ class Checks:
 
     def _checked(self, rule: Rule) -> Result:
         try:
+            self._facts.get("options").clock.check()
             self._require(rule)
             with deadline() if rule.gate is Gate.STATIC else nullcontext():
                 findings: tuple[Finding, ...] = tuple(self._facts.call(rule.check))

@@ -10,8 +10,10 @@ import gc
 import hashlib
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.engine import providers
@@ -25,11 +27,10 @@ from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import Entry, RegistryError, find, select
 from xpl_cli.audit.static.source import Source
+from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.progress import Progress
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.packages.targets import Target
 
@@ -90,6 +91,7 @@ def _lost(
 
 def _carry(report: TargetReport, path: Path, options: Options) -> None:
     """Carry a package through the gates of a request, after those that its report already has."""
+    options = replace(options, clock=options.clock.started())
     chosen = [entry for entry in select(options.names, options.ignore, options.gates) if entry.target == report.kind]
     for gate in options.gates:
         selected = [entry for entry in chosen if entry.runs_in(gate)]
@@ -101,8 +103,25 @@ def _carry(report: TargetReport, path: Path, options: Options) -> None:
             report.gates.append(_not_started(gate, waiting, blocked, report.spec))
             continue
         options.progress.step(f"{path.name}: {gate} gate, {len(selected)} rules")
-        with _uncollected() if gate is Gate.STATIC else nullcontext():
-            _run(gate, selected, path, report, options)
+        if gate is Gate.STATIC:
+            with _uncollected():
+                _run(gate, selected, path, report, options)
+        else:
+            _run(gate, selected, path, report, replace(options, apart=not options.isolate and _can_be_apart()))
+
+
+@cache
+def _can_be_apart() -> bool:
+    """Tell whether adapters can be kept from other processes here; says so once if not."""
+    from xpl_cli.basics import console
+    from xpl_cli.isolation import sandbox
+
+    try:
+        sandbox.kept_apart(Path.cwd())
+    except UserError as error:
+        console.note(f"the adapter is trusted: {error}, so it may signal and end whatever you may")
+        return False
+    return True
 
 
 def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, options: Options) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
+import shutil
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -18,6 +20,7 @@ from xpl_cli.audit.rules.model import Finding, Fix, NotApplicable, NotRun
 from xpl_cli.audit.rules.names import robots
 from xpl_cli.basics.errors import UserError
 from xpl_cli.environments.check import unsupported
+from xpl_cli.isolation import sandbox
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments
 from xpl_cli.standard.validate import validate
@@ -139,12 +142,14 @@ class Stage:
         self._options = options
         self._process: EnvProcess | None = None
         self._heard = hashlib.sha256()
+        self._open = contextlib.ExitStack()
 
     def close(self) -> None:
         """End the process."""
         if self._process is not None:
             self._process.close()
             self._process = None
+        self._open.close()
 
     def record(self) -> str:
         """Return the hash of what was seen in all trials."""
@@ -212,6 +217,7 @@ class Stage:
         """
         given = {"cameras": False, **self._options.overrides, **config}
         asked = {**given, "task": offer.task, "embodiment": offer.embodiment, sdk.Deploy.ACTION_TYPE: offer.action_type}
+        self._options.clock.check()
         process = self._started() if fresh else self._shared()
         try:
             about = _ask(process, MAKE, {"client": str(self._client()), "config": asked}, MAKE_S)
@@ -257,13 +263,21 @@ class Stage:
     @cached_property
     def _python(self) -> str:
         options = self._options
-        if options.isolate:
-            raise NotRun("an environment is played without isolation: leave --isolate out where you trust it")
         try:
             return interpreter.resolve(self.path, self.manifest, python=options.python, env=options.env)
         except UserError as error:
             hint = f" ({error.hint})" if error.hint else ""
             raise NotRun(f"{error}{hint}") from None
+
+    @cached_property
+    def _confined(self) -> dict[str, Any]:
+        """What keeps the environment within bounds, as the options ask for it."""
+        options = self._options
+        try:
+            kept = self._open.enter_context(sandbox.confined(self.path, isolate=options.isolate, apart=options.apart))
+        except UserError as error:
+            raise NotRun(str(error)) from None
+        return {} if kept is None else {"prefix": kept.prefix, "environment": kept.environment(os.environ)}
 
     def _client(self) -> Path:
         return self.path / str(self.manifest.get("client") or "client.py")
@@ -274,8 +288,10 @@ class Stage:
         return self._process
 
     def _started(self) -> EnvProcess:
+        if shutil.which(self._python) is None:  # behind a launcher that would be told too late
+            raise NotRun(f"{self._python} cannot be started: it is no program that this user may run")
         try:
-            return EnvProcess(self._python)
+            return EnvProcess(self._python, **self._confined)
         except OSError as error:
             raise NotRun(f"{self._python} cannot be started: {error.strerror}") from None
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.served.session import Session
 
 _LACKING = (ImportError.__name__, ModuleNotFoundError.__name__)
@@ -94,18 +95,18 @@ class LoopClient:
 
 
 @contextlib.contextmanager
-def loop_of(folder: Path, *, isolate: bool) -> Iterator[Loop]:
+def loop_of(folder: Path, options: Options) -> Iterator[Loop]:
     """Give the evaluation loops of an adapter's deploy.py, in a process that ends with the `with` block.
 
     Args:
         folder: of the adapter.
-        isolate: whether the process is kept from the network and from writing.
+        options: how it is audited, and kept within bounds.
 
     Raises:
         NotApplicable: if there is none.
     """
     with contextlib.ExitStack() as stack:
-        isolation = stack.enter_context(sandbox.isolated(folder)) if isolate else None
+        isolation = stack.enter_context(sandbox.confined(folder, isolate=options.isolate, apart=options.apart))
         try:
             loop = Loop(folder, isolation=isolation, is_silent=True)
         except NotFoundError as error:

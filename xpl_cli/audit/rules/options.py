@@ -6,11 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.audit.rules.clock import Clock
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.progress import Progress
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.profiles import Profile
+
+PATIENCE_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,8 @@ class Options:
         memory_limit: what the adapter's processes may hold, as for `xpl serve`.
         isolate: keep the adapter from the network and from writing.
         apart: let the adapter see and signal no process but its own.
+        patience: how long it may be silent while it loads or answers, s.
+        clock: how long the audit of one package may take.
         tasks: tasks in which the physics gate drives the adapter; empty for its own choice.
         episodes: whole episodes over which it measures success; None for what the manifest claims, or else a few.
         video: folder for films of what it plays; None to film nothing.
@@ -51,6 +56,8 @@ class Options:
     memory_limit: str = "none"
     isolate: bool = False
     apart: bool = False
+    patience: float = PATIENCE_S
+    clock: Clock = field(default_factory=Clock)
     tasks: tuple[str, ...] = ()
     episodes: int | None = None
     video: Path | None = None
@@ -67,4 +74,4 @@ class Options:
     def confinement(self) -> tuple[str, ...]:
         """Options of `xpl serve` that keep the adapter within bounds."""
         kept = ("--isolate",) if self.isolate else ("--apart",) if self.apart else ()
-        return ("--memory-limit", self.memory_limit, *kept)
+        return ("--memory-limit", self.memory_limit, "--patience", f"{self.patience:g}", *kept)

@@ -13,10 +13,13 @@ from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.served import choosing
 from xpl_cli.audit.served.choosing import Lacking
+from xpl_cli.audit.served.hanging import Hangs, bounds, where
 from xpl_cli.audit.served.recording import tape
 from xpl_cli.audit.served.session import Recorder, Session
+from xpl_cli.isolation.life import HUNG
 from xpl_cli.packages import package
 from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
 
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
 
 PATIENCE = {sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1}
 """How long an audit waits for a server that has said that it is ready."""
+LOAD_S = 600.0
+"""Longest time for a model to load, s."""
 
 
 class Servers(ABC):
@@ -39,6 +44,7 @@ class Servers(ABC):
         options: how it is audited.
         config: its configuration.
         recorder: hears what is said to every server.
+        presence: the files that the adapter had.
         choice: what is served, the model or what stands in for it; settled when the server runs.
     """
 
@@ -46,11 +52,13 @@ class Servers(ABC):
         self.package = target
         self.options = options
         self.config = target.config(options.overrides)
-        self.recorder = Recorder(None if options.trace is None else lambda: tape(target, options, gate))
+        self.recorder = Recorder(None if options.trace is None else lambda: tape(target, options, gate), options.clock)
         self.choice = choosing.first(options)
         self._open = contextlib.ExitStack()
         self._server: RunningServer | None = None
         self._problem: ServerStartError | None = None
+        self._hangs = Hangs()
+        self.presence = Presence.of(target.path)
 
     @classmethod
     @contextlib.contextmanager
@@ -109,7 +117,7 @@ class Servers(ABC):
             NotRun: if it refuses.
         """
         try:
-            client = Client(url, config=self.config | PATIENCE, **wishes)
+            client = Client(url, config=self.config | bounds(self.config) | PATIENCE, **wishes)
         except ClientError as error:
             raise NotRun(str(error)) from None
         with client, self.recorder.session(url, wishes) as line:
@@ -161,7 +169,12 @@ class Servers(ABC):
         """Why the server ended after it had started; None as long as it runs."""
         if self._server is None or self._server.ended is None:
             return None
-        return self._server.last_error or "it printed no reason"
+        return self.told(self._server.last_error or "it printed no reason", self._server.log)
+
+    def told(self, reason: str, log: Sequence[str]) -> str:
+        """Return why a server ended, with the place where the adapter stood if it hung."""
+        place = where(log, self.package.path.resolve()) if any(words in reason for words in HUNG) else None
+        return reason if place is None else f"{reason}; it stood at {place}"
 
     @property
     def start_problem(self) -> ServerStartError | None:
@@ -203,16 +216,28 @@ class Servers(ABC):
 
     @contextlib.contextmanager
     def _serving(self, overrides: Mapping[str, Any], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+        self.options.clock.check()
+        self._hangs.check()
+        if self.presence.loss is not None:
+            raise NotRun(self.presence.loss)
         served = (*self.choice.stand_in.flags, *flags)
         started = serving(
             self.package.path,
-            overrides,
+            {**overrides, **bounds({**self.config, **overrides})},
             python=self.options.python,
             env=self.options.env or self.choice.env,
             options=(*served, *self.options.confinement),
+            load_timeout=min(LOAD_S, self.options.clock.left),
         )
-        with started as server, self.recorder.server(server.url, overrides, served):
-            yield server
+        try:
+            with started as server, self.recorder.server(server.url, overrides, served):
+                try:
+                    yield server
+                finally:
+                    self._hangs.note(None if server.ended is None else server.last_error)
+        except ServerStartError as error:
+            self._hangs.note(error.reason)
+            raise
 
     @contextlib.contextmanager
     def _tried(self) -> Iterator[RunningServer]:
@@ -225,7 +250,7 @@ class Servers(ABC):
             self.choice = replace(self.choice, stubbed=server.stubbed)
             with (
                 contextlib.suppress(ClientError, NotApplicable),
-                Client(server.url, config=self.config | PATIENCE) as client,
+                Client(server.url, config=self.config | bounds(self.config) | PATIENCE) as client,
             ):
                 try:
                     client.infer(self.observation())

@@ -63,6 +63,8 @@ class Service:
         """
         with contextlib.suppress(NotRun):
             probe.server()  # settles what is served; this server may be gone already, which is what rules ask about
+        if probe.start_problem is not None:
+            raise NotRun(f"the server did not start: {probe.start_problem}")
         seen = cls()
         try:
             with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
@@ -75,7 +77,7 @@ class Service:
         seen.survivors = [member for member in seen.processes if member.lives]
         seen.log = list(server.log)
         if seen.trouble is not None:
-            seen.trouble = server.last_error or seen.trouble
+            seen.trouble = probe.told(server.last_error or seen.trouble, server.log)
         return seen
 
     @property

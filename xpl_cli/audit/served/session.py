@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl.wire import codec
+from xpl_cli.audit.rules.clock import Clock
 from xpl_cli.audit.served import recording
 from xpl_cli.audit.served.choosing import Lacking
 from xpl_cli.audit.served.compare import error_code
@@ -32,9 +33,11 @@ class Recorder:
     Args:
         tape: makes what keeps the frames; called when the first server is there, so that an audit that starts none
             leaves nothing behind. None to keep nothing.
+        clock: stops a rule that asks on when its time is over.
     """
 
-    def __init__(self, tape: Callable[[], recording.Tape] | None = None) -> None:
+    def __init__(self, tape: Callable[[], recording.Tape] | None = None, clock: Clock | None = None) -> None:
+        self.clock = clock or Clock()
         self._hash = hashlib.sha256()
         self._make_tape = tape
         self._tape: recording.Tape | None = None
@@ -141,7 +144,9 @@ class Line:
         Raises:
             ClientError: if no answer came.
             Lacking: if the machine has not what an answer would take.
+            NotRun: if the audit's time is over.
         """
+        self._recorder.clock.check()
         number = self._recorder.number()
         kept = self.keep(*recording.request(name, obs), number)
         try:

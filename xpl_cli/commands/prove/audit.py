@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP
+from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP, PATIENCE_HELP
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _GATES = ("static", "offline", "mujoco")
 _FAIL_ON = ("fail", "warn")
 _PROFILES = ("full", "shadow")
+TIME_HELP = "Most time for one package: 90s, 60m, 2h or none. What is not done then is reported as not run."
 
 
 def audit(
@@ -71,6 +72,8 @@ def audit(
     ),
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
+    time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP),
+    patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
     settings: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml."),
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     policy_env: str | None = typer.Option(None, "--policy-env", "--env", help="conda:NAME, uv:DIR, venv:DIR or none."),
@@ -80,6 +83,7 @@ def audit(
     from xpl_cli.audit.engine.engine import audit_all
     from xpl_cli.audit.formats.delivery import Delivery
     from xpl_cli.audit.formats.listing import Context
+    from xpl_cli.audit.rules.clock import Clock
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import Outcome, exit_code
     from xpl_cli.audit.rules.options import Options
@@ -117,6 +121,8 @@ def audit(
             stub_missing=stub_missing,
             memory_limit=memory_limit,
             isolate=isolate,
+            clock=Clock.parse(time_limit),
+            patience=patience,
             tasks=tuple(task),
             episodes=episodes,
             video=video,

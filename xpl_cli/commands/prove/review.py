@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.prove.audit import TIME_HELP
 from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP
 
 _STATIC_AND_OFFLINE = ("static", "offline")
@@ -35,6 +36,7 @@ def review(
     no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
+    time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Audit what a change touches. Prints one comment with the ten worst findings.
@@ -49,6 +51,7 @@ def review(
     from xpl_cli.audit.engine import cache
     from xpl_cli.audit.formats import FORMATS, Context
     from xpl_cli.audit.formats.delivery import Delivery
+    from xpl_cli.audit.rules.clock import Clock
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import Outcome
     from xpl_cli.audit.rules.options import Options
@@ -69,6 +72,7 @@ def review(
     for file in files:
         output_file.check(file)
     text = None if description is None else _text(description)
+    clock = Clock.parse(time_limit)
     repository = Repository.of(Path.cwd())
     sandbox.check([repository.root], memory_limit=memory_limit, isolate=isolate)
     with progress() as say:
@@ -80,6 +84,7 @@ def review(
             stub_missing=stub_missing,
             memory_limit=memory_limit,
             isolate=isolate,
+            clock=clock,
             cache=None if no_cache else cache.default_folder(),
             progress=say,
         )

@@ -17,6 +17,8 @@ ALSO_HELP = "Also serve clients of this wire: openpi, or openpi:PORT; without PO
 ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
 APART_HELP = "Run the adapter where it sees and signals no process but its own; --isolate does so, too."
 
+PATIENCE_HELP = "End an adapter that is silent for so long while it loads or answers: no processor time, input, output."
+
 
 def serve(
     policy: str = POLICY,
@@ -54,6 +56,7 @@ def serve(
     memory_limit: str = typer.Option("none", metavar="SIZE", help=MEMORY_HELP),
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
     apart: bool = typer.Option(False, "--apart", help=APART_HELP),
+    patience: float | None = typer.Option(None, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
     renew: bool = typer.Option(False, "--renew", help="Build the model anew for every client, as if served afresh."),
     also: list[str] = typer.Option([], "--also", metavar="WIRE", help=ALSO_HELP),
     _as_json: bool = typer.Option(False, "--json", help="Changes nothing: what is printed is JSON either way."),
@@ -90,6 +93,7 @@ def serve(
         memory_limit=MemoryLimit.parse(memory_limit),
         isolate=isolate,
         apart=apart,
+        patience=patience,
         renew=renew,
         also=also,
     )
