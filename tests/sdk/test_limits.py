@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MODULES = sorted((ROOT / "xpl").rglob("*.py"))
 
 LAZY = {
-    "msgpack": {"xpl.wire.codec"},
+    "msgpack": {"xpl.openpi.codec", "xpl.wire.codec"},
     "websockets": {"xpl.client.aio", "xpl.client.connection"},
     "PIL": {"xpl.images"},
     "yaml": {"xpl.environment"},
@@ -72,6 +72,10 @@ class _RuntimeOnly(ast.NodeTransformer):
         return ast.arg(node.arg)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        node.returns = None
+        return self.generic_visit(node)
+
+    def visit_AsyncFunctionDef(self, node: ast.AsyncFunctionDef) -> ast.AST:
         node.returns = None
         return self.generic_visit(node)
 
