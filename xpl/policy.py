@@ -21,6 +21,7 @@ from xpl import _spec as spec
 from xpl.action import ActionError, check_chunk, pack
 from xpl.decoding import decode_rows, ensemble, quaternion_columns
 from xpl.embodiment import get_embodiment
+from xpl.memory import Memory
 from xpl.observation import env_index, env_indices
 from xpl.wire.arrays import as_array
 
@@ -54,6 +55,7 @@ class _Environment:
     frames: deque[_Frame]
     step: int = -1
     predictions: dict[int, np.ndarray] = field(default_factory=dict)
+    memory: Memory = field(default_factory=Memory)
 
 
 class Policy:
@@ -61,6 +63,12 @@ class Policy:
 
     Construction calls `load(config)`. What the manifest declares (chunk, history, ensembling) arrives with the
     configuration and is kept to.
+
+    What an adapter may rely on, for each environment by itself: an observation that is shown only joins the history.
+    `encode` runs when an answer is needed, once for each observation that is in the history then, the oldest first: one
+    that left the history before a question is never encoded. A question runs `predict` and `decode` on the newest
+    observation, and once more if it is put again, with the same history and `memory`; the random generator goes on. A
+    question that fails leaves memory and generator as they were. A reset forgets all of it. docs/contract.md has more.
 
     Args:
         config: values of deploy.yml after overrides. Read: `env_cfg_type` (names the embodiment), `action_type`,
@@ -162,6 +170,14 @@ class Policy:
         """Return the random generator of one environment, seeded by run seed, episode and environment index."""
         return self._known(env).rng
 
+    def memory(self, env: int) -> Memory:
+        """Return what is kept of one environment from observation to observation: recurrent state, in `predict`.
+
+        It advances once for each observation that is asked about: not twice if that is asked about again, and not if
+        the question fails.
+        """
+        return self._known(env).memory
+
     # -- the operations of the wire ------------------------------------------------------------------------------------
 
     def update_obs(self, obs: Observation) -> None:
@@ -207,14 +223,22 @@ class Policy:
             return []
         inputs = [self._inputs(state, env) for state, env in zip(states, envs)]
         drawn = [state.rng.bit_generator.state for state in states]
+        answered = False
+        for state in states:
+            state.memory.ask(state.step)
         try:
             rows = self._checked(self.predict(inputs, envs), envs)
-            return [self._decoded(raw, state, env) for raw, state, env in zip(rows, states, envs)]
+            chunks = [self._decoded(raw, state, env) for raw, state, env in zip(rows, states, envs)]
+            answered = True
         except BaseException:
             # As if it had not been: a batch that one client spoils is tried again without it.
             for state, before in zip(states, drawn):
                 state.rng.bit_generator.state = before
             raise
+        finally:
+            for state in states:
+                state.memory.settle(answered=answered)
+        return chunks
 
     def reset(self) -> None:
         """Start a new episode in every environment. Calling it again changes nothing."""
