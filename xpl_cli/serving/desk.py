@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.wire import codec, packed, telling
+from xpl_cli.serving.decoding import Decoder
 from xpl_cli.serving.logbook import log, log_lines
-from xpl_cli.serving.payloads import has_images, pack, without_images
+from xpl_cli.serving.payloads import has_images, pack
 from xpl_cli.serving.session import RequestError, failure_code, method_of, packed_payload
 from xpl_cli.serving.workers.line import Job
 
@@ -46,6 +47,7 @@ class Desk:
         self._renew = renew
         self._observer = observer
         self._on_change = on_change
+        self._decoder = Decoder()
 
     # -- in ------------------------------------------------------------------------------------------------------------
 
@@ -120,8 +122,7 @@ class Desk:
         place.begun = place.begun or job.method not in spec.HOOKS
         if job.payload is None and has_images(frame.payload):
             worker.submit(job)  # holds its place in the line while the images are decoded
-            decoding = asyncio.get_running_loop().run_in_executor(None, without_images, frame.payload)
-            decoding.add_done_callback(lambda done: self._decoded(worker, job, done))
+            self._decoder.decode(job, lambda done: self._decoded(worker, job, done))
             return
         if job.payload is None:
             job.payload = pack(frame.payload)
@@ -185,10 +186,12 @@ class Desk:
     def failed(self, job: Job, error: Exception) -> None:
         """Send that the answer to a request could not be given, unless one was."""
         problem = fault(error)
+        self._decoder.release(job)
         if job.entry is not None and job.entry.answer is None:
             job.place.replay.finish(job.frame.message_id, job.entry, refusal(job.frame, problem))
 
     def _finish(self, job: Job, data: bytes, outcome: str, finished: float) -> None:
+        self._decoder.release(job)
         if job.entry is None:
             return
         job.place.replay.finish(job.frame.message_id, job.entry, data)

@@ -51,13 +51,35 @@ def read_stream(data: bytes) -> None:
                 link.decode(message)
 
 
-TARGETS: tuple[Callable[[bytes], None], ...] = (read_frame, read_packed, read_stream)
+def read_hello(data: bytes) -> None:
+    """Read what an environment announces of itself, and compare it with what a policy needs."""
+    from xpl.client import agreement
+    from xpl.wire import codec
+
+    needed = {"embodiment": "arx_x5", "action_types": ["joint"], "inputs": ["vision.cam_head"], "control_frequency": 20}
+    with contextlib.suppress(codec.WireError, agreement.AnnouncementError):
+        announced = agreement.checked(codec.decode(data).payload.get("environment"))
+        agreement.sentence(agreement.differences(needed, announced))
+
+
+def read_image_header(data: bytes) -> None:
+    """Read the size of an encoded image."""
+    from xpl import images
+    from xpl.observation import ObservationError
+
+    with contextlib.suppress(ObservationError):
+        width, height = images.size_of(data)
+        assert 0 <= width * height <= images.PIXELS
+
+
+TARGETS: tuple[Callable[[bytes], None], ...] = (read_frame, read_packed, read_stream, read_hello, read_image_header)
 
 
 def seeds() -> Iterator[tuple[int, bytes]]:
     """Yield the number of a target and bytes for it: the golden vectors, packed values, messages to a worker."""
     import numpy as np
 
+    from xpl import images
     from xpl.process import link
     from xpl.wire import codec, packed
 
@@ -73,6 +95,13 @@ def seeds() -> Iterator[tuple[int, bytes]]:
         yield 0, codec.encode(codec.Frame("call", "e"), pieces)
         yield 1, b"".join(pieces)
         yield 2, b"\x07" + 2 * b"".join(link.encode({"op": "run"}, [b"".join(pieces), b"", b"x"]))
+    frame = {"width": 640, "height": 480}
+    announced = {"embodiment": "arx_x5", "control_frequency": 20.0, "inputs": ["a"], "cameras": {"cam_head": frame}}
+    yield 3, codec.encode(codec.Frame("hello", "e", {"environment": announced}))
+    yield 3, codec.encode(codec.Frame("hello", "e", {"environment": {"embodiment": np.arange(3)}}))
+    picture = np.zeros((2, 3, 3), np.uint8)
+    for data in (images.encode_png(picture), images.encode_jpeg(picture), b"RIFF\x1a\0\0\0WEBPVP8X" + bytes(20)):
+        yield 4, data
 
 
 def one_input(data: bytes) -> None:
@@ -87,6 +116,8 @@ def main() -> None:
 
     sys.path.insert(0, str(ROOT))
     with atheris.instrument_imports(include=["xpl"]):
+        from xpl import images  # noqa: F401
+        from xpl.client import agreement  # noqa: F401
         from xpl.wire import codec, packed  # noqa: F401 - instrumented as they are imported
     atheris.Setup(sys.argv, one_input)
     atheris.Fuzz()
