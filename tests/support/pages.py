@@ -31,6 +31,7 @@ _LINK = re.compile(r"\]\(([^()\s]+)(?: \"[^\"]*\")?\)")
 _LINKED = re.compile(r"\[([^]]*)\]\([^)]*\)")
 _SPAN = re.compile(r"`([^`]+)`")
 _ASSIGNMENT = re.compile(r"[A-Z_]+=")
+_REDIRECTED = re.compile(r"\d?>\S+")
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,10 @@ def entered(text: str) -> list[str]:
 
 
 def shell(text: str) -> list[list[str]]:
-    """Return the commands of a shell example as words, without comments and variables; a pipe or `&&` ends one."""
+    """Return the commands of a shell example as words, without comments, variables and redirections.
+
+    A pipe or `&&` ends one.
+    """
     found: list[list[str]] = []
     for line in entered(text):
         words = shlex.shlex(line, posix=True, punctuation_chars="|&;")
@@ -111,7 +115,7 @@ def shell(text: str) -> list[list[str]]:
             if set(word) <= set("|&;"):
                 found.append(command)
                 command = []
-            elif command or not _ASSIGNMENT.match(word):
+            elif (command or not _ASSIGNMENT.match(word)) and not _REDIRECTED.fullmatch(word):
                 command.append(word)
         found.append(command)
     return [command for command in found if command]
