@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 import sys
 from io import StringIO
 from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics.strangers import harmless, unheard
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import TextIO
-
-
-_STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
-"""Control characters but tab and line end, marks of writing direction, line separators, halves of surrogate pairs."""
 
 
 class _Output:
@@ -36,11 +33,6 @@ class _Output:
 
 
 _output = _Output()
-
-
-def harmless(text: str) -> str:
-    """Return a text with whatever would steer a terminal written out."""
-    return _STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def data(text: str) -> None:
@@ -84,7 +76,7 @@ def rich(renderable: Any) -> None:
 
 def note(text: str) -> None:
     """Write a remark to stderr."""
-    sys.stderr.write(f"{harmless(text)}\n")
+    sys.stderr.write(f"{unheard(harmless(text))}\n")
     sys.stderr.flush()
 
 

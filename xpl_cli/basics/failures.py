@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 SCHEMA: Final = "xpl.error/1"
 
 _COMMAND = re.compile(r"`(xpl [^`]+)`")
+_CONTINUED = re.compile(r"\r?\n(?=\S)")
 _QUOTED = re.compile(r"'(.*?)'")
 _JSON: Final = frozenset(("--json", "--format=json"))
 
@@ -71,7 +72,8 @@ def lines(error: UserError) -> str:
     """Return the error as people read it."""
     head = "" if error.code in (ExitCode.INTERNAL, ExitCode.INTERRUPTED) else "error: "
     hint = f"Hint: {error.hint}\n" if error.hint else ""
-    return f"{head}{error}\n{hint}"
+    told = _CONTINUED.sub("\n  ", str(error))  # what was given may hold line ends, and no line of it is one of ours
+    return f"{head}{told}\n{hint}"
 
 
 def _options(context: Any) -> list[str]:

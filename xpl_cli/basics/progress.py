@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console
+from xpl_cli.basics.strangers import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,10 +46,10 @@ def progress() -> Iterator[Progress]:
     with Console(stderr=True, highlight=False).status("") as status:
 
         def show(text: str) -> None:
-            status.update(Text(console.harmless(text)))
+            status.update(Text(one_line(text)))
 
         yield Progress(step=show, detail=show)
 
 
 def _line(text: str) -> None:
-    console.note(text)
+    console.note(one_line(text))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli import __version__
 from xpl_cli.audit.formats import document
 from xpl_cli.audit.formats.steps import next_commands
+from xpl_cli.basics.strangers import command
 
 if TYPE_CHECKING:
     from xpl_cli.agents.review.review import Remark, Review
@@ -51,7 +51,7 @@ def following(review: Review) -> list[str]:
     """Return the commands that come next: those of the audit, and what audits what was not told."""
     commands = next_commands(review.reports, review.context) if review.reports else []
     hidden = dict.fromkeys(remark.first.target.path for remark in review.remarks[len(review.told) :])
-    return [*commands, *([shlex.join(["xpl", "audit", *hidden])] if hidden and not commands else [])]
+    return [*commands, *([command(["xpl", "audit", *hidden])] if hidden and not commands else [])]
 
 
 def _remark(remark: Remark) -> dict[str, Any]:

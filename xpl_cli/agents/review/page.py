@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.formats.listing import amount, shortened
-from xpl_cli.audit.formats.markdown import MARKS, besides, cell, code, ended, escaped, place, told
+from xpl_cli.audit.formats.markdown import MARKS, besides, cell, code, ended, place, told
+from xpl_cli.basics.strangers import command, in_markdown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,8 +76,8 @@ def _description(review: Review) -> Iterator[str]:
     if description is None or not (description.problems or description.notes):
         return
     yield from ("", "### Description", "")
-    yield from (f"- {escaped(sentence)}" for sentence in description.problems)
-    yield from (f"- {escaped(sentence)} (note)" for sentence in description.notes)
+    yield from (f"- {in_markdown(sentence)}" for sentence in description.problems)
+    yield from (f"- {in_markdown(sentence)} (note)" for sentence in description.notes)
 
 
 def _remark(number: int, remark: Remark) -> Iterator[str]:
@@ -102,7 +102,7 @@ def _left_out(review: Review) -> Iterator[str]:
         rules = Counter(remark.first.result.code for remark in rest)
         yield f"\n{amount(len(rest), 'finding')} of less harm not told: {', '.join(sorted(rules))}."
         paths = dict.fromkeys(remark.first.target.path for remark in rest)
-        yield f"\n    {shlex.join(['xpl', 'audit', *paths])}"
+        yield f"\n    {command(['xpl', 'audit', *paths])}"
 
 
 def _bounded(lines: Sequence[str]) -> str:

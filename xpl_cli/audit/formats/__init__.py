@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.formats.listing import Context
 from xpl_cli.basics.errors import one_of
+from xpl_cli.basics.strangers import harmless
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,7 +45,7 @@ def render(name: str, reports: Sequence[TargetReport], context: Context | None =
     """
     text: str = _module(name).render(reports, context or Context())
     # A file name may hold bytes that are no text.
-    text = text.encode(errors="replace").decode()
+    text = harmless(text.encode(errors="replace").decode())
     return text if not text or text.endswith("\n") else f"{text}\n"
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, joined, listed, notes, one_line, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, joined, listed, notes, unproved
+from xpl_cli.basics.strangers import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, unproved
 from xpl_cli.audit.formats.steps import audit_again
 from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.basics.strangers import harmless
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -64,7 +65,7 @@ def command(kind: str, message: str, **properties: object) -> str:
 
 
 def _data(text: str) -> str:
-    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return harmless(text).replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
 
 def _property(text: str) -> str:

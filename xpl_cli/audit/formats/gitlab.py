@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, unproved
 from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.basics.strangers import inert
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +32,7 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
 
 def _entry(item: Listed | Unproved, outcome: Outcome, line: int | None) -> dict[str, Any]:
     return {
-        "description": item.text,
+        "description": inert(item.text),
         "check_name": item.title,
         "severity": _SEVERITIES[outcome],
         # A place is required, a line too: what concerns a whole file or folder stands on its first.

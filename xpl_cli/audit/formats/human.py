@@ -14,12 +14,12 @@ from xpl_cli.audit.formats.listing import (
     by_reason,
     joined,
     listed,
-    one_line,
     shortened,
 )
 from xpl_cli.audit.formats.painted import Painted, Terminal
 from xpl_cli.audit.formats.steps import audit_again, next_commands
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport, counted
+from xpl_cli.basics.strangers import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

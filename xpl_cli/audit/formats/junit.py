@@ -5,20 +5,17 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 from xpl_cli.audit.formats.listing import Context, Listed, listed
 from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.basics.strangers import in_xml, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl_cli.audit.rules.model import GateReport, Result, TargetReport
-
-_ILLEGAL = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 has no way to write."""
 
 
 def render(reports: Sequence[TargetReport], context: Context) -> str:
@@ -42,23 +39,28 @@ def _suite(report: TargetReport, gate: GateReport, entries: Iterator[Listed]) ->
     suite = ET.Element(
         "testsuite",
         {
-            "name": _legal(f"{report.path} {gate.name}"),
+            "name": in_xml(one_line(f"{report.path} {gate.name}")),
             **{name: str(count) for name, count in counts.items()},
             "time": f"{gate.seconds:.3f}",
         },
     )
     if gate.stood_in is not None:
         properties = ET.SubElement(suite, "properties")
-        ET.SubElement(properties, "property", {"name": "stood_in", "value": _legal(gate.stood_in)})
+        ET.SubElement(properties, "property", {"name": "stood_in", "value": in_xml(gate.stood_in)})
     suite.extend(cases)
     return suite
 
 
 def _case(report: TargetReport, gate: GateReport, result: Result, entries: list[Listed]) -> ET.Element:
-    named = {"classname": _legal(f"{report.path}.{gate.name}"), "name": f"{result.code} {result.slug}", "time": "0"}
+    where = in_xml(one_line(f"{report.path}.{gate.name}"))
+    named = {
+        "classname": where,
+        "name": f"{result.code} {result.slug}",
+        "time": "0",
+    }
     place = next(((entry.path, entry.finding.line) for entry in entries if entry.finding.path is not None), None)
     if place is not None:
-        named |= {"file": _legal(place[0])} | ({} if place[1] is None else {"line": str(place[1])})
+        named |= {"file": in_xml(place[0])} | ({} if place[1] is None else {"line": str(place[1])})
     case = ET.Element("testcase", named)
     text = "\n\n".join(f"{_where(entry)}\n{entry.text}" for entry in entries)
     reason = result.reason or ""
@@ -78,15 +80,11 @@ def _where(entry: Listed) -> str:
 
 
 def _say(case: ET.Element, tag: str, text: str | None = None, **attributes: str) -> None:
-    told = ET.SubElement(case, tag, {name: _legal(value) for name, value in attributes.items()})
-    told.text = None if text is None else _legal(text)
+    told = ET.SubElement(case, tag, {name: in_xml(value) for name, value in attributes.items()})
+    told.text = None if text is None else in_xml(text)
 
 
 def _totals(suites: list[ET.Element]) -> dict[str, str]:
     counts = ("tests", "failures", "errors", "skipped")
     totals = {name: str(sum(int(suite.attrib[name]) for suite in suites)) for name in counts}
     return {**totals, "time": f"{sum(float(suite.attrib['time']) for suite in suites):.3f}"}
-
-
-def _legal(text: str) -> str:
-    return _ILLEGAL.sub("\N{REPLACEMENT CHARACTER}", text)

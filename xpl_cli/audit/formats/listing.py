@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import unicodedata
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -194,14 +193,6 @@ class Lines:
             except (NotRun, OSError, ValueError):
                 self._files[key] = None
         return self._files[key]
-
-
-def one_line(text: str) -> str:
-    """Return a text for a terminal on one line: without line ends, and with no character that commands it."""
-    return "".join(
-        "\N{REPLACEMENT CHARACTER}" if unicodedata.category(character) in {"Cc", "Cs"} else character
-        for character in " ".join(text.split())
-    )
 
 
 def shortened(value: Any, most: int = _SHORT) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, one_line, shortened, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, shortened, unproved
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, TargetReport, counted
+from xpl_cli.basics.strangers import in_markdown, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,8 +27,6 @@ _WORDS = {
     Outcome.NOT_RUN: "**not run**",
     Outcome.ERROR: "**crashed**",
 }
-_SPECIAL = re.compile(r"([\\`*_\[\]<>|~&$])")
-_SPECIAL_FIRST = re.compile(r"^(\d*)([#+\-=.)])")
 
 
 def render(reports: Sequence[TargetReport], context: Context) -> str:
@@ -51,13 +50,18 @@ def besides(reports: Sequence[TargetReport], context: Context) -> list[str]:
     open_ends = list(unproved(reports, context))
     if open_ends:
         lines += ["", "### Not proved", ""]
-        lines += [f"- {code(item.path)}, {item.gate.name} gate: {escaped(item.text)}" for item in open_ends]
+        lines += [f"- {code(item.path)}, {item.gate.name} gate: {in_markdown(item.text)}" for item in open_ends]
     missing = list(notes(reports, context))
     if missing:
-        lines += ["", "### Without the model", "", *(f"- {code(path)}, {escaped(note)}" for path, _, note in missing)]
+        lines += [
+            "",
+            "### Without the model",
+            "",
+            *(f"- {code(path)}, {in_markdown(note)}" for path, _, note in missing),
+        ]
     measured = [(report.path, figure) for report in reports for gate in report.gates for figure in gate.figures]
     if measured:
-        lines += ["", "### Measured", "", *(f"- {code(path)}, {escaped(str(figure))}" for path, figure in measured)]
+        lines += ["", "### Measured", "", *(f"- {code(path)}, {in_markdown(str(figure))}" for path, figure in measured)]
     commands = next_commands(reports, context)
     if commands:
         lines += ["", "### Next", "", *(f"    {one_line(command)}" for command in commands)]
@@ -76,7 +80,7 @@ def _rows(report: TargetReport) -> Iterator[str]:
 def ended(gate: GateReport) -> str:
     """Return how many rules of a gate ended how, or why it did not begin."""
     if gate.reason is not None:
-        return escaped(gate.reason)
+        return in_markdown(gate.reason)
     counts = counted(gate.results)
     return ", ".join(f"{counts[outcome]} {_WORDS[outcome]}" for outcome in Outcome if counts[outcome])
 
@@ -96,22 +100,16 @@ def place(entry: Listed) -> str:
 
 def told(finding: Finding) -> Iterator[str]:
     """Yield what a finding says: the message, then a list of what belongs to it."""
-    yield escaped(finding.message)
+    yield in_markdown(finding.message)
     if finding.expected is not None:
-        yield f"- expected {escaped(finding.expected)}"
+        yield f"- expected {in_markdown(finding.expected)}"
     if finding.got is not None:
         yield f"- got {code(shortened(one_line(finding.got)))}"
     for name, value in (finding.evidence or {}).items():
-        yield f"- {escaped(name)}: {code(shortened(one_line(str(value))))}"
+        yield f"- {in_markdown(name)}: {code(shortened(one_line(str(value))))}"
     if finding.fix is not None:
-        fix = code(finding.fix.text) if finding.fix.kind == "command" else escaped(finding.fix.text)
+        fix = code(finding.fix.text) if finding.fix.kind == "command" else in_markdown(finding.fix.text)
         yield f"- fix: {fix}"
-
-
-def escaped(text: str) -> str:
-    """Return a text that Markdown shows as it is, on one line, and that calls nobody by name."""
-    shown = _SPECIAL_FIRST.sub(r"\1\\\2", _SPECIAL.sub(r"\\\1", one_line(text)))
-    return shown.replace("@", "@\N{ZERO WIDTH SPACE}")
 
 
 def code(text: str) -> str:
@@ -123,4 +121,4 @@ def code(text: str) -> str:
 
 def cell(text: str) -> str:
     """Return a text as a code span in a table, where a bar ends the cell wherever it stands."""
-    return code(text) if "|" not in text else escaped(text)
+    return code(text) if "|" not in text else in_markdown(text)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.formats.listing import Context, Lines, Listed, listed, unproved
 from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.basics.strangers import inert
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +24,7 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
     diagnostics = [_diagnostic(entry, lines) for entry in listed(reports, context)]
     diagnostics += [
         {
-            "message": entry.text,
+            "message": inert(entry.text),
             "location": {"path": entry.path},
             "severity": "ERROR" if entry.outcome is Outcome.ERROR else "WARNING",
             "code": {"value": entry.results[0].code},
@@ -41,7 +42,7 @@ def _diagnostic(entry: Listed, lines: Lines) -> dict[str, Any]:
         ends = (finding.line, finding.column), (finding.end_line, finding.end_column)
         location["range"] = _range(text, *ends)
     diagnostic: dict[str, Any] = {
-        "message": entry.text,
+        "message": inert(entry.text),
         "location": location,
         "severity": "ERROR" if entry.fails else "WARNING",
         "code": {"value": entry.result.code},

@@ -15,6 +15,7 @@ from xpl_cli import __version__
 from xpl_cli.audit.formats.linehash import line_hashes
 from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, notes, shortened, unproved
 from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.basics.strangers import inert
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def _result(entry: Listed, places: dict[str, int], hashes: _Hashes) -> dict[str,
         "ruleId": entry.result.code,
         "ruleIndex": places[entry.result.code],
         "level": "error" if entry.fails else "warning",
-        "message": {"text": entry.text},
+        "message": {"text": inert(entry.text)},
         "locations": [{"physicalLocation": _physical(entry)}],
         "partialFingerprints": {"primaryLocationLineHash": line_hash, "xplFinding/v1": entry.fingerprint},
         "properties": {"gate": entry.gate.name.value, "requirement": entry.result.requirement},
@@ -152,7 +153,7 @@ def _notification(entry: Unproved, places: dict[str, int]) -> dict[str, Any]:
     first = entry.results[0]
     return {
         "level": "error" if entry.outcome is Outcome.ERROR else "warning",
-        "message": {"text": f"{entry.path}: {entry.text}"},
+        "message": {"text": inert(f"{entry.path}: {entry.text}")},
         "associatedRule": {"id": first.code, "index": places[first.code]},
     }
 
@@ -171,7 +172,7 @@ class _Hashes:
         if file not in self._files:
             try:
                 self._files[file] = line_hashes(file.read_bytes())
-            except OSError:
+            except (OSError, ValueError):
                 self._files[file] = []
         hashes = self._files[file]
         return hashes[finding.line - 1] if finding.line <= len(hashes) else None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
+from xpl_cli.basics.strangers import command
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
@@ -39,13 +39,13 @@ def next_commands(reports: Sequence[TargetReport], context: Context) -> list[str
 def audit_again(reports: Sequence[TargetReport], context: Context) -> str:
     """Return the command that audits these packages as they were audited."""
     paths = dict.fromkeys(report.path for report in reports)
-    return shlex.join(["xpl", "audit", *_paths(paths), *_gates(reports), *context.choice, *context.running])
+    return command(["xpl", "audit", *_paths(paths), *_gates(reports), *context.choice, *context.running])
 
 
 def _shown_alone(report: TargetReport, context: Context) -> str:
     """Return the command that shows, or makes, what a package needs in order to run."""
     path = _paths([report.path])
-    return shlex.join(
+    return command(
         ["xpl", "install", *path] if report.kind == package.ENV else ["xpl", "serve", *path, *context.running]
     )
 
@@ -65,7 +65,7 @@ def _explained(reports: Iterable[TargetReport], outcome: Outcome) -> list[str]:
 def _onward(reports: Sequence[TargetReport], context: Context) -> list[str]:
     """Return what comes after a package that is green: the gates that were not asked for, then an evaluation."""
     commands = [
-        shlex.join(["xpl", "eval", *_paths([report.path]), "--env", gate.name, "--episodes", "10", *context.running])
+        command(["xpl", "eval", *_paths([report.path]), "--env", gate.name, "--episodes", "10", *context.running])
         for report in reports
         for gate in report.gates
         if gate.name is Gate.MUJOCO and gate.outcome is Outcome.PASS
@@ -73,7 +73,7 @@ def _onward(reports: Sequence[TargetReport], context: Context) -> list[str]:
     if len(reports) == 1 and not context.choice and not commands:
         (report,) = reports
         if not all(any(gate.name is wanted for gate in report.gates) for wanted in Gate):
-            return [shlex.join(["xpl", "audit", *_paths([report.path]), *context.running])]
+            return [command(["xpl", "audit", *_paths([report.path]), *context.running])]
     return commands
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.basics.strangers import in_markdown
 from xpl_cli.evaluation.leaderboard.field import is_barrier
 from xpl_cli.evaluation.leaderboard.ranking import ALPHA, labels
 from xpl_cli.evaluation.report import episodes, markdown
@@ -23,9 +24,9 @@ def text(ranking: Mapping[str, Any]) -> str:
 
 def as_markdown(ranking: Mapping[str, Any]) -> str:
     """Return a ranking as Markdown."""
-    notes = "\n".join(f"- {markdown.escape(note)}" for note in ranking["notes"])
+    notes = "\n".join(f"- {in_markdown(note)}" for note in ranking["notes"])
     table = markdown.table(header(ranking), rows(ranking))
-    return f"# {markdown.escape(title(ranking))}\n\n{table}\n\n{notes}\n"
+    return f"# {in_markdown(title(ranking))}\n\n{table}\n\n{notes}\n"
 
 
 def as_csv(ranking: Mapping[str, Any]) -> str:

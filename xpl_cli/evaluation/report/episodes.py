@@ -8,6 +8,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl_cli.basics.strangers import in_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -82,8 +83,7 @@ def as_csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     """Return a table as CSV; what a spreadsheet would take for a formula is made a text."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([_harmless(value) for value in row] for row in rows)
+    writer.writerows([in_table(value) for value in row] for row in (header, *rows))
     return buffer.getvalue()
 
 
@@ -124,7 +124,3 @@ def _row(episode: Line) -> list[Any]:
 
 def _path(episode: Line, kind: str) -> str | None:
     return (episode.get(kind) or {}).get("path")
-
-
-def _harmless(value: Any) -> Any:
-    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value

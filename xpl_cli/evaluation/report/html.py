@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from xpl_cli import __version__
 from xpl_cli.basics.content import room
+from xpl_cli.basics.strangers import harmless
 
 _STYLE, _SCRIPT = "page.css", "page.js"
 
@@ -30,7 +31,7 @@ def render(template: str, *, script: bool = False, live: bool = False, **values:
     css = Markup(_read(_STYLE))  # noqa: S704
     js = Markup(_read(_SCRIPT) if script else "")  # noqa: S704
     environment = jinja2.Environment(
-        undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True
+        undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown
     )
     security = _policy(css, js, live=live)
     return environment.from_string(_read(template)).render(
@@ -40,8 +41,13 @@ def render(template: str, *, script: bool = False, live: bool = False, **values:
 
 def as_json(value: Any) -> Markup:
     """Return JSON that is safe inside a script element: no text in it can end the element."""
-    text = json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+    text = harmless(json.dumps(value, separators=(",", ":"), ensure_ascii=False))
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))  # noqa: S704 - see above
+
+
+def _shown(value: Any) -> Any:
+    """Return what a template shows of a value; what is not markup of ours does not turn the direction of writing."""
+    return harmless(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _read(name: str) -> str:
