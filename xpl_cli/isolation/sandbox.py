@@ -148,11 +148,12 @@ class Isolation:
 
 
 @contextlib.contextmanager
-def isolated(checkout: Path) -> Iterator[Isolation]:
+def isolated(checkout: Path, proven: str | None = None) -> Iterator[Isolation]:
     """Find a way to isolate an adapter, for the length of a `with` block; every promise of it has been tried.
 
     Args:
         checkout: folder of the adapter.
+        proven: the way that was found a moment ago, which need not be tried again.
 
     Raises:
         UserError: if none works here, with the reason of each; exit code 4.
@@ -162,7 +163,10 @@ def isolated(checkout: Path) -> Iterator[Isolation]:
         refused = []
         for way, prefix in _WAYS.items():
             found = prefix(checkout=checkout.resolve(), folder=folder)
-            reason = "it is not installed" if found is None else _disproof(found, checkout.resolve(), folder)
+            if found is not None and way == proven:
+                reason = None
+            else:
+                reason = "it is not installed" if found is None else _disproof(found, checkout.resolve(), folder)
             if found is not None and reason is None:
                 yield Isolation(way, tuple(found), folder)
                 return
@@ -174,8 +178,12 @@ def isolated(checkout: Path) -> Iterator[Isolation]:
     )
 
 
-def kept_apart(checkout: Path) -> Isolation:
+def kept_apart(checkout: Path, proven: str | None = None) -> Isolation:
     """Find a way to run an adapter where it sees and signals no process but its own.
+
+    Args:
+        checkout: folder of the adapter.
+        proven: the way that was found a moment ago, which need not be tried again.
 
     Raises:
         UserError: if none works here, with the reason of each; exit code 4.
@@ -184,6 +192,8 @@ def kept_apart(checkout: Path) -> Isolation:
     refused = []
     for way in (*(name for name in _WAYS if name != _BUBBLEWRAP), *(name for name in _WAYS if name == _BUBBLEWRAP)):
         found = _WAYS[way](checkout=checkout.resolve(), folder=None)
+        if found is not None and way == proven:
+            return Isolation(way, tuple(found), None)
         reason = "it is not installed" if found is None else _told(_tried([*found, *proof], checkout))
         if found is not None and reason is None:
             return Isolation(way, tuple(found), None)
@@ -192,17 +202,23 @@ def kept_apart(checkout: Path) -> Isolation:
 
 
 @contextlib.contextmanager
-def confined(checkout: Path, *, isolate: bool, apart: bool) -> Iterator[Isolation | None]:
+def confined(checkout: Path, *, isolate: bool, apart: bool, proven: str | None = None) -> Iterator[Isolation | None]:
     """Find the way that options ask for, for the length of a `with` block; None where they ask for none.
+
+    Args:
+        checkout: folder of the adapter.
+        isolate: whether it is to be isolated.
+        apart: whether it is to be kept from other processes, otherwise.
+        proven: the way that was found a moment ago, which need not be tried again.
 
     Raises:
         UserError: if it cannot be had; exit code 4.
     """
     if isolate:
-        with isolated(checkout) as found:
+        with isolated(checkout, proven) as found:
             yield found
     else:
-        yield kept_apart(checkout) if apart else None
+        yield kept_apart(checkout, proven) if apart else None
 
 
 def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> None:

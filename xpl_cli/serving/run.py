@@ -73,6 +73,7 @@ class Options:
         memory_limit: what each worker may hold; None means what the machine has.
         isolate: keep the adapter from the network, and from writing to anything but a temporary folder.
         apart: let the adapter see and signal no process but its own.
+        proven: the way by which either is done, which whoever starts this has just tried.
         patience: how long it may be silent while it loads or answers, s; None for as long as it takes.
         renew: build the model anew for every client.
         also: what is spoken besides, each at a port of its own: `openpi`, or `openpi:PORT`.
@@ -97,6 +98,7 @@ class Options:
     memory_limit: MemoryLimit | None = None
     isolate: bool = False
     apart: bool = False
+    proven: str | None = None
     patience: float | None = None
     renew: bool = False
     also: Sequence[str] = ()
@@ -119,7 +121,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     except UserError as error:
         _failed(package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))})
         raise
-    kept = confined(package.path, isolate=options.isolate, apart=options.apart)
+    kept = confined(package.path, isolate=options.isolate, apart=options.apart, proven=options.proven)
     with _trace(options.trace) as trace, kept as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
         run = _Run(package, config, settings, options, python, observer, isolation, entrances)

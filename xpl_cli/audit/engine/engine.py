@@ -107,21 +107,33 @@ def _carry(report: TargetReport, path: Path, options: Options) -> None:
             with _uncollected():
                 _run(gate, selected, path, report, options)
         else:
-            _run(gate, selected, path, report, replace(options, apart=not options.isolate and _can_be_apart()))
+            _run(gate, selected, path, report, _confined(options, path))
+
+
+def _confined(options: Options, path: Path) -> Options:
+    """Return the options with the way in which the adapter is kept within bounds, found and tried once."""
+    way = _way(path.parent, isolate=options.isolate)
+    return replace(options, apart=not options.isolate and way is not None, proven=way)
 
 
 @cache
-def _can_be_apart() -> bool:
-    """Tell whether adapters can be kept from other processes here; says so once if not."""
+def _way(place: Path, *, isolate: bool) -> str | None:
+    """Return the way to isolate adapters below a folder, or to keep them from other processes; says if there is none.
+
+    Raises:
+        UserError: if they are to be isolated and cannot be; exit code 4.
+    """
     from xpl_cli.basics import console
     from xpl_cli.isolation import sandbox
 
     try:
-        sandbox.kept_apart(Path.cwd())
+        with sandbox.confined(place, isolate=isolate, apart=True) as found:
+            return None if found is None else found.way
     except UserError as error:
+        if isolate:
+            raise
         console.note(f"the adapter is trusted: {error}, so it may signal and end whatever you may")
-        return False
-    return True
+        return None
 
 
 def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, options: Options) -> None:

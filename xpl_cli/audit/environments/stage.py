@@ -274,7 +274,7 @@ class Stage:
         """What keeps the environment within bounds, as the options ask for it."""
         options = self._options
         try:
-            kept = self._open.enter_context(sandbox.confined(self.path, isolate=options.isolate, apart=options.apart))
+            kept = self._open.enter_context(sandbox.confined(self.path, **options.confined))
         except UserError as error:
             raise NotRun(str(error)) from None
         return {} if kept is None else {"prefix": kept.prefix, "environment": kept.environment(os.environ)}

@@ -101,7 +101,7 @@ def _place(checkout: Path, options: Options) -> Iterator[tuple[tuple[str, ...], 
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     environment.pop("PYTHONHOME", None)
     with (
-        sandbox.confined(checkout, isolate=options.isolate, apart=options.apart) as kept,
+        sandbox.confined(checkout, **options.confined) as kept,
         tempfile.TemporaryDirectory(prefix="xpl-") as own,
     ):
         if kept is None:

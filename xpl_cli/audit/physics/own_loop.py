@@ -106,7 +106,7 @@ def loop_of(folder: Path, options: Options) -> Iterator[Loop]:
         NotApplicable: if there is none.
     """
     with contextlib.ExitStack() as stack:
-        isolation = stack.enter_context(sandbox.confined(folder, isolate=options.isolate, apart=options.apart))
+        isolation = stack.enter_context(sandbox.confined(folder, **options.confined))
         try:
             loop = Loop(folder, isolation=isolation, is_silent=True)
         except NotFoundError as error:

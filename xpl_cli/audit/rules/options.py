@@ -33,6 +33,7 @@ class Options:
         memory_limit: what the adapter's processes may hold, as for `xpl serve`.
         isolate: keep the adapter from the network and from writing.
         apart: let the adapter see and signal no process but its own.
+        proven: the way by which either is done, found and tried when the gate began.
         patience: how long it may be silent while it loads or answers, s.
         clock: how long the audit of one package may take.
         tasks: tasks in which the physics gate drives the adapter; empty for its own choice.
@@ -56,6 +57,7 @@ class Options:
     memory_limit: str = "none"
     isolate: bool = False
     apart: bool = False
+    proven: str | None = None
     patience: float = PATIENCE_S
     clock: Clock = field(default_factory=Clock)
     tasks: tuple[str, ...] = ()
@@ -71,7 +73,13 @@ class Options:
         return self.isolate or self.apart
 
     @property
+    def confined(self) -> dict[str, Any]:
+        """What `xpl_cli.isolation.sandbox.confined` takes."""
+        return {"isolate": self.isolate, "apart": self.apart, "proven": self.proven}
+
+    @property
     def confinement(self) -> tuple[str, ...]:
         """Options of `xpl serve` that keep the adapter within bounds."""
         kept = ("--isolate",) if self.isolate else ("--apart",) if self.apart else ()
-        return ("--memory-limit", self.memory_limit, "--patience", f"{self.patience:g}", *kept)
+        way = () if self.proven is None else ("--proven", self.proven)
+        return ("--memory-limit", self.memory_limit, "--patience", f"{self.patience:g}", *kept, *way)
