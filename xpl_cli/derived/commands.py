@@ -47,7 +47,7 @@ def _members(commands: dict[str, Any], parent: Any) -> Iterator[str]:
         if hasattr(command, "commands"):
             yield from _members(command.commands, context)
             continue
-        parameters = command.get_params(context)
+        parameters = [one for one in command.get_params(context) if not getattr(one, "hidden", False)]
         taken = [_argument(parameter) for parameter in parameters if parameter.param_type_name == "argument"]
         yield from ("```text", " ".join([context.command_path, "[OPTION]...", *taken]), "```", "")
         rows = [(f"`{_name(parameter)}`", _meaning(parameter, context)) for parameter in parameters]
