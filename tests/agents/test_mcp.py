@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
 import sys
 import uuid
 from collections.abc import Awaitable, Callable
@@ -123,6 +125,9 @@ def test_tools_describe_themselves(project: Path) -> None:
     listed, instructions = talk(project, look)
     assert {item.name: item.input_schema for item in listed} == {name: tool(name).schema for name in OFFERS}
     assert {item.name for item in listed if item.annotations.read_only_hint} >= {"explain", "status"}
+    replacing = {name for name, item in OFFERS.items() if {"overwrite", "fix", "out"} & {*item.takes}}
+    assert {"new_policy", "new_env", "audit"} <= replacing
+    assert {item.name for item in listed if item.annotations.destructive_hint} == replacing
     assert all(item.description for item in listed)
     assert "not_run" in instructions
 
@@ -203,6 +208,46 @@ def test_a_call_that_is_given_up_ends_its_command(project: Path) -> None:
 
     talk(project, give_up, **{MARK: mark})
     wait_until(lambda: not processes(mark), "the server has ended, too")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, None], ids=str)
+def test_the_server_ends_when_told_and_leaves_nothing(project: Path, number: signal.Signals | None) -> None:
+    """By Ctrl-C, by SIGTERM, or because its client is gone: the audit ends, and the server that it started."""
+    mark = uuid.uuid4().hex
+    command = [sys.executable, "-m", "xpl_cli", "mcp", "--dir", str(project)]
+    server = subprocess.Popen(
+        command,
+        env={**os.environ, MARK: mark},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    with server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+
+        def send(method: str, **parts: Any) -> None:
+            assert server.stdin is not None
+            server.stdin.write(json.dumps({"jsonrpc": "2.0", "method": method, **parts}).encode() + b"\n")
+            server.stdin.flush()
+
+        about = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}}
+        send("initialize", id=1, params=about)
+        server.stdout.readline()
+        send("notifications/initialized")
+        arguments = {"paths": ["policy/Foo"], "gate": ["offline"]}
+        call = {"name": "audit", "arguments": arguments, "_meta": {"progressToken": "t"}}
+        send("tools/call", id=2, params=call)
+        assert any(b"offline gate" in line for line in server.stdout)
+        wait_until(lambda: len(processes(mark)) > 2, "the audit has started a server")
+        if number is None:
+            server.stdin.close()
+        else:
+            server.send_signal(number)
+        wait_until(lambda: server.poll() is not None, "the server has ended")
+        wait_until(lambda: not processes(mark), "nothing that it started is left")
+    wanted = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: 128 + signal.SIGTERM, None: ExitCode.CLEAN}
+    assert server.returncode == wanted[number]
 
 
 def test_without_the_sdk_the_command_says_what_to_install(project: Path, tmp_path: Path) -> None:

@@ -169,10 +169,14 @@ def _trace(path: Path | None) -> Iterator[IO[str] | None]:
         yield None
         return
     try:
-        with path.open("a", encoding="utf-8") as file:
-            yield file
+        file = path.open("a", encoding="utf-8")
     except OSError as error:
         raise UserError(f"--trace: {path}: {error.strerror}") from None
+    try:
+        yield file
+    finally:
+        with contextlib.suppress(OSError):  # a full disk, which the log has told
+            file.close()
 
 
 class _Ending:

@@ -59,6 +59,26 @@ class Answer:
         return "\n".join([f"exit code {self.code} ({meanings.get(self.code, 'ended from outside')})", *self.remarks])
 
 
+_running: set[Process] = set()
+"""Commands of calls that have not ended."""
+
+
+async def end_all() -> None:
+    """End every command that runs, in order: what they started ends with them."""
+    import anyio
+
+    async with anyio.create_task_group() as group:
+        for process in tuple(_running):
+            group.start_soon(_end, process)
+
+
+def kill_all() -> None:
+    """End every command that runs at once."""
+    for process in tuple(_running):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
 async def run(arguments: Sequence[str], folder: Path, progress: Callable[[int, str], Awaitable[None]]) -> Answer:
     """Run a command of `xpl`.
 
@@ -75,6 +95,7 @@ async def run(arguments: Sequence[str], folder: Path, progress: Callable[[int, s
     command = [sys.executable, "-m", "xpl_cli", *arguments]
     # Standard input is the protocol's: a command must not read it.
     process = await anyio.open_process(command, cwd=folder, stdin=subprocess.DEVNULL, start_new_session=True)
+    _running.add(process)
     pipes = [pipe for pipe in (process.stdout, process.stderr) if pipe is not None]
     said, noted = (TextReceiveStream(pipe, errors="replace") for pipe in pipes)
     remarks: list[str] = []
@@ -96,6 +117,7 @@ async def run(arguments: Sequence[str], folder: Path, progress: Callable[[int, s
     finally:
         with anyio.CancelScope(shield=True):
             await _end(process)
+        _running.discard(process)
     return Answer(code, "".join(output), tuple(remarks[-_REMARKS:]))
 
 

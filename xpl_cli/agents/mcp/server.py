@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli import __version__
-from xpl_cli.agents.mcp.call import run
+from xpl_cli.agents.mcp.call import end_all, kill_all, run
 from xpl_cli.basics.endings import endings
-from xpl_cli.basics.errors import UserError, no_such
+from xpl_cli.basics.errors import ExitCode, UserError, no_such
 from xpl_cli.basics.extras import how_to_install
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import AsyncIterator, Sequence
 
     from mcp import types
     from mcp.server import Server
 
     from xpl_cli.agents.mcp.tools import Tool
 
+_ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 INSTRUCTIONS: Final = f"""\
 Tools of xpl: robot policies and environments held to one standard. A tool runs the command of the same name, answers
 with its JSON, whose `next` lists the commands that come next, and says how it ended. {endings()}
@@ -47,10 +50,34 @@ def serve(tools: Sequence[Tool], folder: Path) -> None:
 
     async def serving() -> None:
         server = _server(tools, folder)
-        async with stdio_server() as (reading, writing):
-            await server.run(reading, writing, server.create_initialization_options())
+        async with anyio.create_task_group() as group:
+            group.start_soon(_until_told)
+            async with stdio_server() as (reading, writing):
+                await server.run(reading, writing, server.create_initialization_options())
+            group.cancel_scope.cancel()
 
     anyio.run(serving)
+
+
+async def _until_told() -> None:
+    """End the commands that run, and this process, when it is told to end; the second time at once.
+
+    The protocol's SDK reads standard input in a thread that nothing can interrupt, so that nothing else would end it.
+    """
+    import anyio
+
+    with anyio.open_signal_receiver(*_ENDING) as signals:
+        async for number in signals:
+            async with anyio.create_task_group() as group:
+                group.start_soon(_end_at_once, signals)
+                await end_all()
+                group.cancel_scope.cancel()
+            os._exit(ExitCode.INTERRUPTED if number == signal.SIGINT else 128 + number)
+
+
+async def _end_at_once(signals: AsyncIterator[signal.Signals]) -> None:
+    async for _ in signals:
+        kill_all()
 
 
 def _server(tools: Sequence[Tool], folder: Path) -> Server[Any]:
@@ -99,5 +126,5 @@ def _described(tool: Tool) -> types.Tool:
         name=tool.name,
         description=tool.description,
         input_schema=tool.schema,
-        annotations=types.ToolAnnotations(read_only_hint=tool.offer.reads_only, destructive_hint=False),
+        annotations=types.ToolAnnotations(read_only_hint=tool.offer.reads_only, destructive_hint=tool.overwrites),
     )

@@ -23,6 +23,10 @@ _JSON_TYPES: Final[Mapping[Any, str]] = {
 }
 
 
+_DESTROYING: Final = frozenset(("overwrite", "fix", "out"))
+"""Options by which a command replaces files that are there."""
+
+
 @dataclass(frozen=True)
 class Offer:
     """A command that is offered as a tool.
@@ -101,6 +105,11 @@ class Tool:
     offer: Offer
     description: str
     parameters: tuple[Parameter, ...]
+
+    @property
+    def overwrites(self) -> bool:
+        """Whether it may replace what somebody made: it takes an option that does."""
+        return not _DESTROYING.isdisjoint(self.offer.takes)
 
     @property
     def schema(self) -> dict[str, Any]:
