@@ -274,7 +274,7 @@ def _try_values(sound: tuple[dict[str, bytes], dict[str, Any]], folder: Path, se
         name = draw.choice(documents)
         document = json.loads(files[name] if name in files else json.dumps(told))
         for _ in range(draw.choice((1, 1, 1, 5))):
-            container, key = draw.choice(list(_places(document)))
+            container, key = draw.choice(list(_places(document)) or [({"": 0}, "")])
             if isinstance(container, dict) and draw.random() < 0.2:
                 container.pop(key)
             else:

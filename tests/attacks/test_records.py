@@ -270,7 +270,8 @@ def test_whatever_stands_in_a_line_is_left_out_or_can_be_reported(
 
 
 @pytest.mark.slow
-@settings(max_examples=1500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.timeout(900)
+@settings(max_examples=1000, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @drawn
 def test_a_thousand_values_are_left_out_or_can_be_reported(data: st.DataObject, sound: Path, tmp_path: Path) -> None:
     """Values of any kind, at any place of any line."""

@@ -59,6 +59,17 @@ def of_usage(error: Any) -> UserError:
     return UserError(f"{path}: {message[:1].lower()}{message[1:]}", hint=f"`{path} --help` tells what it takes")
 
 
+def of_system(error: OSError) -> UserError:
+    """Return what the system refused, such as a file, a port or memory, as an error."""
+    reason = error.strerror or str(error) or type(error).__name__
+    where = "" if error.filename is None else f"{error.filename!s:.200}: "
+    return UserError(
+        f"{where}{reason[:1].lower()}{reason[1:]}",
+        hint="XPL_DEBUG=1 shows where it was asked for",
+        code=ExitCode.NOT_RUN,
+    )
+
+
 def of_fault(error: Exception) -> UserError:
     """Return a fault of the tool itself as an error."""
     return UserError(

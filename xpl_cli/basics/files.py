@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import stat
 from typing import IO, TYPE_CHECKING
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 MOST_BYTES = 256 << 20
 """What no file that people or tools write for us comes near, and what a machine can still hold in memory."""
 
+_PATIENCE_S = 5.0
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -59,6 +61,30 @@ def content(path: Path, most: int = MOST_BYTES) -> bytes:
     """
     with opened(path, most) as stream:
         return stream.read(most)
+
+
+def given(path: Path, most: int = MOST_BYTES) -> bytes:
+    """Return what a file holds that the user named: a regular one, or a pipe, as `<(command)` makes them.
+
+    Raises:
+        OSError: as `opened`; or nobody writes to the pipe, or too much.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError:
+        raise OSError(errno.EINVAL, "no file can have that name", str(path)) from None
+    with os.fdopen(descriptor, "rb", buffering=0) as stream:
+        if not stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+            return content(path, most)
+        read = bytearray()
+        while select.select([descriptor], [], [], _PATIENCE_S)[0]:
+            block = stream.read(1 << 16)
+            if not block:
+                return bytes(read)
+            read += block
+            if len(read) > most:
+                raise OSError(errno.EFBIG, f"more than {told_size(most)} came out of it", str(path))
+        raise OSError(errno.ETIMEDOUT, f"nobody wrote to the pipe within {_PATIENCE_S:g} s", str(path))
 
 
 def is_regular(descriptor: int) -> bool:

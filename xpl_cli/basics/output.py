@@ -33,8 +33,18 @@ def write(path: Path, text: str) -> None:
 
     try:
         if path.exists() and not path.is_file():
-            path.write_text(text, encoding="utf-8")  # a pipe or a device cannot be replaced
+            _write_through(path, text)  # a pipe or a device cannot be replaced
         else:
             atomic.write_file(path.resolve(), text.encode(errors="replace"))
     except OSError as error:
         raise UserError(f"--output {path} cannot be written: {error.strerror or error}") from error
+
+
+def _write_through(path: Path, text: str) -> None:
+    """Write to what is no file; a pipe that nobody reads is an error, instead of being waited for."""
+    import os
+
+    descriptor = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    os.set_blocking(descriptor, True)
+    with os.fdopen(descriptor, "w", encoding="utf-8", errors="replace") as stream:
+        stream.write(text)

@@ -14,6 +14,8 @@ from typing import Any, Final
 
 from typer.core import TyperCommand, TyperGroup
 
+from xpl_cli.commands import values
+
 _NUMBER: Final = re.compile(r"[+-]?[0-9]{1,15}(\.[0-9]{1,15})?")
 
 
@@ -31,12 +33,12 @@ def _number(kind: type[float]) -> Callable[[Any], Any]:
 
 
 _CONVERSIONS: Final[dict[Any, Callable[[Any], Any]]] = {
-    str: str,
-    Path: Path,
+    str: values.text,
+    Path: values.path,
     int: _number(int),
     float: _number(float),
-    list[str]: lambda values: [str(value) for value in values],
-    list[Path]: lambda values: [Path(value) for value in values],
+    list[str]: lambda given: [values.text(value) for value in given],
+    list[Path]: lambda given: [values.path(value) for value in given],
 }
 
 
@@ -60,10 +62,10 @@ def _made_plain(parameters: list[Any]) -> list[Any]:
     for parameter in parameters:
         annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
         is_ready = "get_runtime_param" in vars(parameter) or not hasattr(parameter, "get_runtime_param")
-        if annotation in {int, float} and _is_bounded(parameter):
-            continue
         if not is_ready and (annotation is bool or annotation in _CONVERSIONS):
-            plain = _Plain(_CONVERSIONS.get(annotation), parameter.get_runtime_param)
+            is_bounded = annotation in {int, float} and _is_bounded(parameter)
+            convert = None if is_bounded else _CONVERSIONS.get(annotation)
+            plain = _Plain(convert, parameter.get_runtime_param)
             parameter.get_runtime_param = lambda plain=plain: plain
     return parameters
 
@@ -91,5 +93,5 @@ class _Plain:
             return () if param.multiple or param.nargs == -1 else None
         if self._convert is not None:
             with contextlib.suppress(ValueError):
-                return self._convert(value)
-        return self._usual().coerce(value, param=param, ctx=ctx)
+                return values.number(self._convert(value))
+        return values.number(self._usual().coerce(value, param=param, ctx=ctx))

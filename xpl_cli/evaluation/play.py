@@ -86,8 +86,9 @@ def environment_for(variable: str | None = None) -> str:
     kind = variable or os.environ.get(rule["variable"]) or rule["default"]
     name = rule["values"].get(kind)
     if name is None:
+        there = ", ".join(one for one, package in rule["values"].items() if package is not None)
         raise UserError(
-            f"{rule['variable']}={kind}: no environment of that kind is here; there are {', '.join(rule['values'])}",
+            f"{rule['variable']}={kind}: no environment of that kind is here; there are {there}",
             hint="name an environment package with --env",
         )
     return str(name)

@@ -36,6 +36,7 @@ _BINARY_UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*(?:([KMGT]?)(i?)B?|(%))", re.IGNORECASE)
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 _NO_LIMIT = "none"
+_MOST_DIGITS = 18
 
 _KEPT = {"HF_HOME": ".cache/huggingface", "TORCH_HOME": ".cache/torch", "PYTHONUSERBASE": ".local"}
 """What is found below the home folder, readable as before, although isolated adapters have another home folder."""
@@ -83,8 +84,9 @@ class MemoryLimit:
         if asked.lower() == _NO_LIMIT:
             return None
         found = _SIZE.fullmatch(asked)
-        if found is None or not float(found[1]):
-            raise UserError(f"--memory-limit takes a size such as 8GB, a share such as 80%, or none; got {text!r}")
+        if found is None or len(found[1]) > _MOST_DIGITS or not float(found[1]):
+            told = f"{text[:80]!r}{'...' if len(text) > 80 else ''}"
+            raise UserError(f"--memory-limit takes a size such as 8GB, a share such as 80%, or none; got {told}")
         number, unit, binary, share = found.groups()
         if share:
             return cls(int(float(number) / 100.0 * machine_memory()), asked)

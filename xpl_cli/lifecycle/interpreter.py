@@ -8,6 +8,7 @@ asked for and is not there is an error.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -105,6 +106,13 @@ def _conda_prefix(name: str) -> Path:
 
 def _executable(path: Path, hint: str | None = None) -> str:
     # Not resolved: a virtual environment's python is a link, and its own path is what makes it one.
-    if not path.expanduser().is_file():
+    try:
+        found = path.expanduser().absolute()
+        is_there = found.is_file()
+    except (OSError, RuntimeError):  # a name that no system bears; a home folder of nobody
+        is_there = False
+    if not is_there:
         raise UserError(f"there is no interpreter at {path}", hint=hint, code=ExitCode.NOT_RUN)
-    return str(path.expanduser().absolute())
+    if not os.access(found, os.X_OK):
+        raise UserError(f"{path} is no interpreter: it is not executable", code=ExitCode.NOT_RUN)
+    return str(found)

@@ -6,12 +6,14 @@ import ssl
 import stat
 from typing import TYPE_CHECKING
 
+from xpl_cli.basics import files
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 _TOKEN_BYTES = 16
+_MOST_BYTES = 1 << 16
 
 
 def read_token(path: Path) -> str:
@@ -22,9 +24,9 @@ def read_token(path: Path) -> str:
     """
     try:
         mode = path.stat().st_mode
-        token = path.read_text(encoding="ascii").strip()
+        token = files.given(path, _MOST_BYTES).decode("ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"the token file {path} cannot be read: {error}") from None
+        raise UserError(f"the token file {path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if stat.S_ISREG(mode) and mode & 0o077:
         raise UserError(f"others may read the token file {path}", hint=f"chmod 600 {path}")
     if len(token) < _TOKEN_BYTES or not token.isprintable() or " " in token:

@@ -55,8 +55,20 @@ def view(name: str | None, version: str = spec.CURRENT) -> View:
         )
     for stem, entry in spec.embodiments(version).items():
         if name in (stem, *entry.get("aliases", ())):
-            return View(entry, partial(spec.text, f"embodiments/{stem}.yml", version))
+            return View(entry, partial(_robot_text, stem, entry, version))
     raise _unknown(name, version)
+
+
+def _robot_text(stem: str, entry: Mapping[str, Any], version: str) -> str:
+    """Return a robot as its file has it, and one that is described by another one with all that it has from there."""
+    import yaml
+
+    text = spec.text(f"embodiments/{stem}.yml", version)
+    other = yaml.safe_load(text).get("like")
+    if other is None:
+        return text
+    whole = yaml.safe_dump(dict(entry), sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
+    return f"# As {other}, but for what embodiments/{stem}.yml says: here is all of it.\n{whole}"
 
 
 def _unknown(name: str, version: str) -> UnknownNameError:

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands import values
 
 
 @ends(clean="equal", findings="different", not_run="not playable")
@@ -19,7 +20,9 @@ def replay(
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     policy_env: str | None = typer.Option(None, "--policy-env", "--env", help="conda:NAME, uv:DIR, venv:DIR or none."),
     token_file: Path | None = typer.Option(None, metavar="FILE", help="Bearer token for --url."),
-    ca_file: Path | None = typer.Option(None, metavar="FILE", help="Certificate authority for --url wss://..."),
+    ca_file: Path | None = typer.Option(
+        None, callback=values.certificates, metavar="FILE", help="Certificate authority for --url wss://..."
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Play a recording again; show the first answer that differs. It asks a server, or another version of it."""

@@ -115,12 +115,13 @@ def _text(file: str) -> str:
     """Return the text of a description."""
     import sys
 
+    from xpl_cli.basics import files
     from xpl_cli.basics.errors import NotFoundError, UserError
 
     if file == "-":
         return sys.stdin.buffer.read().decode(errors="replace")
     try:
-        return Path(file).read_text(encoding="utf-8", errors="replace")
+        return files.given(Path(file)).decode(errors="replace")
     except FileNotFoundError:
         raise NotFoundError(f"there is no file {file} for --description") from None
     except OSError as error:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from xpl_cli.commands import values
 from xpl_cli.commands.run.serve import POLICY, POLICY_ENV, SETTINGS
 
 if TYPE_CHECKING:
@@ -54,7 +55,9 @@ def evaluate(
     policy_gpus: float = typer.Option(0.0, min=0.0, help="GPUs of the cluster for each policy server."),
     connect: str | None = typer.Option(None, metavar="URL", help="Use a server that already runs at ws://host:port."),
     token_file: Path | None = typer.Option(None, metavar="FILE", help="Bearer token for --connect."),
-    ca_file: Path | None = typer.Option(None, metavar="FILE", help="Certificate authority for --connect wss://..."),
+    ca_file: Path | None = typer.Option(
+        None, callback=values.certificates, metavar="FILE", help="Certificate authority for --connect wss://..."
+    ),
     settings: list[str] = SETTINGS,
     info: str | None = typer.Option(None, metavar="K=V,...", help="Further overrides in the launchers' form."),
     policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from xpl_cli.commands import values
+
 POLICY = typer.Argument(..., metavar="POLICY", help="Folder of the adapter, or its name below policy/.")
 SETTINGS = typer.Option([], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml; the value is YAML.")
 POLICY_ENV = typer.Option(
@@ -30,8 +32,12 @@ def serve(
     gpu: list[str] = typer.Option([], metavar="ID", help="Device made visible; workers take several in turn."),
     workers: int = typer.Option(1, metavar="N", help="Copies of the model: N clients are served at once."),
     token_file: Path | None = typer.Option(None, metavar="FILE", help="Ask clients for the bearer token in FILE."),
-    tls_cert: Path | None = typer.Option(None, metavar="FILE", help="Serve wss:// with this certificate (PEM)."),
-    tls_key: Path | None = typer.Option(None, metavar="FILE", help="Key of the certificate, if it is in another file."),
+    tls_cert: Path | None = typer.Option(
+        None, callback=values.certificates, metavar="FILE", help="Serve wss:// with this certificate (PEM)."
+    ),
+    tls_key: Path | None = typer.Option(
+        None, callback=values.certificates, metavar="FILE", help="Key of the certificate, if it is in another file."
+    ),
     insecure: bool = typer.Option(False, "--insecure", help="Listen elsewhere than on loopback without a token."),
     allow_host: list[str] = typer.Option(
         [], metavar="NAME", help="A further name that clients without a token may call this server by."
@@ -52,7 +58,9 @@ def serve(
         False, "--until-stdin-ends", help="End when standard input ends, for whoever starts servers."
     ),
     unset: list[str] = typer.Option([], "--unset", metavar="KEY", help="Leave a key of deploy.yml out."),
-    chdir: Path | None = typer.Option(None, metavar="DIR", help="The adapter's working directory; its own by default."),
+    chdir: Path | None = typer.Option(
+        None, callback=values.folder, metavar="DIR", help="The adapter's working directory; its own by default."
+    ),
     memory_limit: str = typer.Option("none", metavar="SIZE", help=MEMORY_HELP),
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
     apart: bool = typer.Option(False, "--apart", help=APART_HELP),
