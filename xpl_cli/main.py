@@ -84,6 +84,9 @@ def _root(
 
 def run() -> NoReturn:
     """Run the command line of this process."""
+    console.open_streams()
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell has it for what it starts in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     # A supervisor's SIGTERM ends a command the way Ctrl-C does, so that every `finally` still runs.
     signal.signal(signal.SIGTERM, _interrupt)
     sys.exit(main(sys.argv[1:]))

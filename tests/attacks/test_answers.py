@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.killable import Server
+from tests.support.killable import listens
 from tests.support.peer import Peer, wait_until
 from tests.support.raw import page
 from xpl import Client
@@ -297,18 +297,11 @@ def test_a_bad_hello_does_not_end_a_server_that_loads(write_adapter: Callable[..
     os.mkfifo(fifo)
     model = f"open({str(fifo)!r}).read()\n" + MODEL.replace("\n    ", "\n")
     folder = write_adapter(model)
-    command = [sys.executable, "-m", "xpl_cli", "serve", str(folder), "--port", str(Server(folder).port)]
-    port = command[-1]
+    command = [sys.executable, "-m", "xpl_cli", "serve", str(folder), "--port", "0", "--host", "127.0.0.1"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     try:
-        url = f"ws://127.0.0.1:{port}"
-
-        def connected() -> Peer | None:
-            with contextlib.suppress(OSError):
-                return Peer(url)
-            return None
-
-        patient = wait_until(connected, "it listens")
+        url = f"ws://127.0.0.1:{wait_until(lambda: listens(process.pid), 'it listens')}"
+        patient = Peer(url)
         patient.send("hello", {"capabilities": {}})
         for hello in HELLOS.values():
             with contextlib.closing(Peer(url)) as peer:

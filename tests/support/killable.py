@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -27,20 +27,19 @@ SEGMENTS = "xpl-*"
 
 
 class Server:
-    """`xpl serve` on a port of its own, which it keeps when it is started again; use it as a context.
+    """`xpl serve` on a port that it chooses, and keeps when it is started again; use it as a context.
 
     Attributes:
-        port: where it listens.
+        port: where it listens; 0 before it was ready for the first time.
         pid: process of the front end.
         starts: how often it was started.
     """
 
     def __init__(self, adapter: Path, *options: str) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            self.port = probe.getsockname()[1]
+        self.port = 0
         self._command = [sys.executable, "-m", "xpl_cli", "serve", str(adapter)]
         # A place waits as long for a client that was cut as a connection does to be closed.
-        self._command += ["--host", "127.0.0.1", "--port", str(self.port), "--set", "close_timeout_s=1", *options]
+        self._command += ["--host", "127.0.0.1", "--set", "close_timeout_s=1", *options]
         self.mark = uuid.uuid4().hex
         self.starts = 0
         self._since = time.time()
@@ -64,7 +63,7 @@ class Server:
     def start(self) -> None:
         """Start it and wait until it is ready."""
         self._process = subprocess.Popen(
-            self._command,
+            [*self._command, "--port", str(self.port)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -128,6 +127,7 @@ class Server:
                 self.log.append(line.decode(errors="replace").rstrip())
                 if line.startswith(b'{"event": "ready"'):
                     self._listens = True
+                    self.port = json.loads(line)["port"]
                     ready.set()
         ready.set()
 
@@ -175,6 +175,19 @@ def orphans(since: float) -> list[str]:
         with contextlib.suppress(OSError):
             fresh -= set(descriptors(int(process.name)))
     return sorted(fresh)
+
+
+def listens(pid: int) -> int | None:
+    """Return the TCP port on which a process listens, None before it does."""
+    inodes = set()
+    for entry in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(OSError):
+            inodes.add(entry.readlink().name)
+    for line in Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]:
+        columns = line.split()
+        if columns[3] == LISTENING and f"socket:[{columns[9]}]" in inodes:
+            return int(columns[1].rpartition(":")[2], 16)
+    return None
 
 
 @contextlib.contextmanager

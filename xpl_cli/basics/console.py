@@ -6,12 +6,15 @@ be encoded is written out as `\u001b`, in everything that passes here; that form
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import json
+import os
 import sys
-from io import StringIO
+from io import StringIO, TextIOWrapper
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.strangers import harmless, unheard
 
 if TYPE_CHECKING:
@@ -35,6 +38,33 @@ class _Output:
 _output = _Output()
 
 
+def open_streams() -> None:
+    """Prepare the standard streams of this process for whatever is written there.
+
+    Those that are closed lead nowhere: otherwise the next file or connection would get their number, and what is
+    printed. What the locale has no letters for is written out as in JSON.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            os.dup2(nowhere, number)
+            if nowhere > number:
+                os.close(nowhere)
+            setattr(sys, name, open(number, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: PTH123, SIM115
+    codecs.register_error("written-out", _written_out)
+    if isinstance(sys.stdout, TextIOWrapper):
+        with contextlib.suppress(OSError):  # what lay below it when it was made was exchanged for something else
+            sys.stdout.reconfigure(errors="written-out")
+
+
+def _written_out(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    pairs = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass")
+    units = (int.from_bytes(pairs[place : place + 2], "big") for place in range(0, len(pairs), 2))
+    return "".join(f"\\u{unit:04x}" for unit in units), error.end
+
+
 def data(text: str) -> None:
     """Write an answer."""
     painted(harmless(text))
@@ -44,8 +74,15 @@ def painted(text: str) -> None:
     """Write an answer with colours for a terminal; what strangers gave to it has to be harmless already."""
     _output.is_used = True
     stream = _stream()
-    stream.write(text if text.endswith("\n") else text + "\n")
-    stream.flush()
+    try:
+        stream.write(text if text.endswith("\n") else text + "\n")
+        stream.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what was not written is not tried again at the end
+        told = f"the answer cannot be written to standard output: {error.strerror}"
+        raise UserError(told, code=ExitCode.NOT_RUN) from None
 
 
 def data_json(value: Any) -> None:

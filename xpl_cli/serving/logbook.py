@@ -7,8 +7,6 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from xpl_cli.basics.visible import visible
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -19,18 +17,28 @@ _QUIET_S = 60.0
 
 def log(text: str) -> None:
     """Write an entry of one line; line breaks and escape sequences in it are written out."""
-    _write(visible(text[:_LONGEST]))
+    _write(_visible(text[:_LONGEST]))
 
 
 def log_lines(text: str) -> None:
     """Write an entry of several lines, such as a traceback; those that follow the first are marked as such."""
-    _write("\n[server] | ".join(map(visible, text[:_LONGEST].rstrip("\n").split("\n"))))
+    _write("\n[server] | ".join(map(_visible, text[:_LONGEST].rstrip("\n").split("\n"))))
 
 
 def _write(text: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # a full disk, or a reader that is gone: no reason to end
         sys.stderr.write(f"[server] {text}\n")
         sys.stderr.flush()
+
+
+def _visible(text: str) -> str:
+    r"""Return a text on one line, with everything that is not printed written out, such as `\n`, `\x1b` or `\u202e`.
+
+    Control characters, line separators, marks of writing direction, characters without width and lone surrogates count.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode("ascii") for char in text)
 
 
 class Burst:

@@ -194,7 +194,13 @@ class _Ending:
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, self.ask)
         if until_stdin_ends:
-            loop.add_reader(sys.stdin.fileno(), self._read_stdin)
+            try:
+                loop.add_reader(sys.stdin.fileno(), self._read_stdin)
+            except (OSError, ValueError):
+                raise UserError(
+                    "--until-stdin-ends: standard input is a file or a device, which does not end with anybody",
+                    hint="it has to be a pipe, a socket or a terminal: whoever starts the server holds its other end",
+                ) from None
 
     def _read_stdin(self) -> None:
         """End when whoever started this server is gone: the last holder of the other end of standard input."""
