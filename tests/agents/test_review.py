@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -13,14 +14,15 @@ import pytest
 
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from xpl_cli.agents.review import form, page, review
-from xpl_cli.agents.review.change import Change, Touched
+from xpl_cli.agents.review import form, judgement, page, review
+from xpl_cli.agents.review.change import Change, Touched, change_since
 from xpl_cli.agents.review.description import TEMPLATE
 from xpl_cli.agents.review.harm import HARMS, harm
 from xpl_cli.audit.formats import Context
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
 from xpl_cli.basics.errors import ExitCode
+from xpl_cli.basics.git.history import Repository
 from xpl_cli.packages.targets import Target
 from xpl_cli.standard import spec
 
@@ -232,7 +234,7 @@ def of_results(*results: Result) -> review.Review:
     """Return a review of one package with these results."""
     report = TargetReport("policy/Foo", "Foo", "policy", [GateReport(Gate.OFFLINE, list(results))])
     context = Context(here=Path("/"))
-    remarks = tuple(review._remarks(review.listed([report], context), set()))
+    remarks = tuple(review._remarks(review.listed([report], context), set(), frozenset()))
     touched = Touched(Target(Path("/policy/Foo"), "policy", "policy/Foo"), "policy/Foo", 1, "added")
     return review.Review(Change("main", "0" * 40, (touched,), (), ()), (report,), remarks, None, context)
 
@@ -353,6 +355,66 @@ def test_a_small_change_needs_no_form(repository: Path) -> None:
     text = repository / "description.md"
     text.write_text("Adds a note.\n", encoding="utf-8")
     found = reviewed(repository, *STATIC, "--description", str(text))
-    assert found["description"] == {"form": None, "problems": [], "notes": []}
+    assert (found["description"]["form"], found["description"]["problems"]) == (None, [])
+    assert "held against no form: the change adds no policy" in found["description"]["notes"][0]
     text.write_text(FORM, encoding="utf-8")
     assert reviewed(repository, *STATIC, "--description", str(text))["description"]["problems"]
+
+
+# --- What counts, and what a description may be -----------------------------------------------------------------------
+
+
+def test_what_was_there_before_makes_no_review_red_unless_asked(repository: Path) -> None:
+    """A typo in a README is mended in a package that fails; a finding that is new counts, and an old one by request."""
+    bad = "\n    def get_action_batch(self, wrong, order):\n        return []\n"
+    spoil(repository / "policy/Foo", bad)
+    git(repository, "commit", "--quiet", "-am", "a fault")
+    git(repository, "branch", "--force", "main")
+    with (repository / "policy/Foo/README.md").open("a", encoding="utf-8") as readme:
+        readme.write("A typo less.\n")
+    found = reviewed(repository)
+    assert (found["verdict"], found["exit_code"]) == ("green", ExitCode.CLEAN)
+    assert {entry["was_there_before"] for entry in found["findings"]} == {True}
+    comment = xpl("review", *STATIC, cwd=repository).stdout
+    assert "What was there before does not count here." in comment
+    assert reviewed(repository, *STATIC, "--fail-on", "all")["exit_code"] == ExitCode.FINDINGS
+    with (repository / "policy/Foo/model.py").open("a", encoding="utf-8") as model:
+        model.write("\n    def reset(self, why):\n        pass\n")
+    assert reviewed(repository)["exit_code"] == ExitCode.FINDINGS
+
+
+def test_only_documents_leave_what_was_not_proved_before_open(repository: Path) -> None:
+    """Whatever a served gate says of code that the change does not touch was so before."""
+    (repository / "policy/Foo/README.md").write_text("about\n", encoding="utf-8")
+    change = change_since("main", Repository.of(repository))
+    assert [touched.documents_only for touched in change.packages] == [True]
+    path = change.packages[0].target.shown
+    gates = [
+        GateReport(Gate.OFFLINE, results=[Result("XPL201", "serves", "XPL-SRV-1", "must", outcome, findings, "why")])
+        for outcome, findings in ((Outcome.FAIL, (Finding("it"),)), (Outcome.NOT_RUN, ()))
+    ]
+    report = TargetReport(path=path, name="Foo", kind="policy", gates=gates)
+    for same, wanted in ((frozenset((path,)), Outcome.PASS), (frozenset[str](), None)):
+        (judged,) = judgement.brought([report], Context(here=repository), set(), same)
+        outcomes = [gate.outcome for gate in judged.gates]
+        assert outcomes == ([wanted] * 2 if wanted else [Outcome.FAIL, Outcome.NOT_RUN])
+    (repository / "policy/Foo/model.py").write_text("", encoding="utf-8")
+    assert not change_since("main", Repository.of(repository)).packages[0].documents_only
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe", "folder", "huge"])
+def test_a_description_that_is_no_text_is_refused(repository: Path, tmp_path: Path, kind: str) -> None:
+    """In one sentence, and without reading what has no end."""
+    file = tmp_path / "description"
+    if kind == "device":
+        file = Path("/dev/zero")
+    elif kind == "pipe":
+        os.mkfifo(file)
+    elif kind == "folder":
+        file.mkdir()
+    else:
+        file.write_bytes(b"x" * (1 << 20) + b"y")
+    done = xpl("review", *STATIC, "--description", str(file), cwd=repository)
+    assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
+    assert f"--description {file} " in done.stderr
+    assert "Traceback" not in done.stderr

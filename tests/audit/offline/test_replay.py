@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -192,6 +193,22 @@ def test_a_full_disk_is_said_and_ends_only_the_recording(tmp_path: Path) -> None
         tape.close(complete=True)
     assert "only the first 1 frames" in said[0]
     assert json.loads((tmp_path / "T" / recording.INDEX).read_text())["counts"] is None
+
+
+def test_a_disk_that_is_full_in_the_end_is_said_and_raises_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last frame fitted, the index does not; what was recorded can be read."""
+    said: list[str] = []
+    tape = recording.Tape(tmp_path / "T", {}, said.append)
+    assert tape.write(codec.Frame(recording.SERVER, "1"))
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(recording.atomic, "write_file", full)
+    tape.close(complete=True)
+    assert "1 frames recorded, and no index: No space left on device" in said[0]
 
 
 scalars = st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text(max_size=9)

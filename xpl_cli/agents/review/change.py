@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 ADDED: Final = "added"
 CHANGED: Final = "changed"
 
+_DOCUMENTS: Final = frozenset((".md", ".rst"))
+_NOTICES: Final = frozenset(("LICENSE", "NOTICE"))
+
 _MANIFESTS = frozenset((sdk.File.POLICY_YML, f"{package.ENV}.yml"))
 
 
@@ -30,12 +33,14 @@ class Touched:
         place: its folder from the top of the repository.
         files: how many of its files differ.
         change: `added` or `changed`.
+        documents_only: whether no file differs that may run or configure.
     """
 
     target: Target
     place: str
     files: int
     change: str
+    documents_only: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,14 +73,14 @@ def change_since(ref: str, repository: Repository) -> Change:
         UserError: if there is no such commit, or a package is a repository of its own inside this one.
     """
     base = repository.base(ref)
-    held: dict[Path, int] = {}
+    held: dict[Path, list[Path]] = {}
     removed, elsewhere = set(), []
     for path in sorted(repository.changed(base)):
         folder = holding(path)
         if is_package(path):
             raise nested(path, path, repository.root)
         if folder is not None and folder.is_relative_to(repository.root):
-            held[folder] = held.get(folder, 0) + 1
+            held.setdefault(folder, []).append(path)
             continue
         name = path.relative_to(repository.root)
         elsewhere.append(name.as_posix())
@@ -88,7 +93,9 @@ def change_since(ref: str, repository: Repository) -> Change:
     return Change(ref, base, packages, tuple(sorted(removed)), inside)
 
 
-def _touched(folder: Path, files: int, base: str, repository: Repository) -> Touched:
+def _touched(folder: Path, files: list[Path], base: str, repository: Repository) -> Touched:
     place = folder.relative_to(repository.root).as_posix()
     was_there = repository.has(base, place)
-    return Touched(find_target(folder), place, files, CHANGED if was_there else ADDED)
+    documents_only = was_there and all(path.suffix in _DOCUMENTS or path.name in _NOTICES for path in files)
+    change = CHANGED if was_there else ADDED
+    return Touched(find_target(folder), place, len(files), change, documents_only)

@@ -59,12 +59,11 @@ def read(text: str, change: Change, reports: Sequence[TargetReport], repository:
     """
     template = repository.text(change.base, TEMPLATE) or _in_work_tree(repository)
     adds = any(touched.change == ADDED and touched.target.kind == package.POLICY for touched in change.packages)
-    if template is None or not (adds or form.uses(text, template)):
-        return Description(None, (), ())
+    is_held = template is not None and (adds or form.uses(text, template))
     claims = [match.groupdict() for match in _FINISH.finditer(text)]
     gates = [gate for report in reports if report.kind == package.POLICY for gate in report.gates]
-    problems = [*form.open_places(text, template), *_unproved(claims)]
-    notes = []
+    problems = [*form.open_places(text, template), *_unproved(claims)] if is_held and template is not None else []
+    notes = [] if is_held else [_why_not_held(template)]
     for claim in claims:
         alike = [gate for gate in gates if _is_comparable(claim, gate)]
         if not alike:
@@ -77,7 +76,13 @@ def read(text: str, change: Change, reports: Sequence[TargetReport], repository:
                 f"the {claim['gate']} gate of the description is not that of these files: "
                 f"expected digest {found}, got {claim['digest']}"
             )
-    return Description(TEMPLATE, tuple(dict.fromkeys(problems)), tuple(dict.fromkeys(notes)))
+    return Description(TEMPLATE if is_held else None, tuple(dict.fromkeys(problems)), tuple(dict.fromkeys(notes)))
+
+
+def _why_not_held(template: str | None) -> str:
+    if template is None:
+        return f"the description was held against no form: there is no {TEMPLATE} in this repository"
+    return f"the description was held against no form: the change adds no policy, and it was not begun with {TEMPLATE}"
 
 
 def _unproved(claims: list[dict[str, str | None]]) -> Iterator[str]:

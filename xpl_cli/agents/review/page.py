@@ -54,6 +54,8 @@ def _summary(review: Review) -> Iterator[str]:
         warns = sum(1 + len(remark.others) for remark in review.remarks if not remark.first.fails)
         found = f"{amount(fails, 'finding')} to mend and {amount(warns, 'warning')}"
         yield f"{amount(len(change.packages), 'package')} touched since {since}: {found}."
+        if review.forgives:
+            yield "What was there before does not count here."
     for name in change.removed:
         yield f"{code(name)} is gone."
     if change.elsewhere:

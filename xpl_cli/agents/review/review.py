@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.agents.review.change import CHANGED, change_since
 from xpl_cli.agents.review.harm import Harm, harm
+from xpl_cli.agents.review.judgement import brought, is_old, unchanged
 from xpl_cli.audit.engine.engine import audit_all
 from xpl_cli.audit.formats.listing import Context, Listed, listed
 from xpl_cli.audit.rules.gates import Gate
@@ -66,6 +67,8 @@ class Review:
         remarks: all of them, in order of harm.
         description: what its description lacks; None where none was given.
         context: what reports refer to.
+        brought: the audits without what was there before.
+        counts_all: whether what was there before counts, too.
     """
 
     change: Change
@@ -73,6 +76,8 @@ class Review:
     remarks: tuple[Remark, ...]
     description: Description | None
     context: Context
+    brought: tuple[TargetReport, ...] = ()
+    counts_all: bool = False
 
     @property
     def told(self) -> tuple[Remark, ...]:
@@ -84,7 +89,13 @@ class Review:
         """The exit code: that of the audits, and findings where the description lacks something."""
         if self.description is not None and self.description.problems:
             return ExitCode.FINDINGS
-        return exit_code(self.reports, self.context.fail_on)
+        return exit_code(self.reports if self.counts_all else self.brought, self.context.fail_on)
+
+    @property
+    def forgives(self) -> bool:
+        """Whether findings were left out of the verdict because they were there before."""
+        fail_on = self.context.fail_on
+        return not self.counts_all and exit_code(self.brought, fail_on) != exit_code(self.reports, fail_on)
 
     @property
     def verdict(self) -> str:
@@ -119,18 +130,20 @@ def review(
     reports = audit_all([touched.target for touched in change.packages], options)
     known = _known_before(change, repository, options)
     read = None if description is None else texts.read(description, change, reports, repository)
-    return Review(change, tuple(reports), tuple(_remarks(listed(reports, context), known)), read, context)
+    same = unchanged(change)
+    remarks = _remarks(listed(reports, context), known, same)
+    new = brought(reports, context, known, same)
+    return Review(change, tuple(reports), tuple(remarks), read, context, tuple(new))
 
 
-def _remarks(entries: Iterable[Listed], known: set[str]) -> list[Remark]:
+def _remarks(entries: Iterable[Listed], known: set[str], same: frozenset[str]) -> list[Remark]:
     """Return findings, those of one rule in one package together: what fails, what is worse, what is new, first."""
     by_rule = groupby(entries, lambda entry: (entry.target.path, entry.result.code))  # reports are in this order
     remarks = []
     for _, found in by_rule:
         new_first = sorted(found, key=lambda entry: entry.fingerprint in known)
         first, *others = new_first
-        is_old = first.fingerprint in known if first.gate.name is Gate.STATIC else None
-        remarks.append(Remark(first, tuple(others), harm(first.result.requirement)[1], is_old))
+        remarks.append(Remark(first, tuple(others), harm(first.result.requirement)[1], is_old(first, known, same)))
     return sorted(remarks, key=_order)
 
 

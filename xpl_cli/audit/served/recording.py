@@ -117,8 +117,13 @@ class Tape:
         if self.problem is not None:
             self._say(f"{self.folder}: only the first {self._frames} frames were recorded: {self.problem}")
         elif complete:
-            atomic.write_file(self.folder / INDEX, self._index(complete=True))
-            self._say(f"{self.folder}: {self._frames} frames recorded")
+            try:
+                atomic.write_file(self.folder / INDEX, self._index(complete=True))
+            except OSError as error:  # a full disk took the last frame, and no more
+                self.problem = error.strerror or str(error)
+                self._say(f"{self.folder}: {self._frames} frames recorded, and no index: {self.problem}")
+            else:
+                self._say(f"{self.folder}: {self._frames} frames recorded")
 
     def _index(self, *, complete: bool) -> bytes:
         counts = {"frames": self._frames, "bytes": self._bytes, "left_out": self.left_out} if complete else None

@@ -10,6 +10,8 @@ from xpl_cli.basics.endings import ends
 from xpl_cli.commands.prove.audit import TIME_HELP
 from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP
 
+_LONGEST = 1 << 20
+"""Bytes of a description; GitHub takes 65,536 characters."""
 _STATIC_AND_OFFLINE = ("static", "offline")
 
 
@@ -24,7 +26,11 @@ def review(
     ),
     selected: list[str] = typer.Option([], "--select", help="Run only these rules, as for xpl audit."),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
-    fail_on: str = typer.Option("fail", help="Mildest outcome that is an error for the exit code: fail or warn."),
+    fail_on: list[str] = typer.Option(
+        [],
+        "--fail-on",
+        help="What makes it red: new findings (the default) or all; fail (the default) or warn. May be repeated.",
+    ),
     shadow: bool = typer.Option(False, "--shadow", help="Do not try the model, which runs where it can be had."),
     stub_missing: bool = typer.Option(False, "--stub-missing", help="As for xpl audit."),
     output: list[str] = typer.Option(
@@ -45,6 +51,7 @@ def review(
     trusted, --gate static reads only.
     """
     import json
+    from dataclasses import replace
 
     from xpl_cli.agents.review import document, page
     from xpl_cli.agents.review.review import review as reviewed
@@ -65,7 +72,9 @@ def review(
 
     for name in gate:
         one_of("--gate", name, Gate)
-    one_of("--fail-on", fail_on, (Outcome.FAIL, Outcome.WARN))
+    for name in fail_on:
+        one_of("--fail-on", name, ("new", "all", Outcome.FAIL, Outcome.WARN))
+    mildest = Outcome.WARN if Outcome.WARN in fail_on else Outcome.FAIL
     formats = [wanted for wanted in output if wanted.partition("=")[0] in FORMATS and "=" in wanted]
     files = [Path(wanted) for wanted in output if wanted not in formats]
     audits = Delivery(None, Delivery.asked("markdown", formats).files)
@@ -89,17 +98,18 @@ def review(
             progress=say,
         )
         context = Context(
-            fail_on=Outcome(fail_on),
+            fail_on=mildest,
             choice=(
                 *(part for name in selected for part in ("--select", name)),
                 *(part for name in ignored for part in ("--ignore", name)),
-                *(() if fail_on == Outcome.FAIL else ("--fail-on", fail_on)),
+                *(() if mildest is Outcome.FAIL else ("--fail-on", mildest.value)),
                 *(("--shadow",) if shadow else ()),
                 *(("--stub-missing",) if stub_missing else ()),
                 *(("--isolate",) if isolate else ()),
             ),
         )
         found = reviewed(base, repository, options, context=context, description=text)
+        found = replace(found, counts_all="all" in fail_on)
     audits.deliver(found.reports, context)
     told = json.dumps(document.as_json(found), indent=2, ensure_ascii=False) if as_json else page.render(found)
     told = told.encode(errors="replace").decode()  # a file name may hold bytes that are no text
@@ -118,11 +128,12 @@ def _text(file: str) -> str:
     from xpl_cli.basics import files
     from xpl_cli.basics.errors import NotFoundError, UserError
 
-    if file == "-":
-        return sys.stdin.buffer.read().decode(errors="replace")
     try:
-        return files.given(Path(file)).decode(errors="replace")
+        content = sys.stdin.buffer.read(_LONGEST + 1) if file == "-" else files.given(Path(file))
     except FileNotFoundError:
         raise NotFoundError(f"there is no file {file} for --description") from None
     except OSError as error:
         raise UserError(f"--description {file} cannot be read: {error.strerror or error}") from error
+    if len(content) > _LONGEST:
+        raise UserError(f"--description {file} is longer than {_LONGEST} bytes: no pull request takes that")
+    return content.decode(errors="replace")
