@@ -12,14 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation import play
-from xpl_cli.evaluation.retries import Schedule
+from xpl_cli.evaluation.runs import look
 from xpl_cli.packages import environments
 from xpl_cli.standard.validate import validate
 
@@ -125,24 +122,28 @@ BREAKS_ONCE = """
 """
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(("deaths", "code", "failed"), [(1, ExitCode.CLEAN, 0), (9, ExitCode.NOT_RUN, 2)])
-def test_a_trial_that_the_infrastructure_spoils_counts_neither_way(
-    write_adapter: Callable[..., Path], tmp_path: Path, deaths: int, code: ExitCode, failed: int
+@pytest.mark.parametrize("deaths", [1, 9])
+def test_a_policy_whose_process_dies_is_asked_again_and_has_failed_in_the_end(
+    write_adapter: Callable[..., Path], tmp_path: Path, deaths: int
 ) -> None:
-    """It is played again with a new server; what fails for good is reported apart, and never as a failed task."""
+    """It is played again with a new server; who dies in every attempt has failed, which ends the evaluation."""
     adapter = write_adapter(BREAKS_ONCE)
     deploy = {"env_cfg_type": "franka_single", "marks": str(tmp_path / "marks")}
     (adapter / "deploy.yml").write_text(json.dumps(deploy), encoding="utf-8")
     shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
     (tmp_path / "marks").write_text(str(deaths), encoding="utf-8")
     done = xpl("eval", str(adapter), "--env", "offline", "--episodes", "2", "--json", cwd=tmp_path)
-    assert done.returncode == code, done.stderr
-    report = json.loads(done.stdout)
-    assert len(report["episodes"]) == 2
-    assert report["infrastructure_failures"] == failed
-    assert [episode["end_reason"] for episode in report["episodes"]].count("infrastructure") == failed
     assert "SIGKILL" in done.stderr
+    answer = json.loads(done.stdout)
+    if deaths == 1:
+        assert done.returncode == ExitCode.CLEAN, done.stderr
+        assert validate(answer, "evaluation") == []
+        assert [(episode["seed"], episode["attempts"]) for episode in answer["episodes"]] == [(0, 2), (1, 1)]
+        assert answer["infrastructure_failures"] == 0
+    else:
+        assert (done.returncode, answer["schema"]) == (ExitCode.FINDINGS, "xpl.error/1")
+        assert "episode with seed 0: " in answer["message"]
+        assert "SIGKILL" in answer["message"]
 
 
 def test_a_policy_that_does_not_fit_is_refused_before_the_first_step(
@@ -389,38 +390,7 @@ def test_the_environment_runs_in_the_python_it_is_given(frail: Path, tmp_path: P
     assert (tmp_path / "used").read_text() == "used\n"
 
 
-# -- the schedule ------------------------------------------------------------------------------------------------------
-
-
-@given(
-    st.lists(st.integers(0, 50), min_size=1, max_size=12, unique=True),
-    st.integers(1, 5),
-    st.dictionaries(st.integers(0, 60), st.integers(0, 4)),
-)
-def test_every_seed_gets_its_result_and_no_more_attempts_than_it_needs(
-    seeds: list[int], places: int, failures: dict[int, int]
-) -> None:
-    """Whatever is spoilt how often; a trial always has as many seeds as there are places, each once."""
-    schedule = Schedule(seeds, places, attempts=3)
-    left, trials = dict(failures), 0
-    while not schedule.is_done:
-        asked = schedule.next()
-        assert len(asked) == len(set(asked)) == places
-        assert set(asked) & set(seeds)
-        trials += 1
-        results = []
-        for seed in asked:
-            fails = left.get(seed, 0) > 0
-            left[seed] = left.get(seed, 0) - 1
-            results.append({"seed": seed, "end_reason": "infrastructure" if fails else "success"})
-        schedule.add(results)
-    needed = [min(3, failures.get(seed, 0) + 1) for seed in seeds]
-    assert [result["seed"] for result in schedule.results] == seeds
-    assert [result["attempts"] for result in schedule.results] == needed
-    assert [result["end_reason"] for result in schedule.results] == [
-        "infrastructure" if failures.get(seed, 0) >= 3 else "success" for seed in seeds
-    ]
-    assert trials <= sum(needed)
+# -- processes -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -436,14 +406,14 @@ def test_every_seed_gets_its_result_and_no_more_attempts_than_it_needs(
 )
 def test_environments_and_workers(num_envs: int | None, workers: str, wanted: tuple[int, int]) -> None:
     """One environment for each worker unless told otherwise."""
-    assert play.places(num_envs, workers) == wanted
+    assert look.places(num_envs, workers) == wanted
 
 
 def test_automatic_workers_are_as_many_as_cores() -> None:
     """And no more than there are environments."""
     cores = len(os.sched_getaffinity(0))
-    assert play.places(None, "auto") == (cores, cores)
-    assert play.places(cores + 5, "auto") == (cores + 5, cores)
+    assert look.places(None, "auto") == (cores, cores)
+    assert look.places(cores + 5, "auto") == (cores + 5, cores)
 
 
 @pytest.mark.parametrize(
@@ -452,7 +422,7 @@ def test_automatic_workers_are_as_many_as_cores() -> None:
 def test_workers_that_cannot_be_are_refused(num_envs: int | None, workers: str, said: str) -> None:
     """One sentence."""
     with pytest.raises(UserError, match=said):
-        play.places(num_envs, workers)
+        look.places(num_envs, workers)
 
 
 SEES = """

@@ -49,7 +49,7 @@ def player(orders: tuple[Orders, ServerOrders]) -> Iterator[Player]:
 
 
 def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: Player, tmp_path: Path) -> None:
-    """An attempt that its server's end spoilt is an outcome; the next one is played with a new server."""
+    """An attempt in which the policy's process ended is an outcome; the next one is played with a new server."""
     post = player.ready()
     assert isinstance(post, Post)
     assert post.worker.endswith("/3")
@@ -60,7 +60,7 @@ def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: Playe
     assert outcome.facts == post.facts
     assert outcome.trace is not None
     drill.mark(tmp_path, "policy-dies-0", 1)
-    assert _played(player).line["failure"] == "infrastructure"
+    assert _played(player).line["end_reason"] == "policy_died"
     again = _played(player)
     assert again.line["digest"] == outcome.line["digest"]
     assert again.line["server"] != outcome.line["server"]

@@ -14,7 +14,7 @@ from xpl_cli.audit.rules.figures import ENVIRONMENT, Course
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.environments import check
-from xpl_cli.evaluation import play
+from xpl_cli.evaluation.runs.settings import environment_settings
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
@@ -290,16 +290,16 @@ class Simulation:
 
     def _make(self, course: Course, num_envs: int, max_steps: int | None) -> Any:
         probe = self.probe
-        request = play.Request(
-            package=probe.package,
-            environment=ENVIRONMENT,
-            task=course.task,
-            setting=course.setting,
-            num_envs=num_envs,
-        )
         pair = {sdk.Deploy.ENV_CFG_TYPE: course.embodiment, sdk.Deploy.ACTION_TYPE: course.action_type}
         try:
-            settings = play.environment_settings(request, {**probe.config, **pair})
+            settings = environment_settings(
+                probe.package,
+                ENVIRONMENT,
+                {**probe.config, **pair},
+                task=course.task,
+                setting=course.setting,
+                num_envs=num_envs,
+            )
         except UserError as error:
             raise NotRun(str(error)) from None
         return environments.make(ENVIRONMENT, {**settings, "max_steps": max_steps})

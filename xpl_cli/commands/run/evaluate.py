@@ -11,8 +11,8 @@ from xpl_cli.commands import values
 from xpl_cli.commands.run.serve import POLICY, POLICY_ENV, SETTINGS
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation import play
     from xpl_cli.evaluation.runs import evaluate as suite
+    from xpl_cli.evaluation.runs import look
 
 
 def evaluate(
@@ -73,7 +73,8 @@ def evaluate(
     from xpl import _spec as spec
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.evaluation import play
+    from xpl_cli.evaluation.runs import look
+    from xpl_cli.evaluation.runs.settings import environment_for
     from xpl_cli.packages import package
     from xpl_cli.serving.secrets import client_tls_context, read_token
 
@@ -90,7 +91,10 @@ def evaluate(
         from xpl_cli.evaluation.runs import plan
 
         if connect is not None or num_envs is not None:
-            raise UserError("--out plays each episode alone and serves the policy itself: no --connect, no --num-envs")
+            raise UserError(
+                "--out records what anybody can play again, by digests of files and weights, each episode alone: no "
+                "--connect, no --num-envs"
+            )
         first = int(adapter.config(overrides)[spec.Deploy.SEED])
         is_silent = not overrides and {task, setting, episodes, horizon, until_width} == {None}
         _recorded(
@@ -116,11 +120,11 @@ def evaluate(
         raise UserError(
             "--resume, --until-width and --backend are for a run that is recorded: name its folder with --out"
         )
-    environments, processes = play.places(num_envs, workers)
+    environments, processes = look.places(num_envs, workers)
     _told(
-        play.Request(
+        look.Request(
             package=adapter,
-            environment=env or play.environment_for(),
+            environment=env or environment_for(),
             task=task,
             setting=setting,
             episodes=episodes or 1,
@@ -161,16 +165,16 @@ def _recorded(request: suite.Request, *, as_json: bool) -> None:
         console.data(standard.data("package")["eval_finish_line"])
 
 
-def _told(request: play.Request, policy: str, *, as_json: bool) -> None:
+def _told(request: look.Request, policy: str, *, as_json: bool) -> None:
     """Evaluate, and tell what came of it; `policy` is the adapter as it was named."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
     from xpl_cli.basics.progress import progress
-    from xpl_cli.evaluation import outcome, play
+    from xpl_cli.evaluation.runs import look, outcome
     from xpl_cli.standard import spec as standard
 
     with progress() as say:
-        report = play.evaluate(request, say)
+        report = look.evaluate(request, say)
     if as_json:
         console.data_json({**report, "next": outcome.following(report, policy)})
         if report["infrastructure_failures"]:
@@ -181,6 +185,6 @@ def _told(request: play.Request, policy: str, *, as_json: bool) -> None:
     if failed:
         count = len(report["episodes"])
         raise UserError(
-            f"{failed} of {count} trials were spoilt by the infrastructure and count neither way", code=ExitCode.NOT_RUN
+            f"{failed} of {count} trials were spoilt by the infrastructure, and say nothing", code=ExitCode.NOT_RUN
         )
     console.data(standard.data("package")["eval_finish_line"])

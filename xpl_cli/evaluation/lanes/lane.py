@@ -33,6 +33,9 @@ from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
+    import ssl
+    from collections.abc import Callable, Sequence
+
     from xpl_cli.evaluation.records.records import Line
 
 _CONNECT_S, _AGAIN_S = 5.0, 0.2
@@ -51,6 +54,8 @@ class Orders:
         settings: configuration of the environment, but for task and setting.
         horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
         eval_env: Python of the environment, as `interpreter.resolve` takes it; None is env.yml's, or ours.
+        num_envs: environments that a lane plays at once, in one batch.
+        env_workers: processes that share them; 0 plays them in the lane's own.
     """
 
     policy: str
@@ -61,6 +66,26 @@ class Orders:
     settings: Mapping[str, Any]
     horizon: int | None = None
     eval_env: str | None = None
+    num_envs: int = 1
+    env_workers: int = 1
+
+
+@dataclass(frozen=True)
+class Access:
+    """How a lane gets at policy servers.
+
+    Attributes:
+        token: bearer token, where they ask for one.
+        ssl_context: for `wss://`, where the system's certificates are not enough.
+        is_patient: whether it waits for a server as long as the configuration says, and not only until whoever looks
+            after servers must have noticed.
+        on_loading: is told while a model loads.
+    """
+
+    token: str | None = None
+    ssl_context: ssl.SSLContext | None = None
+    is_patient: bool = False
+    on_loading: Callable[[Mapping[str, Any]], None] | None = None
 
 
 @dataclass
@@ -88,18 +113,27 @@ class Lane:
     Args:
         orders: what is played.
         worker: name of the lane in records.
-        token: bearer token of the policy servers, where they ask for one.
+        access: how it gets at policy servers.
     """
 
-    def __init__(self, orders: Orders, worker: str, token: str | None = None) -> None:
+    def __init__(self, orders: Orders, worker: str, access: Access | None = None) -> None:
         self._orders = orders
         self._worker = worker
-        self._token = token
+        self._access = access or Access()
         self._robot = get_embodiment(orders.settings["embodiment"])
         self._facts = environments.manifest(Path(orders.environment))
         self._machine = machine_facts()
-        self._own = None if orders.horizon is not None else _own_loop(Path(orders.policy))
+        self._own = None if orders.horizon is not None else Loop(Path(orders.policy))
         self._scene: _Scene | None = None
+
+    def prepare(self, task: str, setting: str) -> None:
+        """Make the environment of a task and setting, and import the adapter's loop, before the first job.
+
+        Raises:
+            UserError: the environment refuses its configuration, or cannot be played.
+        """
+        self._load()
+        self._set(task, setting)
 
     def play(self, job: Job, url: str) -> Outcome:
         """Play an attempt at an episode.
@@ -111,20 +145,52 @@ class Lane:
         Raises:
             UserError: nothing can be played: the environment refuses its configuration, or the policy does not fit.
         """
+        return self.play_batch([job], url)[0]
+
+    def play_batch(self, jobs: Sequence[Job], url: str) -> list[Outcome]:
+        """Play one attempt at each of some episodes, at once.
+
+        Args:
+            jobs: attempts at episodes of one task and setting, as many as there are environments, or fewer: the other
+                environments play seeds that nobody asked for.
+            url: of the policy server.
+
+        Raises:
+            UserError: nothing can be played, as for `play`.
+        """
+        self._load()
         started, clock = now(), time.perf_counter()
-        watch, line = self._played(job, url)
+        watch, lines = self._played(jobs, url)
         told = {"started": started, "wall_seconds": round(time.perf_counter() - clock, 3), "worker": self._worker}
-        if watch is None or line["failure"] == INFRASTRUCTURE:
-            return Outcome(job, {**line, **told}, self._machine, is_server_suspect=True)
         server = self._server()  # None where its connection was let go of
-        told |= {"inference": watch.inference, "server": server}
-        return Outcome(job, {**line, **told}, self._machine, watch.trace(), watch.film(), server is None)
+        outcomes = []
+        for job, line in zip(jobs, lines, strict=True):
+            if watch is None or line["failure"] == INFRASTRUCTURE:
+                outcomes.append(Outcome(job, {**line, **told}, self._machine, is_server_suspect=True))
+                continue
+            seen = {**line, **told, "inference": watch.inference, "server": server}
+            outcomes.append(Outcome(job, seen, self._machine, watch.trace(), watch.film(), server is None))
+        return outcomes
 
     def close(self) -> None:
         """End the connection, the environment and the adapter's loop."""
         if self._own is not None:
             self._own.close()
         self._leave()
+
+    def _load(self) -> None:
+        """Import the adapter's evaluation loop, where it is what plays.
+
+        Raises:
+            NotFoundError: there is no such loop.
+            UserError: it cannot be imported.
+        """
+        if self._own is None:
+            return
+        try:
+            self._own.load(batch=self._orders.num_envs > 1)
+        except LoopError as error:
+            raise UserError(str(error), code=ExitCode.NOT_RUN) from None
 
     def _leave(self) -> None:
         """End the connection and the environment."""
@@ -133,35 +199,38 @@ class Lane:
             _hang_up(scene)
             scene.env.close()
 
-    def _played(self, job: Job, url: str) -> tuple[Watch | None, Line]:
-        """Return who looked on, if it came to that, and what is recorded of the outcome."""
+    def _played(self, jobs: Sequence[Job], url: str) -> tuple[Watch | None, list[Line]]:
+        """Return who looked on, if it came to that, and what is recorded of each outcome."""
         watch = None
         try:
-            scene = self._set(job.task, job.setting)
-            reel = Reel(scene.frequency, scene.camera) if job.film and scene.camera is not None else None
-            watch = Watch(scene.env, self._robot, scene.frequency, traced=job.trace, reel=reel)
-            _reset(scene.env, job)
+            scene = self._ready(jobs[0])
+            reel = Reel(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
+            watch = Watch(scene.env, self._robot, scene.frequency, traced=jobs[0].trace, reel=reel)
+            _reset(scene.env, jobs, self._orders.num_envs)
             try:
                 client = self._connected(scene, url)
             except ServerFailedError as error:
-                return watch, self._failed(watch, error)
-            return watch, self._judged(watch, client)
+                return watch, self._failed(watch, error, len(jobs))
+            return watch, self._judged(watch, client, len(jobs))
         except _SpoiltError as error:
             self._drop()
-            return watch, failures.spoilt(str(error))
+            return watch, [failures.spoilt(str(error))] * len(jobs)
 
-    def _judged(self, watch: Watch, client: Client) -> Line:
-        """Run the loop and return how the episode went.
+    def _judged(self, watch: Watch, client: Client, count: int) -> list[Line]:
+        """Run the loop and return how each episode went.
 
         Raises:
-            _SpoiltError: the infrastructure broke it off.
+            _SpoiltError: the infrastructure broke them off.
         """
+        orders, batch = self._orders, self._orders.num_envs > 1
         try:
-            if self._own is None:
-                rollout.run_episode(watch, client, horizon=self._orders.horizon)
+            if self._own is not None:
+                self._own.play(watch, rollout.listened(watch, client), batch=batch)
+            elif batch:
+                rollout.run_batch(watch, client, horizon=orders.horizon)
             else:
-                self._own.play(watch, rollout.listened(watch, client), batch=False)
-            return failures.played(watch.results()[0])
+                rollout.run_episode(watch, client, horizon=orders.horizon)
+            return [failures.played(result) for result in watch.results()[:count]]
         except (ClientError, ActionError, LoopError) as error:
             broken: Exception = error
         except (ValueError, TypeError, AttributeError) as error:
@@ -170,22 +239,36 @@ class Lane:
             broken = error
         except (EnvLostError, EnvRaisedError) as error:
             raise _SpoiltError(str(error)) from None
-        return self._failed(watch, broken)
+        return self._failed(watch, broken, count)
 
-    def _failed(self, watch: Watch, error: Exception) -> Line:
-        """Return how an episode went that the policy's side broke off.
+    def _failed(self, watch: Watch, error: Exception, count: int) -> list[Line]:
+        """Return how episodes went that the policy's side broke off.
 
         Raises:
             _SpoiltError: it was not the policy's side.
         """
-        scene = self._scene
-        if blame.is_death(error, "" if scene is None or scene.client is None else scene.client[0]):
+        scene, results = self._scene, watch.results()[:count]
+        url = "" if scene is None or scene.client is None else scene.client[0]
+        if blame.is_death(error, url, self._access.ssl_context):
             if not isinstance(error, LoopLostError):
                 self._drop()
-            return failures.died(watch.results()[0], str(error))
+            return [failures.died(result, str(error)) for result in results]
         if isinstance(error, ClientError) and blame.is_outside(error):
             raise _SpoiltError(str(error))
-        return failures.failed(watch.results()[0], str(error))
+        return [failures.failed(result, str(error)) for result in results]
+
+    def _ready(self, job: Job) -> _Scene:
+        """Return the scene of a job.
+
+        Raises:
+            _SpoiltError: there is none now.
+        """
+        try:
+            return self._set(job.task, job.setting)
+        except UserError as error:
+            if error.code != ExitCode.NOT_RUN:
+                raise
+            raise _SpoiltError(str(error)) from None
 
     def _set(self, task: str, setting: str) -> _Scene:
         """Return the scene with an environment for a task and setting; a new one where they have changed."""
@@ -193,15 +276,9 @@ class Lane:
             return self._scene
         self._leave()
         orders = self._orders
-        folder = Path(orders.environment)
-        try:
-            python = interpreter.resolve(folder, self._facts, env=orders.eval_env)
-            config = {**orders.settings, "task": task, "setting": setting}
-            env = environments.start(orders.environment, config, python=python)
-        except UserError as error:
-            if error.code != ExitCode.NOT_RUN:
-                raise
-            raise _SpoiltError(str(error)) from None
+        python = interpreter.resolve(Path(orders.environment), self._facts, env=orders.eval_env)
+        config = {**orders.settings, "task": task, "setting": setting, "num_envs": orders.num_envs}
+        env = environments.start(orders.environment, config, workers=orders.env_workers, python=python)
         names = list(self._facts["cameras"])
         camera = next((name for name in sdk.OPTIONAL_CAMERAS if name in names), next(iter(names), None))
         self._scene = _Scene((task, setting), env, environments.frequency(self._facts, task), camera)
@@ -224,9 +301,21 @@ class Lane:
             sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
             "control_frequency": scene.frequency,
         }
+        access, config = self._access, self._orders.config
         try:
-            offer["inputs"] = observation.offered_inputs(scene.env.get_obs_batch([0])[0])
-            client = Client(url, config=_impatient(self._orders.config), token=self._token, environment=offer)
+            obs = scene.env.get_obs_batch([0])[0]
+            client = Client(
+                url,
+                config=config if access.is_patient else _impatient(config),
+                token=access.token,
+                ssl_context=access.ssl_context,
+                environment={
+                    **offer,
+                    "inputs": observation.offered_inputs(obs),
+                    "cameras": observation.offered_cameras(obs),
+                },
+                on_loading=access.on_loading,
+            )
         except EnvironmentMismatchError as error:
             raise UserError(str(error), code=ExitCode.USAGE) from None
         except EnvLostError as error:
@@ -254,21 +343,6 @@ class _SpoiltError(Exception):
     """The infrastructure broke an attempt off."""
 
 
-def _own_loop(policy: Path) -> Loop:
-    """Return the evaluation loop of an adapter, which can be played.
-
-    Raises:
-        NotFoundError: there is none.
-        UserError: it cannot be loaded.
-    """
-    loop = Loop(policy)
-    try:
-        loop.load(batch=False)
-    except LoopError as error:
-        raise UserError(str(error), code=ExitCode.NOT_RUN) from None
-    return loop
-
-
 def _impatient(config: Mapping[str, Any]) -> dict[str, Any]:
     """Return a configuration for a client that soon gives up on a server that is gone.
 
@@ -280,17 +354,19 @@ def _impatient(config: Mapping[str, Any]) -> dict[str, Any]:
     return {**config, sdk.Deploy.MAX_CONNECT_SECONDS: kept + _CONNECT_S, sdk.Deploy.CONNECT_RETRY_DELAY_S: _AGAIN_S}
 
 
-def _reset(env: Any, job: Job) -> None:
-    """Begin an episode.
+def _reset(env: Any, jobs: Sequence[Job], places: int) -> None:
+    """Begin episodes; places that are left over get seeds that nobody asked for.
 
     Raises:
-        UserError: the environment refuses the seed.
+        UserError: the environment refuses a seed.
         _SpoiltError: it raised something else, or is lost.
     """
+    seeds = [job.seed for job in jobs]
+    beyond = max(seeds) + 1
     try:
-        env.reset(seed=[job.seed])
+        env.reset(seed=[*seeds, *range(beyond, beyond + places - len(seeds))])
     except ValueError as error:
-        raise UserError(f"{job.task}, {job.setting}, seed {job.seed}: {error}") from None
+        raise UserError(f"{jobs[0].task}, {jobs[0].setting}, seeds {seeds}: {error}") from None
     except EnvRaisedError as error:
         raise _SpoiltError(f"the environment raised {error}") from None
     except EnvLostError as error:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import xpl_cli
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.lane import Lane, Orders
+from xpl_cli.evaluation.lanes.lane import Access, Lane, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts, package_digest
 from xpl_cli.packages import package
@@ -157,7 +157,7 @@ class Player:
             _check_files("adapter", self._orders.policy, self._orders.policy_digest)
             _check_files("environment", self._orders.environment, self._orders.environment_digest)
             if self._lane is None:
-                self._lane = Lane(self._orders, self._worker, self._token)
+                self._lane = Lane(self._orders, self._worker, Access(self._token))
         except UserError as error:
             return Refusal.of(error)
         url = None if self._server is None else self._server.url()

@@ -123,6 +123,30 @@ def read(path: Path, *, skip: bool = False) -> Run:
     return replace(found, skipped=tuple(map(str, bad)))
 
 
+class Unwritten:
+    """Keeps a run in memory and nowhere else.
+
+    Args:
+        plan: its first line.
+
+    Attributes:
+        run: what was kept.
+    """
+
+    def __init__(self, plan: Mapping[str, Any]) -> None:
+        self.run = Run(Path(), dict(plan))
+
+    def machine(self, facts: Mapping[str, Any]) -> str:
+        """Return the digest of a machine's facts."""
+        name = digest_of(facts)
+        self.run.machines[name] = dict(facts)
+        return name
+
+    def add(self, line: Line) -> None:
+        """Add one attempt at an episode."""
+        _take(line, self.run)
+
+
 class Writer:
     """Adds lines to a run's record; nobody else may write to it meanwhile.
 

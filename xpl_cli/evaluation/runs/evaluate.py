@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation import play
 from xpl_cli.evaluation.lanes import backends
 from xpl_cli.evaluation.lanes.backend import Room
 from xpl_cli.evaluation.lanes.lane import Orders
@@ -19,6 +18,7 @@ from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import plan, runner, stopping
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.evaluation.runs.schedule import Schedule
+from xpl_cli.evaluation.runs.settings import environment_for, environment_settings
 from xpl_cli.evaluation.runs.view import view
 from xpl_cli.packages import environments
 
@@ -97,7 +97,7 @@ def _planned(request: Request) -> tuple[Path, Line]:
         recorded = records.read(request.out).plan
         folder = environments.find(request.environment or recorded["environment"]["name"])
         return folder, plan.renewed(recorded, request.package, folder)
-    folder = environments.find(request.environment or play.environment_for())
+    folder = environments.find(request.environment or environment_for())
     config = request.package.config(request.overrides)
     planned = plan.make(request.package, folder, config, request.wishes or Wishes())
     for task, reason in planned.left_out.items():
@@ -142,8 +142,7 @@ def orders(request: Request, folder: Path, line: Line) -> tuple[Orders, ServerOr
     """
     package, config = request.package, line["policy"]["config"]
     cell = line["cells"][0]
-    asked = play.Request(package, str(folder), cell["task"], cell["setting"])
-    settings = play.environment_settings(asked, config)
+    settings = environment_settings(package, str(folder), config, task=cell["task"], setting=cell["setting"])
     lane_orders = Orders(
         policy=str(package.path),
         policy_digest=line["policy"]["digest"],

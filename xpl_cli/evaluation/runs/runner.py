@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.evaluation.lanes.backend import Backend, Job, Outcome
-    from xpl_cli.evaluation.records.records import Line, Writer
+    from xpl_cli.evaluation.records.records import Line, Run
     from xpl_cli.evaluation.runs.schedule import Schedule
 
 TRACES, FILMS = "traces", "films"
@@ -29,14 +29,30 @@ _PATIENCE = 4
 """A run stops after so many times the attempts of one episode, spoilt in a row."""
 
 
+class Sink(Protocol):
+    """Keeps what comes of a run: a record (`records.Writer`), or memory where there is none (`records.Unwritten`).
+
+    Attributes:
+        run: what it holds.
+    """
+
+    run: Run
+
+    def machine(self, facts: Mapping[str, Any]) -> str:
+        """Return the digest of a machine's facts."""
+
+    def add(self, line: Line) -> None:
+        """Add one attempt at an episode."""
+
+
 class View(Protocol):
     """Shows how far a run has come."""
 
     def add(self, line: Line, left: int) -> None:
-        """Show a line that was recorded, and how many episodes are not final yet."""
+        """Show a line that was recorded, and how many episodes are not final yet; may raise to end the run."""
 
 
-def play(writer: Writer, backend: Backend, schedule: Schedule, view: View) -> None:
+def play(writer: Sink, backend: Backend, schedule: Schedule, view: View) -> None:
     """Play until nothing is left.
 
     Raises:
@@ -116,7 +132,7 @@ class _Outage:
             self.spoilt, self.error = self.spoilt + 1, line["error"]
 
 
-def _record(writer: Writer, outcome: Outcome, attempts: int) -> Line:
+def _record(writer: Sink, outcome: Outcome, attempts: int) -> Line:
     """Write an attempt down, its files first, and return its line."""
     job, plan, folder = outcome.job, writer.run.plan, writer.run.folder
     line = {

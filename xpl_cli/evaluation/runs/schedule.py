@@ -26,10 +26,14 @@ class Schedule:
         films: how many episodes of each cell are filmed, from its first on.
         is_enough: tells whether a cell need not go on, by the successes of its episodes in the order of the plan, as
             far as all of them are final; None stands for an episode that does not count.
+        traced: whether curves are kept.
     """
 
-    def __init__(self, run: Run, films: int, is_enough: Callable[[Sequence[bool | None]], bool]) -> None:
+    def __init__(
+        self, run: Run, films: int, is_enough: Callable[[Sequence[bool | None]], bool], *, traced: bool = True
+    ) -> None:
         self._run = run
+        self._traced = traced
         self._is_enough = is_enough
         self._attempts = Counter(line["index"] for line in run.attempts)
         self._survived = survivors(run.attempts)
@@ -61,7 +65,8 @@ class Schedule:
         slot = queue.popleft()
         self._playing.add(slot.index)
         attempt = self._attempts[slot.index] + 1
-        return Job(slot.index, attempt, slot.task, slot.setting, slot.seed, film=slot.index in self._filmed)
+        is_filmed = slot.index in self._filmed
+        return Job(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=self._traced, film=is_filmed)
 
     def is_expected(self, job: Job) -> bool:
         """Tell whether this attempt is being played, as far as this side knows."""

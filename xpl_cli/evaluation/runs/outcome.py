@@ -12,7 +12,42 @@ from xpl.vector import INFRASTRUCTURE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl_cli.evaluation.records.records import Run
+
 SCHEMA = "xpl.eval/1"
+_OF_A_RECORD = (
+    "kind",
+    "index",
+    "attempt",
+    "final",
+    "embodiment",
+    sdk.Deploy.ACTION_TYPE,
+    "started",
+    "wall_seconds",
+    "worker",
+    "inference",
+    "server",
+    "machine",
+)
+"""What a line of a record says besides how the episode went."""
+
+
+def episodes(run: Run, num_envs: int) -> list[dict[str, Any]]:
+    """Return what is reported of each episode of a run.
+
+    Args:
+        run: what was played.
+        num_envs: episodes that were played at a time.
+    """
+    attempts = Counter(line["index"] for line in run.attempts)
+    return [
+        {
+            sdk.Obs.ENV_IDX: index % num_envs,
+            **{key: value for key, value in line.items() if key not in _OF_A_RECORD and (key, value) != ("task", None)},
+            "attempts": attempts[index],
+        }
+        for index, line in sorted(run.finals.items())
+    ]
 
 
 def report(played: Mapping[str, Any], episodes: Sequence[Mapping[str, Any]], seconds: float) -> dict[str, Any]:

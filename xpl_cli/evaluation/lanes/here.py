@@ -1,0 +1,100 @@
+"""The backend that plays in this process: one lane, several environments at once if need be, one policy server."""
+
+from __future__ import annotations
+
+import platform
+from typing import TYPE_CHECKING, Protocol
+
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.lanes.lane import Access, Lane, Orders
+from xpl_cli.evaluation.lanes.servers import ServerLostError
+
+if TYPE_CHECKING:
+    from xpl_cli.evaluation.lanes.backend import Job, Outcome
+
+
+class PolicyServer(Protocol):
+    """A policy server that a lane talks to: one of ours (`servers.Server`), or one that runs already."""
+
+    def url(self) -> str:
+        """Return where it answers."""
+
+    def drop(self) -> None:
+        """End it after an attempt that it may have spoilt."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+class Elsewhere:
+    """A policy server that somebody else looks after.
+
+    Args:
+        url: where it answers.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+
+    def url(self) -> str:
+        """Return where it answers."""
+        return self._url
+
+    def drop(self) -> None:
+        """Leave it as it is."""
+
+    def close(self) -> None:
+        """Leave it as it is."""
+
+
+class HereBackend:
+    """Plays jobs in this process (see `xpl_cli.evaluation.lanes.backend.Backend`).
+
+    Args:
+        orders: what is played; its environments are played in one batch.
+        server: who answers for the policy.
+        access: how it is reached.
+    """
+
+    def __init__(self, orders: Orders, server: PolicyServer, access: Access) -> None:
+        self._lane = Lane(orders, f"{platform.node()}/0", access)
+        self._places = orders.num_envs
+        self._server = server
+        self._given: list[Job] = []
+
+    def prepare(self, task: str, setting: str) -> None:
+        """Make the environment before a server is started.
+
+        Raises:
+            UserError: it cannot be played.
+        """
+        self._lane.prepare(task, setting)
+
+    def free(self) -> int:
+        """Return how many more jobs fit in the next batch."""
+        return self._places - len(self._given)
+
+    def submit(self, job: Job) -> None:
+        """Take a job for the next batch."""
+        self._given.append(job)
+
+    def wait(self) -> list[Outcome]:
+        """Play the batch, and return its outcomes.
+
+        Raises:
+            UserError: no job can be played.
+        """
+        jobs, self._given = self._given, []
+        try:
+            url = self._server.url()
+        except ServerLostError as error:
+            raise UserError(f"the policy server does not start any more: {error}", code=ExitCode.NOT_RUN) from None
+        outcomes = self._lane.play_batch(jobs, url)
+        if any(outcome.is_server_suspect for outcome in outcomes):
+            self._server.drop()
+        return outcomes
+
+    def close(self) -> None:
+        """End the lane, and the server where it is ours."""
+        self._lane.close()
+        self._server.close()

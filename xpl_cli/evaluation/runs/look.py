@@ -1,0 +1,202 @@
+"""An evaluation that is not recorded: some episodes of one task, told at once (`xpl.eval/1`).
+
+The same lane and the same rules as for a recorded run. What differs is what a quick look is for: seeds are the ones
+that were named, several environments may be one batch, a server that runs already may be asked, and the first episode
+that the policy breaks off ends it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
+from xpl_cli.evaluation.lanes.lane import Access, Orders
+from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
+from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
+from xpl_cli.evaluation.records.records import Unwritten
+from xpl_cli.evaluation.runs import outcome, runner
+from xpl_cli.evaluation.runs.plan import ATTEMPTS
+from xpl_cli.evaluation.runs.schedule import Schedule
+from xpl_cli.evaluation.runs.settings import environment_settings, settings_of
+from xpl_cli.packages import environments
+
+if TYPE_CHECKING:
+    import ssl
+    from collections.abc import Mapping
+
+    from xpl_cli.basics.progress import Progress
+    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.packages.package import Package
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to evaluate.
+
+    Attributes:
+        package: the adapter.
+        environment: name of the environment package.
+        task: task of it, its first one by default.
+        setting: setting of it, its first one by default.
+        episodes: number of episodes.
+        num_envs: environments that run at once, in one batch.
+        workers: processes that share them; 0 plays them in this process.
+        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
+        overrides: keys of deploy.yml.
+        connect: address of a server that already runs; one is started otherwise.
+        token, ssl_context: what a server that already runs asks for.
+        python, env, gpu: interpreter and device of the adapter.
+        eval_env: interpreter of the environment, as `interpreter.resolve` takes it; env.yml's or ours by default.
+    """
+
+    package: Package
+    environment: str
+    task: str | None = None
+    setting: str | None = None
+    episodes: int = 1
+    num_envs: int = 1
+    workers: int = 1
+    horizon: int | None = None
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    connect: str | None = None
+    token: str | None = None
+    ssl_context: ssl.SSLContext | None = None
+    python: str | None = None
+    env: str | None = None
+    gpu: str | None = None
+    eval_env: str | None = None
+
+
+def places(num_envs: int | None, workers: str) -> tuple[int, int]:
+    """Return how many environments are played at once, and by how many processes.
+
+    Args:
+        num_envs: environments, or None for one a process.
+        workers: number of processes; 0 for none but this one, "auto" for one a core, as far as there are environments.
+
+    Raises:
+        UserError: `workers` is neither, or there are more of them than environments.
+    """
+    if workers == "auto":
+        cores = len(os.sched_getaffinity(0))
+        return (cores, cores) if num_envs is None else (num_envs, min(cores, num_envs))
+    if not workers.isdecimal():
+        raise UserError(f"--workers must be a number or auto, got {workers!r}")
+    count = int(workers)
+    if num_envs is not None and count > num_envs:
+        raise UserError(f"{count} workers for {num_envs} environments: leave --num-envs out, or ask for fewer workers")
+    return (max(1, count) if num_envs is None else num_envs), count
+
+
+def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
+    """Play the episodes and return the report `xpl.eval/1`.
+
+    Raises:
+        UserError: the environment does not know the task or embodiment or cannot be played, policy and environment do
+            not fit, or the policy breaks an episode off.
+    """
+    started = time.perf_counter()
+    config = request.package.config(request.overrides)
+    folder = environments.find(request.environment)
+    settings = environment_settings(
+        request.package,
+        request.environment,
+        config,
+        task=request.task,
+        setting=request.setting,
+        num_envs=request.num_envs,
+    )
+    setting = request.setting or settings_of(environments.manifest(folder))[0]
+    first = int(config[sdk.Deploy.SEED])
+    sink = Unwritten(_plan(settings, setting, range(first, first + request.episodes), request.horizon))
+    schedule = Schedule(sink.run, 0, lambda _outcomes: False, traced=False)
+    with contextlib.closing(_backend(request, str(folder), config, settings, progress)) as backend:
+        backend.prepare(settings["task"], setting)
+        runner.play(sink, backend, schedule, _View(sink.run, request.episodes, progress))
+    played = {
+        "policy": request.package.name,
+        "environment": request.environment,
+        "task": settings["task"],
+        "setting": setting,
+        "embodiment": settings["embodiment"],
+        sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
+        "num_envs": request.num_envs,
+        "workers": request.workers,
+        "horizon": request.horizon,
+    }
+    return outcome.report(played, outcome.episodes(sink.run, request.num_envs), time.perf_counter() - started)
+
+
+class _View:
+    """Says how far it has come, and ends it where the policy breaks an episode off.
+
+    Args:
+        run: what was played; it grows.
+        total: number of episodes.
+        progress: where to say it.
+    """
+
+    def __init__(self, run: Run, total: int, progress: Progress) -> None:
+        self._run, self._total, self._progress = run, total, progress
+
+    def add(self, line: Line, left: int) -> None:  # noqa: ARG002 - as every view
+        """Show a line.
+
+        Raises:
+            UserError: the policy broke the episode off, in the last of its attempts.
+        """
+        where = f"episode with seed {line[sdk.Deploy.SEED]}"
+        if not line["final"]:
+            self._progress.step(f"{where}: {line['error']}; the trial does not count")
+            return
+        if line["end_reason"] in (POLICY_ERROR, POLICY_DIED):
+            raise UserError(f"{where}: {line['error']}", code=ExitCode.FINDINGS)
+        self._progress.step(outcome.line(list(self._run.finals.values()), self._total))
+
+
+def _plan(settings: Mapping[str, Any], setting: str, seeds: range, horizon: int | None) -> Line:
+    """Return what a schedule and a runner read of a plan; nobody writes it down."""
+    cell = {"task": settings["task"], "setting": setting, "dimension": None, "seeds": list(seeds), "frozen": False}
+    return {
+        "embodiment": settings["embodiment"],
+        sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
+        "control": {"horizon": horizon, "attempts": ATTEMPTS},
+        "cells": [cell],
+        "until_width": None,
+    }
+
+
+def _backend(
+    request: Request, folder: str, config: Mapping[str, Any], settings: Mapping[str, Any], progress: Progress
+) -> HereBackend:
+    policy = str(request.package.path)
+    orders = Orders(
+        policy=policy,
+        policy_digest="",
+        environment=folder,
+        environment_digest="",
+        config=config,
+        settings={key: value for key, value in settings.items() if key not in ("task", "setting")},
+        horizon=request.horizon,
+        eval_env=request.eval_env,
+        num_envs=request.num_envs,
+        env_workers=request.workers,
+    )
+    access = Access(
+        token=request.token,
+        ssl_context=request.ssl_context,
+        is_patient=True,
+        on_loading=lambda told: progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s"),
+    )
+    if request.connect is not None:
+        return HereBackend(orders, Elsewhere(request.connect), access)
+    ours = ServerOrders(
+        policy, "", overrides=request.overrides, python=request.python, env=request.env, gpu=request.gpu
+    )
+    return HereBackend(orders, Server(ours, 1), access)

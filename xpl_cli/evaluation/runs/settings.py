@@ -1,0 +1,109 @@
+"""What an environment is configured with for an adapter: task, robot, cameras, privileged observations."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl import get_embodiment
+from xpl_cli.basics.errors import NotFoundError, UserError
+from xpl_cli.packages import environments
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from xpl_cli.packages.package import Package
+
+
+def environment_for(variable: str | None = None) -> str:
+    """Return the environment that `EVAL_ENV_TYPE` (or the given value) stands for.
+
+    Raises:
+        UserError: if it stands for none here.
+    """
+    rule = spec.data("package")["eval_env_type"]
+    kind = variable or os.environ.get(rule["variable"]) or rule["default"]
+    name = rule["values"].get(kind)
+    if name is None:
+        there = ", ".join(one for one, package in rule["values"].items() if package is not None)
+        raise UserError(
+            f"{rule['variable']}={kind}: no environment of that kind is here; there are {there}",
+            hint="name an environment package with --env",
+        )
+    return str(name)
+
+
+def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs from another
+    package: Package,
+    environment: str,
+    config: Mapping[str, Any],
+    *,
+    task: str | None = None,
+    setting: str | None = None,
+    num_envs: int = 1,
+) -> dict[str, Any]:
+    """Return the configuration of the environment for an adapter.
+
+    Args:
+        package: the adapter.
+        environment: name of the environment package, or its folder.
+        config: the adapter's configuration.
+        task: task of the environment; deploy.yml's or its first one by default.
+        setting: setting of it; left out of the configuration by default.
+        num_envs: environments that are played at once.
+
+    Raises:
+        NotFoundError: if the environment has no such task or setting.
+        UserError: if it does not have the embodiment or action type.
+    """
+    manifest = environments.manifest(environments.find(environment))
+    tasks = manifest["tasks"]
+    task, is_asked_for = task or config.get(sdk.Deploy.TASK_NAME), task is not None
+    if task not in tasks and (is_asked_for or environment != "offline"):
+        if task is not None:
+            raise NotFoundError(f"{environment} has no task {task!r}; it has {', '.join(tasks)}")
+        task = next(iter(tasks))
+    robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
+    if robot not in manifest["embodiments"]:
+        raise UserError(f"{environment} has no {robot}; it has {', '.join(manifest['embodiments'])}")
+    offered = settings_of(manifest)
+    if setting is not None and setting not in offered:
+        raise NotFoundError(f"{environment} has no setting {setting!r}; it has {', '.join(offered)}")
+    inputs = package.manifest.get("inputs")
+    wanted = None if inputs is None else [*(inputs.get("required") or ()), *(inputs.get("optional") or ())]
+    return {
+        "task": task,
+        "embodiment": robot,
+        sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
+        "num_envs": num_envs,
+        "cameras": _cameras(package.manifest, wanted, manifest["cameras"]),
+        sdk.Obs.PRIVILEGED: wanted is not None and sdk.Obs.PRIVILEGED in wanted,
+        **({} if setting is None else {"setting": setting}),
+    }
+
+
+def _cameras(
+    policy: Mapping[str, Any], wanted: Sequence[str] | None, offered: Mapping[str, Any]
+) -> bool | tuple[int, int]:
+    """Return what an environment is asked to render: nothing, images of its own size, or (height, width).
+
+    Cameras cost most of a step: only who declares them gets them, and who has no manifest. Environments render all
+    cameras alike, so that several exact sizes cannot be had: the handshake then says which one is missing.
+    """
+    if wanted is not None and not any(name.startswith(sdk.Obs.VISION) for name in wanted):
+        return False
+    needs = [entry for name, entry in (policy.get("cameras") or {}).items() if name in offered]
+    height, width = (max((need.get(side) or 0 for need in needs), default=0) for side in ("height", "width"))
+    exact = any(need.get("exact") for need in needs)
+    own = [(entry["height"], entry["width"]) for entry in offered.values() if entry]
+    if not height or not width or (not exact and all(rows >= height and columns >= width for rows, columns in own)):
+        return True
+    return height, width
+
+
+def settings_of(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the settings of an environment, by default the schema's."""
+    found: list[str] = manifest.get("settings") or spec.schema("env")["properties"]["settings"]["default"]
+    return found
