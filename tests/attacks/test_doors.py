@@ -19,7 +19,7 @@ from tests.support.peer import Peer, wait_until, xpl
 from tests.support.raw import CLOSE, Raw, dial, page
 from xpl import Client
 from xpl import _spec as spec
-from xpl.client import ServerConnectionError
+from xpl.client import EnvironmentMismatchError, ServerConnectionError
 from xpl.wire import codec
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.serving.entry import door
@@ -166,6 +166,20 @@ def test_a_name_is_checked_when_it_is_given() -> None:
     for given_names in ({"hosts": ["a b"]}, {"origins": ["https://"]}, {"origins": ["https://a/path"]}):
         with pytest.raises(UserError):
             Names("localhost", **given_names)
+
+
+def test_a_robot_is_served_by_a_server_that_asks_for_a_token_only(server: RunningServer, subject: Path) -> None:
+    """Anybody on the machine could otherwise take its place; who starts one with a secret knows it."""
+    robot = {"real_time": True}
+    with pytest.raises(EnvironmentMismatchError, match="start it with --token-file"):
+        Client(server.url, config=ONCE, environment=robot)
+    with serving(subject, secret=True) as own:
+        with pytest.raises(ServerConnectionError, match="bearer token"):
+            Client(own.url, config=ONCE, environment=robot)
+        with Client(own.url, config=ONCE, environment=robot, token=own.token) as client:
+            assert client.infer({}) == [1]
+    with Client(server.url, config=ONCE, environment={"real_time": False}) as client:
+        assert client.infer({}) == [1]
 
 
 # -- requests that cannot be read --------------------------------------------------------------------------------------

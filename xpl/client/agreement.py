@@ -17,6 +17,8 @@ from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 
 _EMBODIMENT, _EMBODIMENTS, _ACTION_TYPES, _INPUTS = "embodiment", "embodiments", "action_types", "inputs"
 _ACTION_TYPE, _FREQUENCY, _CAMERAS = spec.Deploy.ACTION_TYPE, "control_frequency", "cameras"
+REAL_TIME = "real_time"
+"""Whether an environment goes on while the policy thinks, as a robot does; its servers ask for a token."""
 _SIDES, _EXACT = ("width", "height"), "exact"
 
 
@@ -160,6 +162,12 @@ def _number(given: Any) -> float | int:
     return int(given) if isinstance(given, numbers.Integral) else float(given)
 
 
+def _flag(given: Any) -> bool:
+    if type(given) is not bool:
+        raise TypeError
+    return given
+
+
 def _texts(given: Any) -> list[str]:
     if not isinstance(given, (list, tuple)):
         raise TypeError
@@ -187,6 +195,7 @@ _ENTRIES: dict[str, tuple[str, Callable[[Any], Any]]] = {
     _ACTION_TYPES: ("a list of text", _texts),
     _FREQUENCY: ("a number", _number),
     _INPUTS: ("a list of text", _texts),
+    REAL_TIME: ("true or false", _flag),
     _CAMERAS: ("a map of maps with width and height", _sizes),
 }
 

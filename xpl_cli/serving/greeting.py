@@ -60,8 +60,14 @@ def _invalid(part: str, problem: str, *differences: dict[str, Any]) -> RequestEr
     return RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=list(differences))
 
 
-def greeting(policy: dict[str, Any], state: str, frame: codec.Frame) -> dict[str, Any]:
+def greeting(policy: dict[str, Any], state: str, frame: codec.Frame, *, guarded: bool) -> dict[str, Any]:
     """Return the answer to hello, but for what depends on the client's place.
+
+    Args:
+        policy: what the policy needs.
+        state: of the server.
+        frame: the hello.
+        guarded: whether clients have to show a token.
 
     Raises:
         RequestError: `mismatch` if policy and environment do not fit; `invalid_frame` if what the environment says of
@@ -72,6 +78,10 @@ def greeting(policy: dict[str, Any], state: str, frame: codec.Frame) -> dict[str
     except agreement.AnnouncementError as error:
         told = {"field": error.field, "policy": None, "environment": None, "message": str(error)}
         raise _invalid(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", told) from None
+    if offered.get(agreement.REAL_TIME) and not guarded:
+        text = "the environment runs in real time, and this server asks for no token: start it with --token-file"
+        told: dict[str, Any] = {"field": agreement.REAL_TIME, "policy": None, "environment": True, "message": text}
+        raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=[told])
     found = agreement.differences(policy, offered)
     if found:
         raise RequestError(

@@ -6,13 +6,16 @@ import collections
 import contextlib
 import json
 import os
+import secrets
 import selectors
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -20,7 +23,6 @@ from xpl_cli.serving import nursery
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from xpl_cli.serving.nursery import Hosted
 
@@ -57,6 +59,7 @@ class RunningServer:
         log: last lines of what it and the adapter printed.
         stubbed: modules that were stubbed, where that was asked for.
         stop_seconds: how long it took to end when it was told to, s.
+        token: what clients have to show, where it was started with a secret.
         process: its front end, for whoever started it.
     """
 
@@ -66,6 +69,7 @@ class RunningServer:
     stubbed: tuple[str, ...] = ()
     stop_seconds: float | None = None
     also: dict[str, str] = field(default_factory=dict)
+    token: str | None = None
     process: Hosted | None = None
 
     @property
@@ -90,6 +94,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     options: Sequence[str] = (),
     load_timeout: float = 600.0,
     echo: bool = False,
+    secret: bool = False,
 ) -> Iterator[RunningServer]:
     """Serve an adapter on a free loopback port for the length of a `with` block.
 
@@ -102,10 +107,12 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         options: further options of `xpl serve`.
         load_timeout: longest wait for the model, s.
         echo: also show the server's output on stderr.
+        secret: have it ask for a token that is made for it, as servers in front of robots do.
 
     Raises:
         ServerStartError: if it does not become ready.
     """
+    token = secrets.token_urlsafe(32) if secret else None
     command = ["serve", str(policy), "--port", "0", "--host", "localhost"]
     # The server holds our end of its standard input: if this process is killed, the server notices and ends too.
     command.append("--until-stdin-ends")
@@ -114,8 +121,10 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     for option, value in (("--python", python), ("--policy-env", env), ("--gpu", gpu)):
         command += [option, value] if value is not None else []
     command += options
+    secret_file = None if token is None else _private(token)
+    command += [] if secret_file is None else ["--token-file", str(secret_file)]
     process = nursery.start(command)
-    server = RunningServer(url="", pid=process.pid, process=process)
+    server = RunningServer(url="", pid=process.pid, process=process, token=token)
     reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
     reader.start()
     try:
@@ -124,6 +133,8 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         server.also = dict(ready.get("also", {}))
         yield server
     finally:
+        if secret_file is not None:
+            secret_file.unlink()
         started = time.monotonic()
         _stop(process)
         server.stop_seconds = time.monotonic() - started
@@ -131,6 +142,14 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         process.stdin.close()
         process.stdout.close()
         process.stderr.close()
+
+
+def _private(text: str) -> Path:
+    """Return a new file that nobody else may read."""
+    descriptor, name = tempfile.mkstemp(prefix="xpl-token-")
+    with open(descriptor, "w", encoding="ascii") as file:  # noqa: PTH123 - a descriptor
+        file.write(text)
+    return Path(name)
 
 
 def _wait_ready(

@@ -304,7 +304,7 @@ class FrontEnd:
     def _greeting(self, connection: Connection, frame: codec.Frame) -> dict[str, Any] | None:
         """Return the answer to hello: while the models load without a place, or None for who waits for them."""
         asked = capabilities(frame)
-        answer = greeting(self._settings.policy, self.state, frame)
+        answer = greeting(self._settings.policy, self.state, frame, guarded=self._settings.token is not None)
         connection.packs = bool(asked.get(spec.Capability.PACKED))
         connection.counts = bool(asked.get(spec.Capability.SEQUENCE))
         if self.state == spec.ServerState.LOADING:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
 _BUFFER = 1 << 22
+_LINE = 500
+"""Characters of a printed line that clients are shown while the model loads."""
 _SIGNALLED = 128
 """What a launcher adds to the number of the signal that ended what it had started."""
 
@@ -275,7 +277,7 @@ class WorkerProcess:
         while stream is not None and (chunk := await stream.read(1 << 15)):
             shown = text.decode(chunk)
             lines = shown.splitlines()
-            self.last_line = next((line.strip() for line in reversed(lines) if line.strip()), self.last_line)
+            self.last_line = next((line.strip()[:_LINE] for line in reversed(lines) if line.strip()), self.last_line)
             if self._label:
                 shown = "".join(
                     (self._label if at_start or place else "") + line
