@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import typer
+import yaml
 
 from tests.support import bundles
 from tests.support.commands import problem, xpl
@@ -176,6 +177,7 @@ def test_all_values_that_are_of_no_use_are_one_sentence(name: str, place: Path) 
         (["serve", "policy/Foo", "--python", "folder"], 4, "no interpreter"),
         (["serve", "policy/Foo", "--chdir", "file"], 3, "no folder"),
         (["serve", "policy/Foo", "--memory-limit", "9" * 5000], 2, "--memory-limit takes a size"),
+        (["eval", "policy/Foo", "--env", "mujoco", "--out", "nothing", "--resume"], 3, "no recorded run to go on with"),
         (["verify", "bundle.zip", "--max-size", "9" * 5000], 2, "--max-size takes a size"),
         (["env", "check", "\x1b[31mred"], 3, "x1b[31mred"),
         (["review", "--base", "HEAD", "--description", "/dev/zero"], 2, "expected a file, got a device"),
@@ -185,3 +187,19 @@ def test_what_was_found_is_told(arguments: list[str], code: int, said: str, plac
     """Values that ended in internal errors, waited for ever, or were taken for something else."""
     ended = xpl(*arguments, folder=place)
     assert (ended.code, said in ended.stderr) == (code, True), ended
+
+
+def test_a_kind_of_environment_that_is_not_here_is_not_named_as_one_that_is(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`EVAL_ENV_TYPE=real`."""
+    monkeypatch.setenv("EVAL_ENV_TYPE", "real")
+    ended = xpl("eval", "policy/Foo", folder=place)
+    assert (ended.code, "there are debug, sim\n" in ended.stderr) == (2, True), ended
+
+
+def test_a_robot_that_is_described_by_another_one_is_shown_whole(place: Path) -> None:
+    """`xpl spec show franka_single` tells its joints and gripper, too, and is YAML."""
+    ended = xpl("spec", "show", "franka_single", folder=place)
+    told, other = yaml.safe_load(ended.stdout), yaml.safe_load(xpl("spec", "show", "franka", folder=place).stdout)
+    assert (told["name"], told["arms"], told["arm"]["dof"]) == ("franka_single", ["single"], other["arm"]["dof"])

@@ -232,16 +232,20 @@ def test_evaluation_seeds_are_those_of_the_environment_where_it_has_some(room: P
 
 
 def _killed_again_and_again(room: Path, command: list[str], kills: int, seed: int, longest_s: float) -> None:
-    """Kill a run at random moments, resume it each time, and let it end.
+    """Kill a run at random moments, resume it each time that there is something to resume, and let it end.
 
     A moment is a random time after a random number of episodes that the run has told of, so that busy machines get as
     far as quick ones; the first moments are before the first episode.
     """
     draw = random.Random(seed)  # noqa: S311 - moments, not secrets
     mark = uuid.uuid4().hex
+
+    def going_on() -> list[str]:
+        return [*command, "--resume"] if (room / command[-1] / records.FILE).exists() else command
+
     for _ in range(kills):
         with subprocess.Popen(
-            command, cwd=room, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, env={**os.environ, MARK: mark}
+            going_on(), cwd=room, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, env={**os.environ, MARK: mark}
         ) as process:
             assert process.stderr is not None
             for _ in range(draw.randrange(4)):
@@ -251,7 +255,7 @@ def _killed_again_and_again(room: Path, command: list[str], kills: int, seed: in
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGKILL)
         wait_until(lambda: not processes(mark), "nothing is left of the run")
-    done = subprocess.run(command, cwd=room, capture_output=True, text=True, check=False)
+    done = subprocess.run(going_on(), cwd=room, capture_output=True, text=True, check=False)
     assert done.returncode == ExitCode.CLEAN, done.stderr
 
 
@@ -269,7 +273,7 @@ def _agree(killed: Path, whole: Path) -> None:
 def test_a_run_that_is_killed_three_times_ends_with_the_same_table(room: Path) -> None:
     """And no process survives it."""
     command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
-    command += ["--episodes", "6", "--resume", "--out"]
+    command += ["--episodes", "6", "--out"]
     _killed_again_and_again(room, [*command, "killed"], 3, 20261121, 0.2)
     whole = subprocess.run([*command, "whole"], cwd=room, capture_output=True, text=True, check=False)
     assert whole.returncode == ExitCode.CLEAN, whole.stderr
@@ -335,7 +339,7 @@ def test_a_run_in_physics_that_is_killed_twenty_times_ends_with_the_same_table(t
     """At random moments, with two lanes, four cells and 60 episodes."""
     command = [sys.executable, "-m", "xpl_cli", "eval", "scripted_expert", "--env", "mujoco", "--horizon", "1"]
     command += ["--task", "lift_cube,push_block", "--setting", "clean,randomized", "--episodes", "15", "--film", "0"]
-    command += ["--workers", "2", "--resume", "--out"]
+    command += ["--workers", "2", "--out"]
     _killed_again_and_again(tmp_path, [*command, "killed"], 20, 8, 1.5)
     whole = subprocess.run([*command, "whole"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert whole.returncode == ExitCode.CLEAN, whole.stderr

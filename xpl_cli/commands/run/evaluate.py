@@ -85,8 +85,10 @@ def evaluate(
         overrides[spec.Deploy.SEED] = seed
     adapter = package.load(policy)
     if out is not None:
+        from xpl_cli.basics.errors import NotFoundError
         from xpl_cli.evaluation.lanes import backends
         from xpl_cli.evaluation.lanes.backend import Room
+        from xpl_cli.evaluation.records import records
         from xpl_cli.evaluation.runs import evaluate as suite
         from xpl_cli.evaluation.runs import plan
 
@@ -95,6 +97,8 @@ def evaluate(
                 "--out records what anybody can play again, by digests of files and weights, each episode alone: no "
                 "--connect, no --num-envs"
             )
+        if resume and not (out / records.FILE).exists():
+            raise NotFoundError(f"{out} holds no recorded run to go on with", hint="without --resume it begins one")
         first = int(adapter.config(overrides)[spec.Deploy.SEED])
         is_silent = not overrides and {task, setting, episodes, horizon, until_width} == {None}
         _recorded(

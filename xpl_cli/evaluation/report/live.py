@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import ipaddress
 import json
 import re
 import time
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Lock, Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import unquote, urlsplit
 
+from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.report import curves, media, page
@@ -28,9 +28,13 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 RENEW_SECONDS = 2.0
 _POLL_SECONDS = 0.05
+_NAMES = (HOST, "localhost")
+_HTTP = 80
 _REST = 4
 """A page is made again only after as many times as long as it took to make."""
-_CURVES = re.compile(r"/curves/(\d+)\.json")
+_CURVES = re.compile(r"/curves/([0-9]{1,9})\.json")
+_SILENCE_S = 20.0
+"""How long a connection may say nothing: every one has a thread."""
 
 
 class Growing:
@@ -94,7 +98,7 @@ def server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
         shown = growing
 
     try:
-        return ThreadingHTTPServer((HOST, port), Handler)
+        return _Server((HOST, port), Handler)
     except OSError as error:
         raise UserError(f"{HOST}:{port} cannot be listened on: {error.strerror}", code=ExitCode.NOT_RUN) from None
 
@@ -120,28 +124,54 @@ def address(running: ThreadingHTTPServer) -> str:
     return f"http://{HOST}:{running.server_address[1]}/"
 
 
+class _Server(ThreadingHTTPServer):
+    """A server that says nothing of clients who go away."""
+
+    daemon_threads = True
+
+    def handle_error(self, *_: Any) -> None:
+        """Say nothing: the terminal belongs to the evaluation."""
+
+
 class _Handler(BaseHTTPRequestHandler):
     """Answers for the page, the curves of an episode, and the films and traces that the record names."""
 
     shown: Growing
     protocol_version = "HTTP/1.1"
 
+    timeout = _SILENCE_S
+
     def do_GET(self) -> None:
         """Answer a request."""
-        # Another site's name that was made to lead here must not be able to read the run.
-        if not _is_loopback(self.headers.get("Host", "")):
+        # Another site's page, or a name of it that was made to lead here, must not be able to read the run.
+        if not self._is_ours():
             self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
             return
-        path = unquote(urlsplit(self.path).path)
         try:
+            path = unquote(urlsplit(self.path).path)
             if path == "/":
                 self._send(self.shown.page(), "text/html; charset=utf-8")
             elif match := _CURVES.fullmatch(path):
                 self._send_curves(int(match[1]))
+            elif path.startswith("/curves/"):
+                self.send_error(HTTPStatus.BAD_REQUEST, "expected the number of an episode")
             else:
                 self._send_file(path.removeprefix("/"))
+        except ValueError:
+            self.send_error(HTTPStatus.BAD_REQUEST)
         except (UserError, OSError) as error:
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, explain=str(error))
+
+    def _is_ours(self) -> bool:
+        """Tell whether a request names this server, once and as itself, and no other site is behind it."""
+        port = cast("tuple[str, int]", self.server.server_address)[1]
+        ours = {f"{name}{ending}" for name in _NAMES for ending in (f":{port}", *([""] if port == _HTTP else []))}
+        origins = self.headers.get_all("Origin", [])
+        return (
+            [host in ours for host in self.headers.get_all("Host", [])] == [True]
+            and not urlsplit(self.path[:8]).scheme
+            and all(origin.removeprefix("http://") in ours for origin in origins)
+        )
 
     def _send_curves(self, index: int) -> None:
         run = self.shown.run()
@@ -160,7 +190,7 @@ class _Handler(BaseHTTPRequestHandler):
                 if kind in episode and episode[kind]["path"] == name:
                     path = media.locate(run.folder, episode, kind)
                     self._send(
-                        path.read_bytes(), media.MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream")
+                        files.content(path), media.MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream")
                     )
                     return
         self.send_error(HTTPStatus.NOT_FOUND)
@@ -181,13 +211,3 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: object) -> None:
         """Say nothing: the terminal belongs to the evaluation."""
-
-
-def _is_loopback(host: str) -> bool:
-    name = urlsplit(f"//{host}").hostname or ""
-    if name == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(name).is_loopback
-    except ValueError:
-        return False

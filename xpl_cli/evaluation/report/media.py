@@ -8,6 +8,7 @@ import itertools
 import json
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.basics import files
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.report import curves
 
@@ -64,8 +65,12 @@ def locate(folder: Path, episode: Line, kind: str) -> Path:
     Raises:
         UserError: if the record names one outside the run's folder.
     """
-    path: Path = (folder / episode[kind]["path"]).resolve()
-    if not path.is_relative_to(folder.resolve()):
+    try:
+        path: Path = (folder / episode[kind]["path"]).resolve()
+        is_inside = path.is_relative_to(folder.resolve())
+    except (ValueError, RuntimeError, OSError):  # a name that no file bears, or a link that leads back to itself
+        is_inside = False
+    if not is_inside:
         raise UserError(f"the record names a {kind} outside the run: {episode[kind]['path']}")
     return path
 
@@ -74,7 +79,7 @@ def _piece(kind: str, path: Path, episode: Line, budget: int) -> tuple[dict[str,
     """Return a film or curves to embed and their size; nothing where the budget does not bear them."""
     if path.stat().st_size > budget:
         return None, 0
-    content = path.read_bytes()
+    content = files.content(path)
     if hashlib.sha256(content).hexdigest() != episode[kind]["digest"]:
         raise UserError(f"{episode[kind]['path']} is not what was recorded: its digest differs")
     if kind == TRACE:
