@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.support.openpi import METADATA, policy_server
+from tests.support.stand_in import standing_in
 from xpl import AsyncClient, Client, get_embodiment
 from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
 from xpl.client.openpi import OpenpiClient
@@ -78,7 +79,7 @@ def url(model: Model) -> Iterator[str]:
 @pytest.fixture
 def client(url: str) -> Iterator[OpenpiClient]:
     """Return a client of it."""
-    with Client(url, config=CONFIG) as client:
+    with Client(url, config={**CONFIG, "server": url}) as client:
         assert isinstance(client, OpenpiClient)
         yield client
 
@@ -176,7 +177,7 @@ def test_a_remote_adapter_speaks_openpi(url: str, tmp_path: Path) -> None:
     answers = {"name": "Far", **scaffold.defaults(), "kind": "remote", "embodiment": "franka_single", "chunk": 3}
     scaffold.write(scaffold.render(scaffold.answers_of(**answers)), adapter)
     told = {"server": url, "wire": "openpi", "openpi": {"style": "libero"}}
-    with serving(adapter, told) as far, Client(far.url) as policy:
+    with serving(adapter, told) as far, Client(far.url, config=told) as policy:
         assert [first_joint([step]) for step in _ask(policy, observation(0.25))] == [0.25] * 3
         policy.reset()
         policy.update_obs_batch([observation(0.1 * env, env) for env in (1, 2)])
@@ -188,7 +189,7 @@ def test_a_remote_adapter_speaks_openpi(url: str, tmp_path: Path) -> None:
 
 def test_a_server_of_openpi_is_recognised_by_its_first_word(url: str) -> None:
     """By either of our clients, with the key that makes it work."""
-    told = r"speaks openpi's wire.*`wire: openpi` in deploy.yml"
+    told = r"speaks openpi's wire.*`wire: openpi` beside `server` in deploy.yml"
     with pytest.raises(ClientError, match=told):
         Client(url, config=ONCE)
 
@@ -220,12 +221,23 @@ def test_text_first_is_how_a_server_refuses() -> None:
         OpenpiClient(url, config=CONFIG)
 
 
-def test_a_server_that_waits_for_a_word_is_none_of_openpi() -> None:
-    """It may be one of ours."""
+def test_an_address_where_nothing_answers_is_told() -> None:
+    """After as many attempts as are allowed."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         silent = f"ws://127.0.0.1:{listener.getsockname()[1]}"
         with pytest.raises(ServerConnectionError, match=r"no openpi server at .* after 1 attempts"):
             OpenpiClient(silent, config={**CONFIG, "connect_timeout_s": 0.05})
+
+
+def test_a_server_that_waits_for_hello_is_told_apart() -> None:
+    """Once is enough: it would wait the next time, too."""
+    with (
+        standing_in(lambda _: None) as (address, _),
+        pytest.raises(
+            ServerConnectionError, match=r"said nothing in time .*one of xpl waits for hello \(`wire: xpl`\)"
+        ),
+    ):
+        OpenpiClient(address, config={**CONFIG, "handshake_timeout_s": 0.05, "max_connect_attempts": 9})
 
 
 def test_an_http_server_is_told_with_what_is_spoken() -> None:
@@ -260,8 +272,8 @@ def _web() -> Iterator[str]:
 def test_a_wire_that_is_not_spoken_is_refused(url: str) -> None:
     """With those that are, and those that are not yet."""
     with pytest.raises(ConfigError, match=r"one of xpl, openpi, got 'groot'.*not spoken yet"):
-        Client(url, config={"wire": "groot"})
+        Client(url, config={"wire": "groot", "server": url})
     with pytest.raises(ConfigError, match=r"spoken by xpl.Client, and by no other client"):
-        AsyncClient(url, config=CONFIG)
+        AsyncClient(url, config={**CONFIG, "server": url})
     with pytest.raises(ConfigError, match=r"`openpi` in deploy.yml has to say"):
-        Client(url, config={**CONFIG, "openpi": None})
+        Client(url, config={**CONFIG, "server": url, "openpi": None})

@@ -43,7 +43,7 @@ class ClientBase:
             on_loading=on_loading,
         )
         timing = {**spec.DEPLOY_DEFAULTS, **(config or {})}
-        makes.check(timing)
+        makes.check(url, timing)
         transport = self._transport(url, timing, token, ssl_context)
         self._exchange = Exchange(transport, url, timing, wishes, evaluation_id, trial_id)
         self._talk = Conversation(self._exchange, trial_id)

@@ -58,8 +58,8 @@ class Client(ClientBase):
         evaluation_id: name of the evaluation; made up if not given.
         trial_id: name of the trial, where the benchmark has one.
         config: the timing keys of deploy.yml; the spec's defaults otherwise. null in a limit means none, and 0 means
-            no cap on attempts and on the time to connect. With `wire: openpi` a client of openpi's servers is returned
-            (`xpl.client.openpi`), whose operations are the same.
+            no cap on attempts and on the time to connect. Where `server` is this address and `wire` is openpi, a client
+            of openpi's servers is returned (`xpl.client.openpi`), whose operations are the same.
         token: bearer token, where the server asks for one.
         ssl_context: for `wss://`, where the system's certificates are not enough.
         environment: what the environment offers: `embodiment`, `action_type`, `control_frequency` (Hz), `inputs`. A
@@ -81,7 +81,7 @@ class Client(ClientBase):
         def __new__(cls, url: str, **options: Any) -> Any:
             """Return a client of the wire that the configuration asks for."""
             config = options.get("config") or {}
-            if makes.wire_of(config) != makes.OPENPI:
+            if makes.wire_of(url, config) != makes.OPENPI:
                 return super().__new__(cls)
             from xpl.client.openpi import OpenpiClient
 

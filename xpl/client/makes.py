@@ -12,7 +12,8 @@ XPL, OPENPI = "xpl", "openpi"
 WIRES = (XPL, OPENPI)
 """Wires that a client can speak."""
 WIRE = "wire"
-"""The key of deploy.yml that says which."""
+"""The key of deploy.yml that says which one `server` speaks."""
+_SERVER = "server"
 SPOKEN = (
     "spoken here are xpl's wire, older servers of XPolicyLab included, and openpi's; GR00T's ZeroMQ, LeRobot's gRPC "
     "and JSON over HTTP are not spoken yet"
@@ -20,29 +21,31 @@ SPOKEN = (
 """What a user is told where something else answers."""
 
 
-def wire_of(config: Mapping[str, Any]) -> str:
-    """Return the wire that a configuration asks for.
+def wire_of(url: str, config: Mapping[str, Any]) -> str:
+    """Return the wire of an address: `wire` of a configuration is that of its `server`, and of no other.
+
+    Whoever asks an adapter that forwards does so with the same deploy.yml, and speaks xpl's wire.
 
     Raises:
         ConfigError: if it is not spoken here.
     """
     from xpl.policy import ConfigError
 
-    wire: Any = config.get(WIRE) or XPL
+    wire: Any = (config.get(WIRE) if config.get(_SERVER) == url else None) or XPL
     if wire not in WIRES:
         raise ConfigError(f"{WIRE} must be one of {', '.join(WIRES)}, got {wire!r}; {SPOKEN}")
     return str(wire)
 
 
-def check(config: Mapping[str, Any]) -> None:
-    """Check that a configuration asks for xpl's wire, where nothing else is spoken.
+def check(url: str, config: Mapping[str, Any]) -> None:
+    """Check that an address speaks xpl's wire, where nothing else is spoken.
 
     Raises:
         ConfigError: otherwise.
     """
     from xpl.policy import ConfigError
 
-    if wire_of(config) != XPL:
+    if wire_of(url, config) != XPL:
         raise ConfigError(f"{WIRE}: {config[WIRE]} is spoken by xpl.Client, and by no other client")
 
 
@@ -63,7 +66,7 @@ def greeting(data: bytes, address: str) -> codec.Frame:
             raise codec.WireError(f"the server at {address} sent no frame of xpl's wire: {error}; {SPOKEN}") from None
         raise codec.WireError(
             f"the server at {address} speaks openpi's wire, for it sent its metadata before it was asked; say `{WIRE}: "
-            f"{OPENPI}` in deploy.yml (or `config`), and as `{OPENPI}` there what its names mean"
+            f"{OPENPI}` beside `{_SERVER}` in deploy.yml, and as `{OPENPI}` there what its names mean"
         ) from None
 
 

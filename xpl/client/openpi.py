@@ -211,12 +211,9 @@ class OpenpiClient:
             transport = BlockingTransport(self._url, timing, self._token, self._ssl, self._turn, scheme=_SCHEME)
             try:
                 run(transport.open(timing[spec.Deploy.CONNECT_TIMEOUT_S]))
-                first = run(transport.receive_any(timing[spec.Deploy.HANDSHAKE_TIMEOUT_S]))
+                first = self._first(transport)
             except ServerFailedError:
                 raise
-            except TimeoutError:
-                run(transport.close())
-                problem = "it says nothing: an openpi server sends its metadata first, one of xpl waits (`wire: xpl`)"
             except OSError as error:
                 run(transport.close())
                 problem = f"{error}"
@@ -227,6 +224,17 @@ class OpenpiClient:
                 raise ServerConnectionError(f"no openpi server at {self._url} after {attempt} attempts: {problem}")
             time.sleep(delay)
         raise AssertionError("the attempts never end by themselves")
+
+    def _first(self, transport: BlockingTransport) -> bytes | str:
+        """Return what a server says first; one that says nothing says nothing the next time either."""
+        try:
+            return run(transport.receive_any(self._timing[spec.Deploy.HANDSHAKE_TIMEOUT_S]))
+        except TimeoutError:
+            run(transport.close())
+            raise ServerConnectionError(
+                f"the server at {self._url} said nothing in time (handshake_timeout_s): one of openpi sends metadata "
+                "first, once its model is loaded; one of xpl waits for hello (`wire: xpl`)"
+            ) from None
 
     def _greeted(self, transport: BlockingTransport, first: bytes | str) -> Mapping[str, Any]:
         """Return the metadata that a server sends first."""

@@ -57,7 +57,8 @@ def test_our_client_asks_a_server_of_openpis_kind(peers: Path, start: Start) -> 
     """Names, types and scale are openpi's there; an error is quoted, and the next question is answered."""
     server = start(peers, "openpi_server.py")
     config: dict[str, Any] = {"wire": "openpi", **DROID, "env_cfg_type": "franka_single", "max_connect_attempts": 1}
-    with Client(server.ask("start"), config=config) as ours:
+    url = server.ask("start")
+    with Client(url, config={**config, "server": url}) as ours:
         ours.update_obs_batch([observation(0.25, 0), observation(0.5, 1)])
         assert [first_joint(chunk) for chunk in ours.get_action_batch([1, 0])] == [0.5, 0.25]
         with pytest.raises(PolicyServerError, match=r"ValueError: the gripper is unhappy$"):
