@@ -213,6 +213,18 @@ class TestReplay:
         ]
         assert replay.judge(forged, 2, deterministic=True).verdict is replay.Verdict.DISAGREES
 
+    @pytest.mark.slow
+    def test_an_adapter_that_is_isolated_plays_alike(self, run: Run) -> None:
+        """Neither its server nor its loop sees the one who judges, and states repeat bit by bit."""
+        player = Player(EXPERT, isolate=True)
+        try:
+            lanes, servers = player._orders(run)
+        except UserError as error:
+            pytest.skip(str(error))
+        assert lanes.bounds.isolate
+        assert servers.bounds.flags[0] == "--isolate"
+        assert [pair.match for pair in player.play(run, [0])] == [replay.Match.SAME]
+
     def test_only_the_adapter_of_the_run_is_played(self, run: Run) -> None:
         """Another one says nothing about the bundle."""
         with pytest.raises(UserError, match="does not have the files of the run"):

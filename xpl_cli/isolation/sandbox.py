@@ -203,26 +203,6 @@ def kept_apart(checkout: Path, proven: str | None = None) -> Isolation:
     raise UserError(f"no PID namespace can be had here ({'; '.join(refused)})", code=ExitCode.NOT_RUN)
 
 
-@contextlib.contextmanager
-def confined(checkout: Path, *, isolate: bool, apart: bool, proven: str | None = None) -> Iterator[Isolation | None]:
-    """Find the way that options ask for, for the length of a `with` block; None where they ask for none.
-
-    Args:
-        checkout: folder of the adapter.
-        isolate: whether it is to be isolated.
-        apart: whether it is to be kept from other processes, otherwise.
-        proven: the way that was found a moment ago, which need not be tried again.
-
-    Raises:
-        UserError: if it cannot be had; exit code 4.
-    """
-    if isolate:
-        with isolated(checkout, proven) as found:
-            yield found
-    else:
-        yield kept_apart(checkout, proven) if apart else None
-
-
 def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> None:
     """Check that adapters can be kept within bounds on this machine.
 

@@ -21,7 +21,7 @@ from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import progress
 from xpl_cli.isolation import family
-from xpl_cli.isolation.sandbox import confined
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.serving import openpi
 from xpl_cli.serving.connection import Timing
@@ -121,7 +121,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     except UserError as error:
         _failed(package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))})
         raise
-    kept = confined(package.path, isolate=options.isolate, apart=options.apart, proven=options.proven)
+    kept = Bounds(options.isolate, options.apart, options.proven).around(package.path)
     with _trace(options.trace) as trace, kept as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
         run = _Run(package, config, settings, options, python, observer, isolation, entrances)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from xpl_cli.evaluation.lanes.local import LocalBackend
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.runs import evaluate, runner
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.lifecycle.checkpoints import specification, store
 from xpl_cli.packages import environments, package
 from xpl_cli.submission import claims
@@ -41,6 +42,7 @@ class Player:
         gpu: device of the adapter.
         eval_env: interpreter of the environment.
         cache: where checkpoints are kept; the user's cache by default.
+        isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
         progress: where to say what is being done.
     """
 
@@ -51,6 +53,7 @@ class Player:
     gpu: str | None = None
     eval_env: str | None = None
     cache: Path | None = None
+    isolate: bool = False
     progress: Progress = field(default_factory=Progress)
 
     @cached_property
@@ -112,7 +115,9 @@ class Player:
         request = evaluate.Request(
             adapter, None, Path(), None, python=self.python, env=self.env, gpu=self.gpu, eval_env=self.eval_env
         )
-        return evaluate.orders(request, folder, plan)
+        lanes, servers = evaluate.orders(request, folder, plan)
+        bounds = Bounds.here(adapter.path.parent, isolate=self.isolate)
+        return replace(lanes, bounds=bounds), replace(servers, bounds=bounds)
 
     def _find_weights(self, config: Mapping[str, Any], loaded: Mapping[str, str] | None) -> None:
         """See to it that the adapter loads the checkpoint of the run.

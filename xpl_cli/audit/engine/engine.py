@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,8 +26,8 @@ from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import Entry, RegistryError, find, select
 from xpl_cli.audit.static.source import Source
-from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.progress import Progress
+from xpl_cli.isolation.bounds import Bounds
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.options import Options
@@ -107,33 +106,8 @@ def _carry(report: TargetReport, path: Path, options: Options) -> None:
             with _uncollected():
                 _run(gate, selected, path, report, options)
         else:
-            _run(gate, selected, path, report, _confined(options, path))
-
-
-def _confined(options: Options, path: Path) -> Options:
-    """Return the options with the way in which the adapter is kept within bounds, found and tried once."""
-    way = _way(path.parent, isolate=options.isolate)
-    return replace(options, apart=not options.isolate and way is not None, proven=way)
-
-
-@cache
-def _way(place: Path, *, isolate: bool) -> str | None:
-    """Return the way to isolate adapters below a folder, or to keep them from other processes; says if there is none.
-
-    Raises:
-        UserError: if they are to be isolated and cannot be; exit code 4.
-    """
-    from xpl_cli.basics import console
-    from xpl_cli.isolation import sandbox
-
-    try:
-        with sandbox.confined(place, isolate=isolate, apart=True) as found:
-            return None if found is None else found.way
-    except UserError as error:
-        if isolate:
-            raise
-        console.note(f"the adapter is trusted: {error}, so it may signal and end whatever you may")
-        return None
+            bounds = Bounds.here(path.parent, isolate=options.isolate)
+            _run(gate, selected, path, report, replace(options, bounds=bounds))
 
 
 def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, options: Options) -> None:

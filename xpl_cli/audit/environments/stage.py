@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import shutil
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,6 @@ from xpl_cli.audit.rules.model import Finding, Fix, NotApplicable, NotRun
 from xpl_cli.audit.rules.names import robots
 from xpl_cli.basics.errors import UserError
 from xpl_cli.environments.check import unsupported
-from xpl_cli.isolation import sandbox
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments
 from xpl_cli.standard.validate import validate
@@ -274,7 +272,7 @@ class Stage:
         """What keeps the environment within bounds, as the options ask for it."""
         options = self._options
         try:
-            kept = self._open.enter_context(sandbox.confined(self.path, **options.confined))
+            kept = self._open.enter_context(options.bounds.around(self.path))
         except UserError as error:
             raise NotRun(str(error)) from None
         return {} if kept is None else {"prefix": kept.prefix, "environment": kept.environment(os.environ)}
@@ -288,8 +286,6 @@ class Stage:
         return self._process
 
     def _started(self) -> EnvProcess:
-        if shutil.which(self._python) is None:  # behind a launcher that would be told too late
-            raise NotRun(f"{self._python} cannot be started: it is no program that this user may run")
         try:
             return EnvProcess(self._python, **self._confined)
         except OSError as error:

@@ -17,7 +17,7 @@ from xpl.wire import packed
 from xpl.worker.inprocess import LENGTH
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.hanging import where
-from xpl_cli.isolation import family, sandbox
+from xpl_cli.isolation import family
 from xpl_cli.isolation.life import Life
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.serving.workers.pool import STACKS_S
@@ -101,7 +101,7 @@ def _place(checkout: Path, options: Options) -> Iterator[tuple[tuple[str, ...], 
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     environment.pop("PYTHONHOME", None)
     with (
-        sandbox.confined(checkout, **options.confined) as kept,
+        options.bounds.around(checkout) as kept,
         tempfile.TemporaryDirectory(prefix="xpl-") as own,
     ):
         if kept is None:
@@ -165,7 +165,7 @@ class _Run:
 
     def _where(self, process: subprocess.Popen[bytes], options: Options, why: str) -> str:
         """Have the process print its stacks, and return why it is ended and where it stood."""
-        inner = family.behind_launcher(process.pid)[-1] if options.kept_apart else process.pid
+        inner = family.behind_launcher(process.pid)[-1] if options.bounds.flags else process.pid
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(inner, signal.SIGUSR1)
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -12,7 +12,6 @@ from xpl_cli.audit.rules.model import NotApplicable
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.evaluation.loop.desk import EndlessError, LoopError
 from xpl_cli.evaluation.loop.process import Loop, LoopRaisedError
-from xpl_cli.isolation import sandbox
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -106,7 +105,7 @@ def loop_of(folder: Path, options: Options) -> Iterator[Loop]:
         NotApplicable: if there is none.
     """
     with contextlib.ExitStack() as stack:
-        isolation = stack.enter_context(sandbox.confined(folder, **options.confined))
+        isolation = stack.enter_context(options.bounds.around(folder))
         try:
             loop = Loop(folder, isolation=isolation, is_silent=True)
         except NotFoundError as error:

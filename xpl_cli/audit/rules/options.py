@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.audit.rules.clock import Clock
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.progress import Progress
+from xpl_cli.isolation.bounds import Bounds
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.profiles import Profile
@@ -32,8 +33,7 @@ class Options:
         stub_missing: stub modules that are not installed where nothing else helps.
         memory_limit: what the adapter's processes may hold, as for `xpl serve`.
         isolate: keep the adapter from the network and from writing.
-        apart: let the adapter see and signal no process but its own.
-        proven: the way by which either is done, found and tried when the gate began.
+        bounds: what it is kept from in this gate, as far as the machine allows.
         patience: how long it may be silent while it loads or answers, s.
         clock: how long the audit of one package may take.
         tasks: tasks in which the physics gate drives the adapter; empty for its own choice.
@@ -56,8 +56,7 @@ class Options:
     stub_missing: bool = False
     memory_limit: str = "none"
     isolate: bool = False
-    apart: bool = False
-    proven: str | None = None
+    bounds: Bounds = field(default_factory=Bounds)
     patience: float = PATIENCE_S
     clock: Clock = field(default_factory=Clock)
     tasks: tuple[str, ...] = ()
@@ -68,18 +67,6 @@ class Options:
     progress: Progress = field(default_factory=Progress)
 
     @property
-    def kept_apart(self) -> bool:
-        """Whether the adapter's processes have a launcher above them (`xpl_cli.isolation.launch`)."""
-        return self.isolate or self.apart
-
-    @property
-    def confined(self) -> dict[str, Any]:
-        """What `xpl_cli.isolation.sandbox.confined` takes."""
-        return {"isolate": self.isolate, "apart": self.apart, "proven": self.proven}
-
-    @property
     def confinement(self) -> tuple[str, ...]:
         """Options of `xpl serve` that keep the adapter within bounds."""
-        kept = ("--isolate",) if self.isolate else ("--apart",) if self.apart else ()
-        way = () if self.proven is None else ("--proven", self.proven)
-        return ("--memory-limit", self.memory_limit, "--patience", f"{self.patience:g}", *kept, *way)
+        return ("--memory-limit", self.memory_limit, "--patience", f"{self.patience:g}", *self.bounds.flags)

@@ -70,7 +70,7 @@ class Service:
             with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
                 seen._ask(probe, server.url)
                 seen.processes = family.descendants(server.pid)
-                seen._look_around(server.pid, kept_apart=probe.options.kept_apart)
+                seen._look_around(server.pid, kept_apart=bool(probe.options.bounds.flags))
         except ServerStartError as error:
             raise NotRun(f"the server did not start: {error}") from None
         seen.code, seen.stop_seconds = server.ended, server.stop_seconds or 0.0

@@ -10,7 +10,7 @@ import typer
 
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.run.checkpoint import CACHE
-from xpl_cli.commands.run.serve import POLICY, POLICY_ENV
+from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY, POLICY_ENV
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -103,6 +103,7 @@ def verify(
     policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
     eval_env: str | None = _EVAL_ENV,
     cache: CACHE = None,
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Check a bundle, and play a sample of its episodes again.
@@ -129,6 +130,7 @@ def verify(
                 gpu=policy_gpu,
                 eval_env=eval_env,
                 cache=cache,
+                isolate=isolate,
                 signer=signer,
                 progress=say,
             )

@@ -29,6 +29,7 @@ from xpl_cli.evaluation.loop.process import Loop, LoopLostError
 from xpl_cli.evaluation.records import failures
 from xpl_cli.evaluation.records.fingerprints import machine_facts
 from xpl_cli.evaluation.records.records import now
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments
 
@@ -56,6 +57,7 @@ class Orders:
         eval_env: Python of the environment, as `interpreter.resolve` takes it; None is env.yml's, or ours.
         num_envs: environments that a lane plays at once, in one batch.
         env_workers: processes that share them; 0 plays them in the lane's own.
+        bounds: what the adapter's loop is kept from.
     """
 
     policy: str
@@ -68,6 +70,7 @@ class Orders:
     eval_env: str | None = None
     num_envs: int = 1
     env_workers: int = 1
+    bounds: Bounds = field(default_factory=Bounds)
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,8 @@ class Lane:
         self._robot = get_embodiment(orders.settings["embodiment"])
         self._facts = environments.manifest(Path(orders.environment))
         self._machine = machine_facts()
-        self._own = None if orders.horizon is not None else Loop(Path(orders.policy))
+        self._open = contextlib.ExitStack()
+        self._own = None if orders.horizon is not None else self._own_loop()
         self._scene: _Scene | None = None
 
     def prepare(self, task: str, setting: str) -> None:
@@ -174,8 +178,7 @@ class Lane:
 
     def close(self) -> None:
         """End the connection, the environment and the adapter's loop."""
-        if self._own is not None:
-            self._own.close()
+        self._open.close()
         self._leave()
 
     def _load(self) -> None:
@@ -191,6 +194,20 @@ class Lane:
             self._own.load(batch=self._orders.num_envs > 1)
         except LoopError as error:
             raise UserError(str(error), code=ExitCode.NOT_RUN) from None
+
+    def _own_loop(self) -> Loop:
+        """Return the evaluation loop of the adapter, which is imported when it is to play.
+
+        Raises:
+            NotFoundError: there is none.
+            UserError: it cannot be kept within bounds.
+        """
+        policy = Path(self._orders.policy)
+        with contextlib.ExitStack() as opened:
+            loop = Loop(policy, isolation=opened.enter_context(self._orders.bounds.around(policy)))
+            opened.callback(loop.close)
+            self._open = opened.pop_all()
+        return loop
 
     def _leave(self) -> None:
         """End the connection and the environment."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.serving.launch import ServerStartError, serving
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class ServerOrders:
         checkpoint_digest: of what its configuration leads to; None: to nothing.
         overrides: keys of deploy.yml.
         python, env, gpu: interpreter and device of the adapter, as for `xpl serve`.
+        bounds: what the adapter is kept from.
     """
 
     policy: str
@@ -42,6 +44,7 @@ class ServerOrders:
     python: str | None = None
     env: str | None = None
     gpu: str | None = None
+    bounds: Bounds = field(default_factory=Bounds)
 
     def start(self, options: Sequence[str] = ()) -> AbstractContextManager[RunningServer]:
         """Return a server for the length of a `with` block (`xpl_cli.serving.launch.serving`).
@@ -55,7 +58,7 @@ class ServerOrders:
             python=self.python,
             env=self.env,
             gpu=self.gpu,
-            options=options,
+            options=(*options, *self.bounds.flags),
             echo=True,
         )
 
