@@ -10,6 +10,7 @@ import signal
 import struct
 import subprocess
 import sys
+import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -314,8 +315,6 @@ def test_a_frame_that_makes_no_sense_is_refused(copied: Path, recorded: tuple[Pa
 
 
 def _crc(data: bytes) -> int:
-    import zlib
-
     return zlib.crc32(data)
 
 
@@ -487,3 +486,58 @@ def test_tolerance_is_a_distance_of_numbers() -> None:
     found = mismatch(np.uint8([3]), np.uint8([250]), 1)
     assert found is not None
     assert (found.first, found.second, found.size) == (3, 250, 247)
+
+
+# -- packing -----------------------------------------------------------------------------------------------------------
+
+
+def _recording(folder: Path, frames: list[codec.Frame]) -> Path:
+    tape = recording.Tape(folder, {})
+    for frame in frames:
+        assert tape.write(frame)
+    tape.close(complete=False)
+    return folder / recording.FRAMES
+
+
+def test_an_image_that_is_shown_again_is_kept_once(tmp_path: Path) -> None:
+    """By its content, wherever it stands in a frame; every frame comes back bit for bit."""
+    draw = np.random.default_rng(0)
+    images = [draw.integers(0, 256, (64, 64, 3), np.uint8) for _ in range(2)]
+    flat = np.zeros((256, 256, 3), np.uint8)
+    others = [images[0].copy(), images[0][::-1]]
+    shown = [{"a": images[place % 2], "b": others, "c": flat, "n": place} for place in range(20)]
+    frames = [codec.Frame(sdk.Message.CALL, "1", {"obs": obs}, str(number)) for number, obs in enumerate(shown)]
+    file = _recording(tmp_path / "T", frames)
+    assert file.stat().st_size < 4 * images[0].nbytes
+    found = recording.Recording(tmp_path / "T", {}, len(frames), torn=False)
+    assert [codec.encode(frame) for frame in found] == [codec.encode(frame) for frame in frames]
+
+
+def test_a_recording_of_the_first_kind_is_still_read(tmp_path: Path) -> None:
+    """Its frames stand there as they are."""
+    data = codec.encode(codec.Frame(recording.SERVER, "1", {}))
+    (tmp_path / recording.FRAMES).write_bytes(recording._MAGIC + struct.pack("<II", _crc(data), len(data)) + data)
+    (frame,) = recording.Recording(tmp_path, {}, 1, torn=False)
+    assert frame.message_type == recording.SERVER
+
+
+@pytest.mark.parametrize(
+    "packed",
+    [
+        b"\0",
+        struct.pack("<BI", 0, 9) + b"short",
+        struct.pack("<BI", 7, 0),
+        struct.pack("<BI", 0, 3) + b"abc",
+        struct.pack("<BI", 2, 4) + struct.pack("<I", 0),
+        struct.pack("<BI", 2, 1) + b"x",
+        struct.pack("<BI", 0, 1 << 20) + zlib.compress(bytes(1 << 28), 1)[: 1 << 20].ljust(1 << 20, b"\0"),
+        struct.pack("<BI", 0, 8) + zlib.compress(bytes(100))[:8],
+    ],
+    ids=["cut", "longer", "kind", "no zlib", "not before", "no number", "bomb", "torn"],
+)
+def test_parts_that_make_no_frame_are_refused(packed: bytes, tmp_path: Path) -> None:
+    """Also those whose content would fill the memory."""
+    head = struct.pack("<II", _crc(packed), len(packed))
+    (tmp_path / recording.FRAMES).write_bytes(recording._PACKED + head + packed)
+    with pytest.raises(recording.DamagedError, match="frame 1"):
+        list(recording.Recording(tmp_path, {}, 1, torn=False))

@@ -3,7 +3,8 @@
     recording.json     what was recorded, with what, and whether it came to its end
     frames.bin         the frames, in the order in which they happened
 
-A frame is a frame of the wire (`xpl.wire.codec`: msgpack, arrays exact, no pickle) after its checksum and its length.
+A frame is a frame of the wire (`xpl.wire.codec`: msgpack, arrays exact, no pickle), packed (`packing`: an image that
+was shown twice stands there once), after its checksum and its length.
 Every frame is written by itself, so that whatever ends the writer leaves a recording that can be read up to there.
 Requests and answers have the types and payloads of the wire; `evaluation_id` names the server and `trial_id` the
 session, both of which are begun and ended by frames of their own, and an answer repeats the `message_id` of its
@@ -30,8 +31,10 @@ from xpl.client import PolicyServerError
 from xpl.wire import codec
 from xpl_cli.audit.rules.fingerprint import fingerprint
 from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.served import packing
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.basics.sizes import told_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -48,7 +51,8 @@ CUT = "cut"
 """Type of the frame that stands for an answer where none came."""
 OVERRIDES, SERVED, WISHES = "overrides", "served", "options"
 """Payloads: a server begins with keys of deploy.yml and options of `xpl serve`, a session with those of its client."""
-_MAGIC = b"XPLREC1\n"
+_MAGIC, _PACKED = b"XPLREC1\n", b"XPLREC2\n"
+"""How files of frames begin: as they are, or packed (`packing`), as they are written now."""
 _HEAD = struct.Struct("<II")
 
 
@@ -83,9 +87,10 @@ class Tape:
         self._about = dict(about)
         self._say = say
         self._lock = threading.Lock()
-        self._frames, self._bytes = 0, len(_MAGIC)
+        self._packer = packing.Packer()
+        self._frames, self._bytes = 0, len(_PACKED)
         with atomic.replaced_folder(folder) as staging:
-            (staging / FRAMES).write_bytes(_MAGIC)
+            (staging / FRAMES).write_bytes(_PACKED)
             (staging / INDEX).write_bytes(self._index(complete=False))
         self._stream: IO[bytes] = (folder / FRAMES).open("ab", buffering=0)
 
@@ -96,10 +101,11 @@ class Tape:
         except codec.WireError:
             self.left_out += 1
             return False
-        record = _HEAD.pack(zlib.crc32(data), len(data)) + data
         with self._lock:
             if self.problem is not None:
                 return False
+            packed = self._packer.pack(data, frame.payload)
+            record = _HEAD.pack(zlib.crc32(packed), len(packed)) + packed
             try:
                 written = self._stream.write(record)
             except OSError as error:
@@ -123,7 +129,7 @@ class Tape:
                 self.problem = error.strerror or str(error)
                 self._say(f"{self.folder}: {self._frames} frames recorded, and no index: {self.problem}")
             else:
-                self._say(f"{self.folder}: {self._frames} frames recorded")
+                self._say(f"{self.folder}: {self._frames} frames recorded, {told_size(self._bytes)}")
 
     def _index(self, *, complete: bool) -> bytes:
         counts = {"frames": self._frames, "bytes": self._bytes, "left_out": self.left_out} if complete else None
@@ -232,11 +238,14 @@ class Recording:
             DamagedError: if a frame is not one of the wire.
         """
         path = self.folder / FRAMES
-        for number, (data, _) in zip(range(self.frames), _records(path), strict=False):
-            try:
-                yield codec.decode(data)
-            except codec.WireError as error:
-                raise DamagedError(path, f"frame {number + 1}: {error}") from None
+        with path.open("rb") as stream:
+            is_packed = stream.read(len(_PACKED)) == _PACKED
+            unpacker = packing.Unpacker(stream, sdk.LIMITS["frame_bytes"])
+            for number, (data, end) in zip(range(self.frames), _records(path), strict=False):
+                try:
+                    yield codec.decode(unpacker.unpack(data, end - len(data)) if is_packed else data)
+                except (codec.WireError, packing.PackingError) as error:
+                    raise DamagedError(path, f"frame {number + 1}: {error}") from None
 
 
 def find(folder: Path) -> list[Path]:
@@ -293,7 +302,7 @@ def _records(path: Path) -> Iterator[tuple[bytes, int]]:
     """Yield the bytes of every whole frame, and where it ends in the file; a torn one at the end is left out."""
     try:
         with path.open("rb") as stream:
-            if stream.read(len(_MAGIC)) != _MAGIC:
+            if stream.read(len(_MAGIC)) not in (_MAGIC, _PACKED):
                 raise DamagedError(path, "it does not begin as the frames of a recording do")
             for number in range(1, 1 << 62):
                 head = stream.read(_HEAD.size)
