@@ -126,6 +126,10 @@ def test_what_policy_yml_requires_has_a_name_and_comes() -> None:
     """Before the first step where that can be known, and with the names to send where it cannot."""
     with pytest.raises(ConfigError, match=r"policy.yml requires vision.cam_third_view, for which openpi.names"):
         _names({"style": "droid"}, inputs={"required": ["vision.cam_third_view"]})
+    short = _observation("franka_single", "joint")
+    short["state"]["arm_joint_state"] = np.zeros(6)
+    with pytest.raises(ObservationError, match=r"state.arm_joint_state must hold 7 numbers, got 6"):
+        _names({"style": "droid"}).values(short)
     names = _names({"style": "droid"}, inputs={"required": ["vision.cam_wrist"]})
     assert names.observation({"observation/wrist_image_left": np.zeros((2, 2, 3), np.uint8)})
     with pytest.raises(ObservationError, match=r"requires vision.cam_wrist.* needs observation/wrist_image_left"):

@@ -210,7 +210,7 @@ class Names:
             return np.ascontiguousarray(np.moveaxis(image, -1, 0)) if self.images == "chw" else image
         if key not in obs[_STATE]:
             raise ObservationError(f"the observation has no {target}; its {_STATE} holds {', '.join(obs[_STATE])}")
-        value = _vector(obs[_STATE][key], target)
+        value = self._sized(key, obs[_STATE][key], target)
         return _theirs(value, self.gripper) if self._is_gripper(key) else value
 
     def _state(self, value: Any, name: str) -> dict[str, np.ndarray]:
@@ -222,11 +222,16 @@ class Names:
         return {key: _ours(part, self.gripper) if self._is_gripper(key) else part for key, part in parts.items()}
 
     def _part(self, key: str, value: Any, name: str) -> np.ndarray:
+        vector = self._sized(key, value, name)
+        return _ours(vector, self.gripper) if self._is_gripper(key) else vector
+
+    def _sized(self, key: str, value: Any, name: str) -> np.ndarray:
+        """Return the vector of one key of the state; an error calls it by the given name."""
         vector = _vector(value, name)
         dims = {name: dim for kind in spec.ACTION_TYPES for name, dim in self.embodiment.dims(kind).items()}
         if vector.shape != (dims.get(key, vector.size),):
             raise ObservationError(f"{name} must hold {dims[key]} numbers, got {vector.size}")
-        return _ours(vector, self.gripper) if self._is_gripper(key) else vector
+        return vector
 
     def _image(self, value: Any, name: str) -> np.ndarray:
         channel = 0 if self.images == "chw" else 2
