@@ -150,6 +150,7 @@ def worker(server: RunningServer) -> int:
     return number
 
 
+@pytest.mark.sampled(30)
 @pytest.mark.parametrize("capabilities", [{}, {"packed": 1}], ids=["plain", "packed"])
 @pytest.mark.parametrize(
     "what", [("raise", name) for name in RAISED] + [("return", name) for name in RETURNED], ids=str
@@ -204,7 +205,7 @@ def test_one_client_of_a_shared_model_never_costs_another_its_answer(
             assert good.ask("infer", {"observation": {}}).message_type == "infer_result"
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     st.text(),
     st.recursive(
@@ -281,7 +282,7 @@ def test_any_hello_is_answered(server: RunningServer) -> None:
     """By an acknowledgement or a refusal that is no fault of the server."""
     with contextlib.closing(Peer(server.url)) as peer:
 
-        @settings(max_examples=150, deadline=None, database=None)
+        @settings(max_examples=60, deadline=None, database=None)
         @given(st.fixed_dictionaries({}, optional={"environment": ODD, "capabilities": ODD, "evaluation_plan": ODD}))
         def ask(payload: dict[str, Any]) -> None:
             answer = peer.ask("hello", payload)

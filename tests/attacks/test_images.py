@@ -152,7 +152,7 @@ def encoded(image: np.ndarray, kind: str) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "BMP", "TIFF", "PPM"])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(width=st.integers(1, 80), height=st.integers(1, 80))
 def test_the_size_in_a_header_is_that_of_the_image(kind: str, width: int, height: int) -> None:
     """In every format that is read."""

@@ -77,6 +77,7 @@ def states(mark: str) -> list[str]:
     return found
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
 @pytest.mark.parametrize(
     ("at_import", "awaited"),
@@ -182,6 +183,7 @@ def test_what_a_shell_had_started_before_it_became_the_server_is_spared(
         assert log.exists()
 
 
+@pytest.mark.slow
 def test_a_worker_says_how_it_ended(write_adapter: Callable[..., Path]) -> None:
     """Its keeper ends as it did: by the same signal, or with the same exit code."""
     for ending, told in {

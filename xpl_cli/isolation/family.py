@@ -139,11 +139,13 @@ def adopt_orphans() -> None:
         ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, ctypes.c_ulong(1), *[ctypes.c_ulong(0)] * 3)
 
 
-def end(pid: int) -> None:
-    """Kill a process and those below it."""
-    for number in with_descendants(pid):
+def end(leader: int) -> None:
+    """Kill the leader of a group, its group and the processes below it."""
+    for number in with_descendants(leader):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(number, signal.SIGKILL)
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # all that can be seen where there is no /proc
+        os.killpg(leader, signal.SIGKILL)
 
 
 def end_descendants(before: Container[int]) -> list[Member]:

@@ -80,8 +80,13 @@ def greeting(policy: dict[str, Any], state: str, frame: codec.Frame, *, guarded:
         raise _invalid(spec.Payload.ENVIRONMENT, f"cannot be understood: {error}", told) from None
     if offered.get(agreement.REAL_TIME) and not guarded:
         text = "the environment runs in real time, and this server asks for no token: start it with --token-file"
-        told: dict[str, Any] = {"field": agreement.REAL_TIME, "policy": None, "environment": True, "message": text}
-        raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=[told])
+        difference: dict[str, Any] = {
+            "field": agreement.REAL_TIME,
+            "policy": None,
+            "environment": True,
+            "message": text,
+        }
+        raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.MISMATCH, differences=[difference])
     found = agreement.differences(policy, offered)
     if found:
         raise RequestError(
