@@ -6,9 +6,11 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit.static import shell_syntax
 from xpl_cli.audit.static.source import Source
 
 _CONFLICT = re.compile(r"^(<{7} |>{7} |\|{7} )")
+_BASH = re.compile(r"#![^\n]*\b(ba|da)?sh\b")
 _DATA = (".yml", ".yaml")
 
 
@@ -17,8 +19,8 @@ def parses(source: Source) -> Iterator[Finding]:
     """A file does not parse, or a merge conflict is left in it.
 
     ## What it does
-    Reads every file of the boundary, parses those in Python and YAML, and looks for the markers that git leaves at a
-    conflict.
+    Reads every file of the boundary, parses those in Python, YAML and shell, and looks for the markers that git leaves
+    at a conflict. Of scripts it tells what bash is sure to refuse: a quote or an `if` that is not closed.
 
     ## Why it matters
     A script with a marker in it fails when it is run, often hours after the job was queued. What does not parse cannot
@@ -79,6 +81,22 @@ def _shell(source: Source, name: str) -> Iterator[Finding]:
         source.commands(name)
     except NotRun as reason:
         yield Finding(f"{name} cannot be checked: {reason}", path=name, expected="a script", got=str(reason))
+        return
+    text = source.text(name)
+    if text.startswith("#!") and _BASH.match(text) is None:
+        return
+    try:
+        shell_syntax.check(text)
+    except shell_syntax.BrokenScriptError as error:
+        yield Finding(
+            f"{name} does not parse, so that bash ends there: {error}",
+            path=name,
+            line=error.line,
+            column=1,
+            expected="a script that bash takes",
+            got=str(error),
+            fix=Fix("advice", f"`bash -n {name}` shows where bash stops"),
+        )
 
 
 def _python(source: Source, name: str) -> Iterator[Finding]:
