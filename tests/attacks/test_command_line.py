@@ -176,6 +176,7 @@ def test_all_values_that_are_of_no_use_are_one_sentence(name: str, place: Path) 
         (["serve", "policy/Foo", "--python", "noexec"], 4, "not executable"),
         (["serve", "policy/Foo", "--python", "folder"], 4, "no interpreter"),
         (["serve", "policy/Foo", "--chdir", "file"], 3, "no folder"),
+        (["serve", "policy/Foo", "--trace", "pipe"], 4, "nobody reads the pipe"),
         (["serve", "policy/Foo", "--memory-limit", "9" * 5000], 2, "--memory-limit takes a size"),
         (["eval", "policy/Foo", "--env", "mujoco", "--out", "nothing", "--resume"], 3, "no recorded run to go on with"),
         (["verify", "bundle.zip", "--max-size", "9" * 5000], 2, "--max-size takes a size"),

@@ -61,6 +61,24 @@ def folder(value: Path | None) -> Path | None:
     return value
 
 
+def written_on(value: Path | None) -> Path | None:
+    """Return a file that lines are added to, or a pipe that somebody reads.
+
+    Raises:
+        UserError: nobody reads the pipe; whoever opened it would wait.
+    """
+    import os
+
+    from xpl_cli.basics.errors import ExitCode, UserError
+
+    if value is not None and value.is_fifo():
+        try:
+            os.close(os.open(value, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC))
+        except OSError:
+            raise UserError(f"nobody reads the pipe {value}", code=ExitCode.NOT_RUN) from None
+    return value
+
+
 def certificates(value: Path | None) -> Path | None:
     """Return a file of keys or certificates, which TLS opens by its name and waits for if it is a pipe.
 

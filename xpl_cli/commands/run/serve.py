@@ -47,7 +47,9 @@ def serve(
     ),
     debug: bool = typer.Option(False, "--debug", help="Send tracebacks to clients."),
     metrics: bool = typer.Option(False, "--metrics", help="Offer /metrics in Prometheus' format on the same port."),
-    trace: Path | None = typer.Option(None, metavar="FILE", help="Append one JSON line for each request to FILE."),
+    trace: Path | None = typer.Option(
+        None, callback=values.written_on, metavar="FILE", help="Append one JSON line for each request to FILE."
+    ),
     shadow: bool = typer.Option(
         False, "--shadow", help="Do not load the model: a function of its inputs answers, for trying all the rest."
     ),
