@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,10 +16,12 @@ import pytest
 
 from tests.support import drill
 from tests.support.peer import wait_until, xpl
+from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.loop.desk import EndlessError
 from xpl_cli.evaluation.loop.process import Limits, Loop, LoopLostError, LoopRaisedError
 from xpl_cli.evaluation.records import records
+from xpl_cli.isolation.bounds import Bounds
 
 FORGED = """
     import atexit, gc, os, signal, sys, threading
@@ -104,6 +107,39 @@ def test_an_exit_in_deploy_py_is_no_verdict(room: Path, where: str, end: str) ->
     assert done.returncode == (ExitCode.NOT_RUN if where == "import" else ExitCode.FINDINGS), done.stderr
     assert "error: " in done.stderr
     assert "eval finished" not in done.stdout
+
+
+REACHES = """
+    import glob, os, signal
+
+    def eval_one_episode(TASK_ENV, model_client):
+        own = os.getpid()
+        for pid in [os.getppid(), *(int(path.split("/")[2]) for path in glob.glob("/proc/[0-9]*"))]:
+            if pid not in (0, 1, own):
+                open(f"/proc/{pid}/mem", "r+b").close()
+                os.kill(pid, signal.SIGKILL)
+        if os.getppid() > 1:
+            raise RuntimeError(f"it sees process {os.getppid()}")
+        model_client.call(func_name="reset")
+        model_client.call(func_name="update_obs", obs=TASK_ENV.get_obs())
+        while not TASK_ENV.is_episode_end():
+            for action in model_client.call(func_name="get_action"):
+                TASK_ENV.take_action(action)
+                if TASK_ENV.is_episode_end():
+                    break
+                model_client.call(func_name="update_obs", obs=TASK_ENV.get_obs())
+
+    eval_one_episode_batch = eval_one_episode
+"""
+
+
+@pytest.mark.skipif(not Bounds.here(ROOT, isolate=False).apart, reason="the system has no PID namespaces")
+def test_a_loop_neither_sees_nor_signals_the_process_that_judges(room: Path) -> None:
+    """It kills and opens the memory of all that it sees, which is nothing: its episode ends as any other."""
+    _deploy(room, REACHES)
+    done = _eval(room, "--json")
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    assert json.loads(done.stdout)["successes"] == 1
 
 
 # -- the loop's process, seen from the judge ---------------------------------------------------------------------------
@@ -318,3 +354,21 @@ def test_a_model_that_kills_itself_where_it_loses_gains_nothing(tmp_path: Path, 
     assert found["success_rate"] == pytest.approx(3 / 6)
     assert found["failures"]["infrastructure"] == 0
     assert found["successes"] == (4 if times == 1 else 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["import", "loop"])
+def test_an_exit_in_deploy_py_never_ends_an_audit(tmp_path: Path, where: str) -> None:
+    """The MuJoCo gate judges on: the loop is a finding, and the model is looked at by all other rules."""
+    adapter = tmp_path / "policy" / "demo_policy"
+    shutil.copytree(ROOT / "policy" / "demo_policy", adapter, ignore=shutil.ignore_patterns("__pycache__"))
+    end = {"import": "import os\nos._exit(0)\n", "loop": ""}[where]
+    body = "def eval_one_episode(TASK_ENV, model_client):\n    import os\n    os._exit(0)\n\n"
+    (adapter / "deploy.py").write_text(f"{end}{body}eval_one_episode_batch = eval_one_episode\n", encoding="utf-8")
+    done = xpl("audit", str(adapter), "--gate", "mujoco", "--format", "json", cwd=tmp_path)
+    assert done.returncode == ExitCode.FINDINGS, done.stderr
+    (gate,) = json.loads(done.stdout)["targets"][0]["gates"]
+    found = {result["slug"]: result for result in gate["results"]}
+    assert found["own-loop"]["outcome"] == "fail"
+    assert "exit code 0" in found["own-loop"]["findings"][0]["message"]
+    assert found["closed-loop"]["outcome"] == "pass"

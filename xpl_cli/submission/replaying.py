@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,6 @@ from xpl_cli.evaluation.lanes.local import LocalBackend
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.runs import evaluate, runner
-from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.lifecycle.checkpoints import specification, store
 from xpl_cli.packages import environments, package
 from xpl_cli.submission import claims
@@ -113,11 +112,17 @@ class Player:
         if fingerprints.package_digest(folder) != plan["environment"]["digest"]:
             raise UserError(f"{folder.name} here is another version than the run's", code=ExitCode.NOT_RUN)
         request = evaluate.Request(
-            adapter, None, Path(), None, python=self.python, env=self.env, gpu=self.gpu, eval_env=self.eval_env
+            adapter,
+            None,
+            Path(),
+            None,
+            python=self.python,
+            env=self.env,
+            gpu=self.gpu,
+            eval_env=self.eval_env,
+            isolate=self.isolate,
         )
-        lanes, servers = evaluate.orders(request, folder, plan)
-        bounds = Bounds.here(adapter.path.parent, isolate=self.isolate)
-        return replace(lanes, bounds=bounds), replace(servers, bounds=bounds)
+        return evaluate.orders(request, folder, plan)
 
     def _find_weights(self, config: Mapping[str, Any], loaded: Mapping[str, str] | None) -> None:
         """See to it that the adapter loads the checkpoint of the run.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from xpl_cli.commands import values
-from xpl_cli.commands.run.serve import POLICY, POLICY_ENV, SETTINGS
+from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY, POLICY_ENV, SETTINGS
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.runs import evaluate as suite
@@ -65,6 +65,7 @@ def evaluate(
         None, help="Python of the environment, as for --policy-env; env.yml's if unsaid."
     ),
     policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
     env_gpu: str | None = typer.Option(None, help="Device of the simulator; ours need none."),
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
@@ -116,6 +117,7 @@ def evaluate(
                 env=policy_env,
                 gpu=policy_gpu,
                 eval_env=eval_env,
+                isolate=isolate,
             ),
             as_json=as_json,
         )
@@ -143,6 +145,7 @@ def evaluate(
             env=policy_env,
             gpu=policy_gpu,
             eval_env=eval_env,
+            isolate=isolate,
         ),
         policy,
         as_json=as_json,

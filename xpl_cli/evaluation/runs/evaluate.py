@@ -11,7 +11,7 @@ from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import console
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes import backends
-from xpl_cli.evaluation.lanes.backend import Room
+from xpl_cli.evaluation.lanes.backend import LOCAL, Room
 from xpl_cli.evaluation.lanes.lane import Orders
 from xpl_cli.evaluation.lanes.servers import ServerOrders
 from xpl_cli.evaluation.records import records
@@ -20,6 +20,7 @@ from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.evaluation.runs.settings import environment_for, environment_settings
 from xpl_cli.evaluation.runs.view import view
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class Request:
         overrides: keys of deploy.yml.
         python, env, gpu: interpreter and device of the adapter.
         eval_env: interpreter of the environment.
+        isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
     """
 
     package: Package
@@ -60,6 +62,7 @@ class Request:
     env: str | None = None
     gpu: str | None = None
     eval_env: str | None = None
+    isolate: bool = False
 
 
 def evaluate(request: Request) -> Run:
@@ -143,6 +146,7 @@ def orders(request: Request, folder: Path, line: Line) -> tuple[Orders, ServerOr
     package, config = request.package, line["policy"]["config"]
     cell = line["cells"][0]
     settings = environment_settings(package, str(folder), config, task=cell["task"], setting=cell["setting"])
+    bounds = _bounds(request)
     lane_orders = Orders(
         policy=str(package.path),
         policy_digest=line["policy"]["digest"],
@@ -152,6 +156,7 @@ def orders(request: Request, folder: Path, line: Line) -> tuple[Orders, ServerOr
         settings={key: value for key, value in settings.items() if key not in ("task", "setting")},
         horizon=line["control"]["horizon"],
         eval_env=request.eval_env,
+        bounds=bounds,
     )
     server_orders = ServerOrders(
         policy=str(package.path),
@@ -161,8 +166,16 @@ def orders(request: Request, folder: Path, line: Line) -> tuple[Orders, ServerOr
         python=request.python,
         env=request.env,
         gpu=request.gpu,
+        bounds=bounds,
     )
     return lane_orders, server_orders
+
+
+def _bounds(request: Request) -> Bounds:
+    """Return what the adapter is kept from; on a cluster only what was asked for, for each machine has its own."""
+    if request.room.backend != LOCAL:
+        return Bounds(isolate=request.isolate)
+    return Bounds.here(request.package.path.parent, isolate=request.isolate)
 
 
 def check(run: Run) -> None:

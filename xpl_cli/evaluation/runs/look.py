@@ -24,6 +24,7 @@ from xpl_cli.evaluation.runs import outcome, runner
 from xpl_cli.evaluation.runs.plan import ATTEMPTS
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.evaluation.runs.settings import environment_settings, settings_of
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class Request:
         token, ssl_context: what a server that already runs asks for.
         python, env, gpu: interpreter and device of the adapter.
         eval_env: interpreter of the environment, as `interpreter.resolve` takes it; env.yml's or ours by default.
+        isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
     """
 
     package: Package
@@ -71,6 +73,7 @@ class Request:
     env: str | None = None
     gpu: str | None = None
     eval_env: str | None = None
+    isolate: bool = False
 
 
 def places(num_envs: int | None, workers: str) -> tuple[int, int]:
@@ -176,6 +179,7 @@ def _backend(
     request: Request, folder: str, config: Mapping[str, Any], settings: Mapping[str, Any], progress: Progress
 ) -> HereBackend:
     policy = str(request.package.path)
+    bounds = Bounds.here(request.package.path.parent, isolate=request.isolate)
     orders = Orders(
         policy=policy,
         policy_digest="",
@@ -187,6 +191,7 @@ def _backend(
         eval_env=request.eval_env,
         num_envs=request.num_envs,
         env_workers=request.workers,
+        bounds=bounds,
     )
     access = Access(
         token=request.token,
@@ -197,6 +202,12 @@ def _backend(
     if request.connect is not None:
         return HereBackend(orders, Elsewhere(request.connect), access)
     ours = ServerOrders(
-        policy, "", overrides=request.overrides, python=request.python, env=request.env, gpu=request.gpu
+        policy,
+        "",
+        overrides=request.overrides,
+        python=request.python,
+        env=request.env,
+        gpu=request.gpu,
+        bounds=bounds,
     )
     return HereBackend(orders, Server(ours, 1), access)
