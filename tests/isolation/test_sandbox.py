@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -20,7 +21,7 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.isolation import family, sandbox
+from xpl_cli.isolation import family, plan, sandbox, seccomp
 from xpl_cli.isolation.sandbox import MemoryLimit
 from xpl_cli.main import app
 from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
@@ -305,3 +306,32 @@ def test_a_key_can_be_left_out_and_the_folder_changed(write_adapter: Write, serv
         assert client.infer({}) == [True, str(folder)]
     with Client(serve(folder, options=("--unset", "extra", "--chdir", str(tmp_path))).url) as client:
         assert client.infer({}) == [False, str(tmp_path)]
+
+
+_KINDS = """
+import json, socket, sys
+made = []
+for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM, socket.SOCK_SEQPACKET, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC):
+    try:
+        socket.socket(socket.AF_UNIX, kind)
+        made.append(True)
+    except OSError:
+        made.append(False)
+print(json.dumps(made))
+"""
+
+
+@pytest.mark.usefixtures("isolation")
+@pytest.mark.parametrize(("devices", "sequenced"), [([], False), (["/dev/nvidia0"], True)])
+def test_named_sockets_are_refused_but_for_the_kind_that_cuda_needs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, devices: list[str], *, sequenced: bool
+) -> None:
+    """Only where there is a device of that kind."""
+    known = [path for path in plan._devices() if "nvidia" not in path]
+    program = seccomp.program(cuda=bool(devices))
+    assert program is not None
+    monkeypatch.setattr(plan, "_devices", lambda: known)
+    monkeypatch.setattr(seccomp, "program", lambda **_: program)
+    with sandbox.isolated(tmp_path) as way:
+        done = subprocess.run([*way.prefix, sys.executable, "-c", _KINDS], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == [False, False, sequenced, sequenced]

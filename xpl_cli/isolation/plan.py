@@ -61,14 +61,16 @@ def by_bubblewrap(*, checkout: Path, folder: Path | None) -> list[str] | None:
 
 
 def _plan(checkout: Path, folder: Path | None) -> dict[str, Any]:
-    program = None if folder is None else seccomp.program()
+    devices = _devices()
+    cuda = any(Path(device).name.startswith("nvidia") for device in devices)
+    program = None if folder is None else seccomp.program(cuda=cuda)
     return {
         "isolate": folder is not None,
         "bubblewrap": None,
         "checkout": str(checkout),
         "folder": str(folder),
         "masked": [path for path in MASKED if Path(path).is_dir() and not Path(path).is_symlink()],
-        "devices": _devices(),
+        "devices": devices,
         "covered": _covered(),
         "shared_bytes": _SHARED_BYTES,
         "filter": None if program is None else program.hex(),
@@ -86,7 +88,7 @@ def _devices() -> list[str]:
     found = [Path("/dev") / name for name in _PLAIN_DEVICES]
     found += [path for pattern in _GPU_DEVICES for path in sorted(Path("/dev").glob(pattern))]
     whole = {path for path in found if path.is_dir()}
-    return [str(path) for path in found if path.exists() and path.parent not in whole]
+    return sorted({str(path) for path in found if path.exists() and path.parent not in whole})
 
 
 def _covered() -> list[str]:

@@ -88,7 +88,8 @@ _NEW_NAMESPACES = 0x7E020000  # CLONE_NEW*: cgroup, UTS, IPC, user, PID, network
 _UNIX, _INET, _INET6, _NETLINK = 1, 2, 10, 16
 _TERMINAL_INPUT = (0x5412, 0x541C)  # TIOCSTI, TIOCLINUX: typing into somebody's terminal
 
-_LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
+_SEQUENCED, _KIND = 5, 0xF  # SOCK_SEQPACKET, and the bits of a socket's kind
+_LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _AND, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x54, 0x06
 _ALLOW, _ERROR = 0x7FFF0000, 0x00050000
 _NUMBER, _ARCHITECTURE, _FIRST, _SECOND = 0, 4, 16, 24  # offsets in struct seccomp_data, little endian
 
@@ -99,8 +100,12 @@ def number(name: str) -> int | None:
     return None if found is None else SYSCALLS[name][found[0]]
 
 
-def program() -> bytes | None:
-    """Return the filter for this machine, as `struct sock_filter[]`; None where its calls are not known here."""
+def program(*, cuda: bool = False) -> bytes | None:
+    """Return the filter for this machine, as `struct sock_filter[]`; None where its calls are not known here.
+
+    Args:
+        cuda: allow the one kind of named socket without which CUDA does not start.
+    """
     found = _MACHINES.get(platform.machine())
     if found is None:
         return None
@@ -120,7 +125,8 @@ def program() -> bytes | None:
     lines += [(_EQUAL, 0, 1, SYSCALLS["clone3"][place]), _refuse(errno.ENOSYS)]
     lines += _looked_at("clone", place, _FIRST, [(_ANY_BIT, 0, 1, _NEW_NAMESPACES), _refuse(errno.EPERM)])
     # A socket with a name could reach one of the host that lies anywhere in the file system; pairs have no name.
-    lines += _looked_at("socket", place, _FIRST, _only(_INET, _INET6, _NETLINK))
+    sockets = _only(_INET, _INET6, _NETLINK)
+    lines += _looked_at("socket", place, _FIRST, [*(_CUDA_SOCKET if cuda else ()), *sockets])
     lines += _looked_at("socketpair", place, _FIRST, _only(_UNIX))
     refused = [line for code in _TERMINAL_INPUT for line in ((_EQUAL, 0, 1, code), _refuse(errno.EPERM))]
     lines += _looked_at("ioctl", place, _SECOND, refused)
@@ -129,6 +135,16 @@ def program() -> bytes | None:
 
 
 _Line = tuple[int, int, int, int | None]
+# CUDA binds one such socket to an abstract name, which is the network namespace's. Few programs listen on such sockets,
+# and those that do have theirs in /run.
+_CUDA_SOCKET: tuple[_Line, ...] = (
+    (_EQUAL, 0, 5, _UNIX),
+    (_LOAD, 0, 0, _SECOND),
+    (_AND, 0, 0, _KIND),
+    (_EQUAL, 0, 1, _SEQUENCED),
+    (_RETURN, 0, 0, _ALLOW),
+    (_RETURN, 0, 0, _ERROR | errno.EAFNOSUPPORT),
+)
 
 
 def _refuse(code: int) -> _Line:
