@@ -36,11 +36,21 @@ def physics(task: str, action_type: str, embodiment: str = ROBOT) -> dict[str, f
     Raises:
         RuntimeError: the world of the task does something that `mj_step` does not.
     """
-    episode = _Replay(
-        _make(task, embodiment, action_type, cameras=False), _experts_actions(task, embodiment, action_type)
-    )
+    episode = _replay(task, action_type, embodiment)
     times = alternate({"act": episode.play, "raw": episode.play_raw}, 1, rounds=15, before=episode.rewind)
     return {f"{name}_ms": taken / len(episode.actions) for name, taken in times.items()}
+
+
+def check(task: str, action_type: str, embodiment: str = ROBOT) -> int:
+    """Play the expert's episode again by `mj_step` alone and return its control steps; raises as `physics` does."""
+    episode = _replay(task, action_type, embodiment)
+    episode.play_raw()
+    return len(episode.actions)
+
+
+def _replay(task: str, action_type: str, embodiment: str) -> _Replay:
+    env = _make(task, embodiment, action_type, cameras=False)
+    return _Replay(env, _experts_actions(task, embodiment, action_type))
 
 
 def figures(task: str, action_type: str, embodiment: str = ROBOT) -> dict[str, Any]:

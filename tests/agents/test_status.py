@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from tests.support.places import tracked
 from tests.support.runs import synthetic
 from tests.support.told import Command, fault
 from xpl_cli.agents.status import memory, standing
@@ -21,7 +22,6 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.profiles import Choice, Profile
 from xpl_cli.audit.static.source import Source
-from xpl_cli.basics import content
 from xpl_cli.basics.errors import ExitCode, NotFoundError
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.main import app
@@ -369,10 +369,10 @@ def test_people_read_a_line_for_each_step(foo: Path) -> None:
 
 def test_our_own_packages_have_a_standing() -> None:
     """Every policy and environment that comes with the tool."""
-    for room in ("policy", "envs"):
-        for folder in content.room(room).glob("*/"):
-            if any((folder / name).is_file() for name in ("policy.yml", "env.yml")):
-                assert _one(str(folder))["steps"]["manifest"]["state"] == "done"
+    manifests = tracked("policy/*/policy.yml", "envs/*/env.yml")
+    assert manifests
+    for manifest in manifests:
+        assert _one(str(manifest.parent))["steps"]["manifest"]["state"] == "done"
 
 
 def test_gates_of_environments_are_those_of_their_rules() -> None:

@@ -18,7 +18,7 @@ from tests.support.peer import DEADLINE_S
 from xpl import Client
 from xpl.client import AsyncClient, ClientError
 
-ONCE: dict[str, Any] = {"max_connect_attempts": 1, "connect_timeout_s": 5, "handshake_timeout_s": 5}
+ONCE: dict[str, Any] = {"max_connect_attempts": 1, "connect_timeout_s": DEADLINE_S, "handshake_timeout_s": DEADLINE_S}
 FAREWELLS = {
     "a close at once": b"\x88\x02\x03\xe8",
     "a failure at once": b"\x88\x06" + struct.pack("!H", 4011) + b"gone",

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.peer import Peer, wait_until, xpl
+from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
 from tests.support.raw import CLOSE, Raw, dial, page
 from xpl import Client
 from xpl import _spec as spec
@@ -36,7 +36,7 @@ MODEL = """
 """
 TOKEN = "a-token-of-thirty-two-characters"
 EVIL = "https://evil.example"
-ONCE: dict[str, Any] = {"max_connect_attempts": 1, "connect_timeout_s": 5}
+ONCE: dict[str, Any] = {"max_connect_attempts": 1, "connect_timeout_s": DEADLINE_S}
 
 
 @pytest.fixture(scope="module")

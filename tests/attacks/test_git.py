@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.peer import xpl
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 from xpl_cli.agents.review.change import change_since
 from xpl_cli.audit.engine.changed import select_changed
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -252,18 +252,18 @@ def test_no_other_module_calls_git() -> None:
     """One place has the settings; `xpl doctor` asks for the version, in `programs.program`."""
     known = {"xpl_cli/basics/git/command.py", "xpl_cli/lifecycle/doctor/programs.py"}
     calling = set()
-    for room in ("xpl", "xpl_cli", "conformance", "templates", "policy", "envs"):
-        for file in (ROOT / room).rglob("*.py"):
-            if "bad" in file.parts or "good" in file.parts:
-                continue
-            nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-            heads = [
-                node.elts[0] if isinstance(node, (ast.List, ast.Tuple)) else node.args[0]
-                for node in nodes
-                if (isinstance(node, (ast.List, ast.Tuple)) and node.elts) or (isinstance(node, ast.Call) and node.args)
-            ]
-            if any(isinstance(head, ast.Constant) and str(head.value).split()[:1] == ["git"] for head in heads):
-                calling.add(file.relative_to(ROOT).as_posix())
+    rooms = ("xpl", "xpl_cli", "conformance", "templates", "policy", "envs")
+    for file in tracked(*(f"{room}/**/*.py" for room in rooms)):
+        if "bad" in file.parts or "good" in file.parts:
+            continue
+        nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        heads = [
+            node.elts[0] if isinstance(node, (ast.List, ast.Tuple)) else node.args[0]
+            for node in nodes
+            if (isinstance(node, (ast.List, ast.Tuple)) and node.elts) or (isinstance(node, ast.Call) and node.args)
+        ]
+        if any(isinstance(head, ast.Constant) and str(head.value).split()[:1] == ["git"] for head in heads):
+            calling.add(file.relative_to(ROOT).as_posix())
     assert calling == known
 
 

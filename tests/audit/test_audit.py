@@ -37,27 +37,35 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def green(workspace: Path) -> dict[str, Any]:
     """The JSON report of the fresh scaffold through all gates."""
-    done = xpl("audit", "policy/Foo", "--json", cwd=workspace)
+    return _green(workspace)
+
+
+def _green(workspace: Path, *rules: str) -> dict[str, Any]:
+    done = xpl("audit", "policy/Foo", "--json", *rules, cwd=workspace)
     assert done.returncode == ExitCode.CLEAN, done.stdout + done.stderr
     report: dict[str, Any] = json.loads(done.stdout)
     return report
 
 
-@pytest.mark.xdist_group("one audit of the scaffold")
-def test_a_fresh_scaffold_is_green_in_three_gates(green: dict[str, Any]) -> None:
-    """What `xpl new-policy` writes passes static, offline and MuJoCo."""
-    (target,) = green["targets"]
-    assert target["verdict"] == "green"
-    assert [(gate["name"], gate["outcome"]) for gate in target["gates"]] == [(name, "pass") for name in Gate]
-    assert green["summary"]["fail"] == green["summary"]["error"] == green["summary"]["not_run"] == 0
-
-
-@pytest.mark.xdist_group("one audit of the scaffold")
-def test_the_json_report_is_valid_against_its_schema(green: dict[str, Any]) -> None:
-    """`xpl.audit/1` is what spec/v1/audit.schema.json says."""
+@pytest.mark.parametrize(
+    "rules",
+    [
+        pytest.param([], marks=[pytest.mark.slow, pytest.mark.xdist_group("one audit of the scaffold")], id="all"),
+        pytest.param(["--select", "XPL1", "--select", "batch-order", "--select", "closed-loop"], id="some"),
+    ],
+)
+def test_a_fresh_scaffold_is_green_in_three_gates(
+    rules: list[str], workspace: Path, request: pytest.FixtureRequest
+) -> None:
+    """What `xpl new-policy` writes passes static, offline and MuJoCo; `xpl.audit/1` is what its schema says."""
     from xpl_cli.standard.validate import validate
 
-    assert validate(green, "audit") == []
+    report = _green(workspace, *rules) if rules else request.getfixturevalue("green")
+    (target,) = report["targets"]
+    assert target["verdict"] == "green"
+    assert [(gate["name"], gate["outcome"]) for gate in target["gates"]] == [(name, "pass") for name in Gate]
+    assert report["summary"]["fail"] == report["summary"]["error"] == report["summary"]["not_run"] == 0
+    assert validate(report, "audit") == []
 
 
 def test_a_broken_copy_is_caught_with_place_and_advice(workspace: Path) -> None:
@@ -71,15 +79,19 @@ def test_a_broken_copy_is_caught_with_place_and_advice(workspace: Path) -> None:
     assert re.search(r"mujoco\s+not run", done.stdout)
 
 
-def test_the_offline_gate_shows_what_the_broken_copy_answers(workspace: Path) -> None:
+@pytest.mark.parametrize(
+    "rules", [["--select", "XPL203"], pytest.param([], marks=pytest.mark.slow)], ids=["one", "all"]
+)
+def test_the_offline_gate_shows_what_the_broken_copy_answers(rules: list[str], workspace: Path) -> None:
     """The finding says for whom the adapter answers when it is asked for 9."""
-    done = xpl("audit", "policy/Broken", "--gate", "offline", cwd=workspace)
+    done = xpl("audit", "policy/Broken", "--gate", "offline", *rules, cwd=workspace)
     assert done.returncode == ExitCode.FINDINGS
     assert "get_action_batch([9]) answers for environment 3" in done.stdout
     assert "xpl explain XPL203" in done.stdout
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("one audit of the scaffold")
 def test_equal_adapters_have_equal_digests_and_changed_behaviour_another(
     workspace: Path, green: dict[str, Any]
 ) -> None:

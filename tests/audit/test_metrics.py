@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.peer import xpl
-from tests.support.places import ROOT
+from tests.support.places import ROOT, copy
 from xpl_cli.audit.metrics import measure, plot
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.static.loops import distance as loop_distance
@@ -243,8 +243,8 @@ def test_environments_are_refused() -> None:
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two policies: the demo's, and one of the ecosystem's layout in a folder with an odd name."""
     folder = tmp_path_factory.mktemp("a workspace")
-    shutil.copytree(ROOT / "policy/demo_policy", folder / "policy/demo_policy")
-    shutil.copytree(ROOT / "policy/demo_policy", folder / "policy/it's <odd> & $(touch executed)")
+    copy(folder, "policy/demo_policy/**")
+    shutil.copytree(folder / "policy/demo_policy", folder / "policy/it's <odd> & $(touch executed)")
     (folder / "policy/it's <odd> & $(touch executed)/policy.yml").unlink()
     (folder / "policy/notes").mkdir()
     (folder / "policy/README.md").write_text("not a policy\n")

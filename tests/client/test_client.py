@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import websockets.sync.server
 
-from tests.support.peer import Peer, wait_until
+from tests.support.peer import DEADLINE_S, Peer, wait_until
 from xpl import Client
 from xpl import _spec as spec
 from xpl.client import (
@@ -32,7 +32,7 @@ from xpl_cli.serving.launch import RunningServer, serving
 HASTE: dict[str, Any] = {
     "connect_retry_delay_s": 0,
     "max_connect_attempts": 2,
-    "request_timeout_s": 10,
+    "request_timeout_s": DEADLINE_S,
     "close_timeout_s": 1,
 }
 
@@ -345,7 +345,7 @@ def test_a_server_that_does_not_come_back_ends_the_request_within_its_timeout(
         started = time.monotonic()
         with pytest.raises(ServerConnectionError, match="no policy server at"):
             client.reset()
-        assert time.monotonic() - started < 5.0
+        assert time.monotonic() - started < DEADLINE_S
     with pytest.raises(ServerConnectionError, match="the client is closed"):
         client.reset()
 
@@ -382,7 +382,7 @@ def test_a_port_that_says_nothing_does_not_hold_the_client() -> None:
             Client(url, config={**HASTE, "connect_timeout_s": 0.1})
         with pytest.raises(ServerConnectionError, match="after 1 attempts"):
             Client(url, config={"max_connect_seconds": 0.2, "max_connect_attempts": None})
-        assert time.monotonic() - started < 5.0
+        assert time.monotonic() - started < DEADLINE_S
 
 
 def test_something_else_at_the_port_is_not_taken_for_a_server() -> None:
@@ -414,7 +414,7 @@ def test_an_address_that_is_none_is_refused_at_once(url: str) -> None:
 def test_a_hello_without_answer_is_tried_again(stand_in: Callable[..., StandIn]) -> None:
     """A server that still loads its model holds hello back."""
     server: StandIn = stand_in(lambda frame: modern(frame) if len(server.requests) > 3 else None)
-    with Client(server.url, config={**HASTE, "handshake_timeout_s": 0.1, "max_connect_attempts": 5}) as client:
+    with Client(server.url, config={**HASTE, "handshake_timeout_s": 0.1, "max_connect_attempts": 0}) as client:
         assert client.server_instance_id == "s1"
     hellos = [frame for frame in server.requests if frame.message_type == "hello"]
     assert len({frame.message_id for frame in hellos}) == len(hellos) > 1

@@ -8,16 +8,37 @@ import os
 import pty
 import subprocess
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
+from xpl_cli.demo import Demo, Step
 from xpl_cli.standard import answers
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
+class Brief(Demo):
+    """The route with audits of a few rules."""
+
+    def _run(self, step: Step) -> None:
+        if step.command[0] == "audit":
+            step = replace(step, command=[*step.command, "--select", "XPL1", "--select", "XPL203"])
+        super()._run(step)
+
+
+def test_the_route_leads_from_a_green_scaffold_to_a_caught_copy(tmp_path: Path) -> None:
+    """Every step ends as it should; the copy is caught before it is served."""
+    said: list[str] = []
+    demo = Brief(tmp_path, said.append, quiet=True)
+    assert demo.play()
+    assert [step.code for step in demo.steps] == [0, 0, 0, 1]
+    assert any("answered" in line for line in said)
+
+
+@pytest.mark.slow
 def test_the_demo_shows_a_green_scaffold_and_a_caught_copy(tmp_path: Path) -> None:
     """It leaves nothing behind in the working directory, and its JSON form lists every step with its exit code."""
     done = subprocess.run(

@@ -13,22 +13,24 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.peer import MARK, processes, wait_until
+from tests.support.peer import DEADLINE_S, MARK, processes, wait_until
 from xpl_cli.basics.errors import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-DEADLINE_S = 60.0
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes through /proc")
 
 
 @contextlib.contextmanager
 def started(args: list[str], cwd: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """Start a command whose descendants can be found by a mark; kill what a failed test leaves."""
+    """Start a command whose descendants can be found by a mark; kill what a failed test leaves.
+
+    It is started as a script starts it in the background, with SIGINT ignored and nothing to read.
+    """
     mark = uuid.uuid4().hex
-    command = [sys.executable, "-m", "xpl_cli", *args]
+    command = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", sys.executable, "-m", "xpl_cli", *args]
     process = subprocess.Popen(
         command, cwd=cwd, env={**os.environ, MARK: mark}, stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from tests.support import pages
-from tests.support.peer import xpl
+from tests.support.peer import DEADLINE_S, xpl
 from tests.support.places import ROOT
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
@@ -85,7 +85,7 @@ def _served(words: list[str], folder: Path) -> None:
             assert server.stdout is not None
             assert json.loads(server.stdout.readline())["url"].startswith("ws://")
             server.terminate()
-            assert server.wait(30) in {ExitCode.CLEAN, ExitCode.INTERRUPTED}
+            assert server.wait(DEADLINE_S) in {ExitCode.CLEAN, ExitCode.INTERRUPTED}
         finally:
             server.kill()
 

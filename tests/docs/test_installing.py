@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.support.places import ROOT
+from tests.support.places import tracked
 from xpl_cli.basics.extras import how_to_install
 
 FILES = ("README.md", "CONTRIBUTING.md", "action.yml")
@@ -18,10 +17,8 @@ _BY_NAME = re.compile(r"""pip install [^\n|`]*(?<![\w/.])xpl[-_]cli\b""")
 
 
 def _texts() -> list[Path]:
-    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", *FILES, *ROOMS]
-    done = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True)
-    found = (ROOT / name for name in done.stdout.split("\0") if name)
-    return [path for path in found if path.suffix not in {".png", ".npz", ".npy", ".bin"} and path.is_file()]
+    found = tracked(*FILES, *(f"{room}/**" for room in ROOMS))
+    return [path for path in found if path.suffix not in {".png", ".npz", ".npy", ".bin"}]
 
 
 def test_nothing_tells_to_install_a_name_that_is_on_no_index() -> None:

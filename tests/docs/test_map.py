@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import subprocess
 import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -13,22 +12,22 @@ from typing import Any
 import pytest
 
 from tests.support import pages
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 
 MAP = ROOT / "docs" / "architecture.md"
 PICTURE = ROOT / "docs" / "assets" / "architecture.svg"
-DECISIONS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
+DECISIONS = tracked("docs/decisions/0*.md")
 HEADINGS = ["Context", "Decision", "Consequences", "Tried and dropped"]
 ENGINE = ("xpl", "xpl_cli")
 
 
 def _rooms() -> set[str]:
     """Return every folder that is a room: those of the checkout, and those of the engine."""
-    listing = ["git", "ls-files", "-z"]
-    done = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True)
-    tops = {name.partition("/")[0] for name in done.stdout.split("\0") if "/" in name}
+    tops = {path.relative_to(ROOT).parts[0] for path in tracked("*/**")}
     tops = {name for name in tops if not name.startswith(".") or name == ".agents"}
-    inner = {f"{room}/{path.parent.name}" for room in ENGINE for path in (ROOT / room).glob("*/__init__.py")}
+    inner = {
+        path.parent.relative_to(ROOT).as_posix() for path in tracked(*(f"{room}/*/__init__.py" for room in ENGINE))
+    }
     return {f"{name}/" for name in tops | inner}
 
 

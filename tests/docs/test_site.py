@@ -14,7 +14,7 @@ import yaml
 
 import xpl
 from tests.support import pages
-from tests.support.places import ROOT
+from tests.support.places import ROOT, copy
 from xpl_cli.audit.rules.gates import Gate
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -35,7 +35,8 @@ def _build(config: Path, out: Path) -> subprocess.CompletedProcess[str]:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the built site."""
     folder = tmp_path_factory.mktemp("site")
-    done = _build(ROOT / "mkdocs.yml", folder)
+    source = copy(tmp_path_factory.mktemp("source"), "mkdocs.yml", "docs/**")
+    done = _build(source / "mkdocs.yml", folder)
     assert done.returncode == 0, done.stderr
     assert "WARNING" not in done.stderr
     return folder

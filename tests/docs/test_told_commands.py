@@ -7,17 +7,15 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 from tests.support.told import Command, commands, fault
 from xpl_cli.main import app
 
-SKILLS = sorted((ROOT / ".agents/skills").glob("*/SKILL.md")) + sorted(
-    (ROOT / ".agents/skills").glob("*/references/*.md")
-)
+SKILLS = tracked(".agents/skills/*/SKILL.md", ".agents/skills/*/references/*.md")
 TEXTS = [
     *SKILLS,
     ROOT / "AGENTS.md",
-    *sorted((ROOT / "envs").glob("*/README.md")),
+    *tracked("envs/*/README.md"),
     ROOT / "templates/agents/AGENTS.md",
 ]
 """What people and agents read beside the documentation, whose pages have tests of their own."""

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 from xpl_cli.basics.content import load_module
 
 ENV = ROOT / "envs" / "gymnasium"
-MAPPINGS = sorted((ENV / "mappings").glob("*.yml"))
+MAPPINGS = tracked("envs/gymnasium/mappings/*.yml")
 SCHEMA = json.loads((ENV / "mapping.schema.json").read_text(encoding="utf-8"))
 MODULE: Any = load_module(ENV / "mapping.py")
 SOURCES = {"obs": {"pose": np.array([1.0, 2.0, 3.0]), "deep": {"x": 5}}, "info": {"text": "no", "done": np.True_}}

@@ -529,13 +529,12 @@ def test_every_stage_has_a_weight_and_they_add_up() -> None:
         assert sum(facts["stages"].values()) == pytest.approx(1.0)
 
 
-def test_an_episode_is_what_mj_step_alone_makes_of_it_and_mostly_physics() -> None:
+def test_an_episode_is_what_mj_step_alone_makes_of_it() -> None:
     """Played again by `mj_step` with the same controls, the expert's episode ends in the same state, bit by bit.
 
-    That takes at least 0.8 of the environment's time; this bound is loose, because machines are shared.
+    How much of the environment's time that is, `./dev bench environments` tells.
     """
-    times = ours.physics("drawer_place", "joint")  # raises where the states differ
-    assert times["raw_ms"] / times["act_ms"] > 0.7
+    assert ours.check("drawer_place", "joint") > 100  # raises where the states differ
 
 
 def test_pack_order_matches_control_order() -> None:

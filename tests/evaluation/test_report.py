@@ -14,7 +14,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from tests.support.peer import wait_until, xpl
+from tests.support.peer import DEADLINE_S, wait_until, xpl
 from tests.support.runs import Faults, synthetic
+from tests.support.work import calls
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.report import curves, episodes, live, media, phrases, written
@@ -103,12 +103,11 @@ def test_a_run_of_which_nothing_was_played_has_a_report(tmp_path: Path) -> None:
     assert "No episode has a success to speak of yet." in (out / written.PAGE).read_text()
 
 
-def test_ten_thousand_episodes_take_less_than_five_seconds(tmp_path: Path) -> None:
-    """Reading, statistics, page, tables."""
+def test_ten_thousand_episodes_take_not_much_each(tmp_path: Path) -> None:
+    """Reading, statistics, page, tables: 600 calls for an episode are 200 us."""
     run = synthetic(tmp_path / "foo", [f"task_{number}" for number in range(10)], episodes=500)
-    began = time.process_time()
-    out = _write(run)
-    assert time.process_time() - began < 5
+    out, count = calls(lambda: _write(run))
+    assert count < 600 * 10_000
     assert len(_data((out / written.PAGE).read_text())["episodes"]["columns"]["index"]) == 10_000
 
 
@@ -277,7 +276,7 @@ def growing(tmp_path: Path) -> Iterator[tuple[Path, http.client.HTTPConnection]]
     """Yield a run that is being played, and a connection to the server of its page."""
     run = synthetic(tmp_path / "foo", episodes=5, played=7, traces=1, films=1)
     with live.serving(run) as url:
-        connection = http.client.HTTPConnection(url.removeprefix("http://").rstrip("/"), timeout=30)
+        connection = http.client.HTTPConnection(url.removeprefix("http://").rstrip("/"), timeout=DEADLINE_S)
         yield run, connection
         connection.close()
 
@@ -328,10 +327,10 @@ def test_the_command_serves_until_it_is_told_to_end(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         address = urlsplit(process.stdout.readline().strip()).netloc
-        with contextlib.closing(http.client.HTTPConnection(address, timeout=30)) as connection:
+        with contextlib.closing(http.client.HTTPConnection(address, timeout=DEADLINE_S)) as connection:
             assert b"complete" in _get(connection, "/")[1]
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == ExitCode.CLEAN
+        assert process.wait(DEADLINE_S) == ExitCode.CLEAN
 
 
 def test_a_port_that_is_taken_is_named(growing: tuple[Path, http.client.HTTPConnection]) -> None:

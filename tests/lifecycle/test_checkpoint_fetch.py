@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 from tests.support.web import Web, serving_files
 from xpl import Client
@@ -495,7 +496,7 @@ def test_two_at_once_fetch_once(web: Web, store: Store, tmp_path: Path) -> None:
         assert "another process fetches it; waiting" in second.stderr.readline()
         (staging.whole / "weights.bin").write_bytes(WEIGHTS)
         store.place(staging, sha(WEIGHTS))
-    out, _ = second.communicate(timeout=60)
+    out, _ = second.communicate(timeout=DEADLINE_S)
     assert (second.returncode, json.loads(out)["checkpoints"][0]["state"]) == (0, "there")
     assert web.asked == []
 

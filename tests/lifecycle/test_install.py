@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 from tests.support.wheels import numpy_wheel, pinned, wheel
 from xpl import Client
@@ -313,7 +314,7 @@ def test_whoever_runs_in_the_old_one_goes_on(conda: Path, tmp_path: Path) -> Non
     assert process.stdout.readline() == "up\n"
     place.install(_conda_plan(tmp_path, "numpy 2"))
     assert first.folder.exists()
-    assert process.communicate("\n", timeout=30)[0] == "7\n"
+    assert process.communicate("\n", timeout=DEADLINE_S)[0] == "7\n"
     place.install(_conda_plan(tmp_path, "numpy 3"))
     assert not first.folder.exists()
 

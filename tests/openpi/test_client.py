@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.support.openpi import METADATA, policy_server
+from tests.support.peer import DEADLINE_S
 from tests.support.stand_in import standing_in
 from xpl import AsyncClient, Client, get_embodiment
 from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
@@ -24,7 +25,7 @@ from xpl.policy import ConfigError, PolicyStateError
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.serving.launch import serving
 
-ONCE: dict[str, Any] = {"max_connect_attempts": 1, "handshake_timeout_s": 5, "request_timeout_s": 20}
+ONCE: dict[str, Any] = {"max_connect_attempts": 1, "handshake_timeout_s": DEADLINE_S, "request_timeout_s": DEADLINE_S}
 CONFIG: dict[str, Any] = {
     "openpi": {"style": "libero"},
     "env_cfg_type": "franka_single",
@@ -160,7 +161,7 @@ def test_a_late_answer_is_an_error() -> None:
     go_on = threading.Event()
 
     def infer(obs: dict[str, Any]) -> dict[str, Any]:
-        go_on.wait(20)
+        go_on.wait(DEADLINE_S)
         return {"actions": np.stack([obs["observation/state"]])}
 
     with policy_server(infer) as url:

@@ -11,7 +11,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from tests.support.openpi import OpenpiPeer, pack, unpack
-from tests.support.peer import Peer, wait_until, xpl
+from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
 from xpl import Client
 from xpl_cli.basics.errors import UserError
 from xpl_cli.serving import openpi as door
@@ -126,7 +126,7 @@ def test_errors_are_text_and_the_connection_stays(openpi_url: str) -> None:
             with pytest.raises(RuntimeError, match=told):
                 peer.infer(spoiled)
         peer.socket.send(b"\xc1")
-        assert "not valid msgpack" in str(peer.socket.recv(timeout=30))
+        assert "not valid msgpack" in str(peer.socket.recv(timeout=DEADLINE_S))
         assert peer.infer(observation())["actions"][0, 0] == 1
 
 
@@ -135,7 +135,7 @@ def test_answers_come_in_the_order_of_the_observations(openpi_url: str) -> None:
     with OpenpiPeer(openpi_url) as peer:
         for obs in (observation(1), {"x": 1}, observation(2), {"y": 1}):
             peer.socket.send(pack(obs))
-        answers: list[Any] = [peer.socket.recv(timeout=30) for _ in range(4)]
+        answers: list[Any] = [peer.socket.recv(timeout=DEADLINE_S) for _ in range(4)]
     assert [isinstance(answer, str) for answer in answers] == [False, True, False, True]
     assert [unpack(answer)["actions"][0, 1] for answer in answers[::2]] == [1, 2]
     assert [" has x," in answers[1], " has y," in answers[3]] == [True, True]

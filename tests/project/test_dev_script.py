@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 
 UV = """#!/bin/bash
@@ -68,7 +69,7 @@ class Checkout:
     def dev(self, *arguments: str, **env: str) -> tuple[int, str, str]:
         """Run `./dev` from another folder; return the exit code, stdout and stderr."""
         process = self.start(*arguments, **env)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=DEADLINE_S)
         return process.returncode, out, err
 
 
@@ -133,7 +134,7 @@ def test_a_command_keeps_folder_arguments_exit_code_and_process(checkout: Checko
     checkout.dev("setup")
     checkout.script(checkout.folder / ".venv/bin/xpl", XPL)
     process = checkout.start("xpl", "audit", "policy/My Policy", "*")
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=DEADLINE_S)
     assert out == f"<{checkout.folder.parent}><{process.pid}><audit><policy/My Policy><*>"
     assert process.returncode == 7
     assert checkout.dev("demo", "--json")[1].endswith("<demo><--json>")

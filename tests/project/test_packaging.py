@@ -227,11 +227,17 @@ def test_the_installed_tool_has_its_skills(installed: Installation) -> None:
     assert (installed.folder / ".claude/skills/xpl-audit-policy/references/reading.md").is_file()
 
 
-@pytest.mark.timeout(300)
-def test_an_adapter_is_made_and_audited_in_an_empty_folder(installed: Installation) -> None:
+@pytest.mark.parametrize(
+    ("name", "rules"),
+    [("Foo", ["--select", "XPL1", "--select", "XPL203"]), pytest.param("Bar", [], marks=pytest.mark.slow)],
+    ids=["some", "all"],
+)
+def test_an_adapter_is_made_and_audited_in_an_empty_folder(
+    name: str, rules: list[str], installed: Installation
+) -> None:
     """`xpl new-policy Foo && xpl audit policy/Foo` ends with exit code 0 where there is no checkout."""
-    installed.run("xpl", "new-policy", "Foo")
-    installed.run("xpl", "audit", "policy/Foo")
+    installed.run("xpl", "new-policy", name)
+    installed.run("xpl", "audit", f"policy/{name}", *rules)
 
 
 def test_the_installed_tool_builds_the_same_sdk(installed: Installation, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import xpl
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,7 +25,7 @@ INIT = "__init__"
 FAMILIES = ("spec_", "env_", "evaluation_", "loop_", "simulation_", "yaml_")
 """Prefixes that told families before these had rooms."""
 
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", "docs", "templates", ".agents/skills", "envs", "policy")
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", "docs/**", "templates/**", ".agents/skills/**", "envs/**", "policy/**")
 TEXTS = (".md", ".py", ".jinja", ".yml", ".sh")
 
 PUBLIC = {
@@ -69,9 +69,8 @@ PUBLIC = {
 def packages(root: Path = ROOT) -> dict[str, list[str]]:
     """Return every folder of ours that holds modules, with their names."""
     found: dict[str, list[str]] = defaultdict(list)
-    for package in ("xpl", "xpl_cli"):
-        for path in (root / package).rglob("*.py"):
-            found[path.parent.relative_to(root).as_posix()].append(path.stem)
+    for path in tracked("xpl/**/*.py", "xpl_cli/**/*.py", root=root):
+        found[path.parent.relative_to(root).as_posix()].append(path.stem)
     return dict(found)
 
 
@@ -128,18 +127,11 @@ def test_a_crowded_room_and_a_family_with_a_prefix_are_found(tmp_path: Path) -> 
 def documented() -> dict[str, set[str]]:
     """Return what documents import or name: per module the names in it."""
     found = defaultdict(set)
-    for place in map(ROOT.joinpath, DOCUMENTS):
-        for path in [place] if place.is_file() else _texts(place):
+    for path in tracked(*DOCUMENTS):
+        if path.suffix in TEXTS:
             for module, name in named(path.read_text(encoding="utf-8", errors="replace")):
                 found[module].add(name)
     return dict(found)
-
-
-def _texts(place: Path) -> Iterator[Path]:
-    """Yield the texts below a folder; what begins with a dot, such as an environment for Python, is not ours."""
-    for path in place.rglob("*"):
-        if path.suffix in TEXTS and not any(part.startswith(".") for part in path.relative_to(place).parts):
-            yield path
 
 
 def test_what_documents_name_is_listed_as_public() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.support.peer import xpl
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 from xpl import _spec as spec
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit.engine import engine
@@ -30,7 +30,7 @@ from xpl_cli.scaffold import adapter, environment, lock
 from xpl_cli.standard.spec import data
 from xpl_cli.standard.validate import validate_yaml_file
 
-OURS = sorted(path.parent.name for path in (ROOT / "envs").glob("*/env.yml"))
+OURS = [path.parent.name for path in tracked("envs/*/env.yml")]
 
 
 def _answers(**changes: Any) -> environment.EnvAnswers:

@@ -19,7 +19,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.places import ROOT
+from tests.support.peer import DEADLINE_S
+from tests.support.places import ROOT, tracked
 from xpl.action import check_chunk
 from xpl.embodiment import embodiment_names, get_embodiment
 from xpl_cli.basics import atomic, content
@@ -190,11 +191,10 @@ def test_placeholders_are_counted_with_their_place(adapter: Path) -> None:
 
 def test_our_own_policies_have_no_placeholder_left() -> None:
     """What is shipped is finished."""
-    for folder in (ROOT / "policy").iterdir():
-        files = {
-            path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in (".md", ".yml", ".py", ".sh")
-        }
-        assert scaffold.placeholders(files) == []
+    files = [path for path in tracked("policy/*/*") if path.suffix in (".md", ".yml", ".py", ".sh")]
+    assert files
+    for path in files:
+        assert scaffold.placeholders({path.name: path.read_bytes()}) == [], path
 
 
 @pytest.mark.parametrize("name", ["demo_policy", "scripted_expert"])
@@ -531,9 +531,10 @@ def test_folders_are_swapped_where_the_system_cannot_exchange_them(
     assert [path.name for path in tmp_path.iterdir()] == ["Foo"]
 
 
+@pytest.mark.parametrize("trap", ["", 'trap "" INT; '], ids=["in front", "in the background"])
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_command_leaves_nothing_behind(kind: signal.Signals, tmp_path: Path) -> None:
-    """Stopped in the middle of writing: no folder, no temporary one, exit code 130."""
+def test_an_interrupted_command_leaves_nothing_behind(kind: signal.Signals, trap: str, tmp_path: Path) -> None:
+    """Stopped in the middle of writing: no folder, no temporary one, exit code 130; also where a shell ignored it."""
     stops = (
         "import os, signal; from xpl_cli import main; from xpl_cli.basics import atomic\n"
         f"atomic._put = lambda *_: os.kill(os.getpid(), {int(kind)})\n"
@@ -544,7 +545,7 @@ def test_an_interrupted_command_leaves_nothing_behind(kind: signal.Signals, tmp_
     scratch.mkdir()
     work.mkdir()
     done = subprocess.run(
-        [sys.executable, "-c", stops],
+        ["/bin/sh", "-c", f'{trap}exec "$@"', "sh", sys.executable, "-c", stops],
         check=False,
         capture_output=True,
         cwd=work,
@@ -582,7 +583,7 @@ def test_a_person_at_a_terminal_is_asked_and_a_pipe_is_not(tmp_path: Path) -> No
         env={**environment, "PYTHONPATH": str(ROOT)},
     ) as process:
         os.close(child)
-        assert process.wait(60) == 0
+        assert process.wait(DEADLINE_S) == 0
         assert process.stderr is not None
         assert b"expected one of" in process.stderr.read()
     os.close(parent)

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.places import ROOT
+from tests.support.places import ROOT, copy, tracked
 from xpl_cli.lifecycle import sdk_wheel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-MODULES = sorted((ROOT / "xpl").rglob("*.py"))
+MODULES = tracked("xpl/**/*.py")
 
 LAZY = {
     "msgpack": {"xpl.openpi.codec", "xpl.wire.codec"},
@@ -145,7 +145,8 @@ def _third_party(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 def test_the_sdk_needs_no_more_than_python_3_9(tmp_path: Path) -> None:
     """No syntax and no standard-library name in `xpl/` is newer."""
-    assert _newer_python(ROOT / "xpl", tmp_path) == ""
+    sources = copy(tmp_path / "sources", "xpl/**/*.py")
+    assert _newer_python(sources / "xpl", tmp_path / "copies") == ""
 
 
 @pytest.mark.parametrize(

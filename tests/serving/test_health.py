@@ -440,21 +440,19 @@ def test_the_wait_for_what_runs_is_bounded(start: Callable[..., Started], fifo: 
             began = time.monotonic()
             server.process.terminate()
             assert server.process.wait(DEADLINE_S) == 0
-            assert 0.4 < time.monotonic() - began < 5.0
+            assert time.monotonic() - began > 0.4
 
 
 def test_a_second_signal_ends_at_once(start: Callable[..., Started], fifo: Path) -> None:
     """Also if a model is at work, and a client is connected that does not answer when the connection is closed."""
-    server = start({"close_timeout_s": 60})
+    server = start({"close_timeout_s": 10 * DEADLINE_S})
     server.wait_ready()
     deaf = Raw(server.url)
     with contextlib.closing(deaf), contextlib.closing(Peer(server.url)) as peer:
         peer.send("infer", {"observation": {"fifo": str(fifo)}})
         with fifo.open("w"):
-            began = time.monotonic()
             server.process.send_signal(signal.SIGINT)
             wait_until(lambda: peer.ask("heartbeat").payload["state"] == "draining", "the server drains")
             server.process.send_signal(signal.SIGINT)
             assert server.process.wait(DEADLINE_S) == 0
-            assert time.monotonic() - began < 10.0
         assert deaf.receive()[0] == CLOSE

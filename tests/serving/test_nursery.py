@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.peer import MARK, processes, wait_until
+from tests.support.peer import DEADLINE_S, MARK, processes, wait_until
 from tests.support.places import ROOT
 from xpl_cli import __version__
 from xpl_cli.basics.errors import ExitCode
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from xpl_cli.serving.nursery import Hosted
 
-DEADLINE_S = 60.0
 WAITS = "mcp"
 """A command that goes on until its standard input ends."""
 TOOL = f"""

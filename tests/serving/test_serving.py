@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from tests.support.peer import MARK, Peer, processes, wait_until
+from tests.support.peer import DEADLINE_S, MARK, Peer, processes, wait_until
 from xpl import Client, images
 from xpl import _spec as spec
 from xpl.client import PolicyServerError, ServerConnectionError
@@ -503,7 +503,7 @@ def started(adapter: Path, fifo: Path) -> Iterator[tuple[subprocess.Popen[bytes]
         yield process, f"ws://127.0.0.1:{port}"
     finally:
         process.terminate()
-        process.wait(20)
+        process.wait(DEADLINE_S)
         process.stdout.close()
 
 
@@ -584,7 +584,7 @@ def test_a_client_that_waits_while_loading_fails_is_told_why(write_adapter: Call
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == spec.CLOSE_CODES["server_failed"]
         assert closed.value.rcvd.reason == "the model could not be loaded: ValueError: no weights"
-        assert process.wait(20) == ExitCode.NOT_RUN
+        assert process.wait(DEADLINE_S) == ExitCode.NOT_RUN
         waiting.close()
 
 
@@ -628,7 +628,7 @@ def test_a_worker_that_dies_idle_ends_the_server_with_the_reason(subject: Path) 
     url = json.loads(process.stdout.readline())["url"]
     client = Client(url)
     os.kill(client.call("report")["pid"], signal.SIGKILL)
-    _, log = process.communicate(timeout=20)
+    _, log = process.communicate(timeout=DEADLINE_S)
     assert process.returncode == ExitCode.NOT_RUN
     assert log.decode().splitlines()[-1] == "error: Subject: the worker was ended by signal SIGKILL"
     with pytest.raises(ServerConnectionError, match="policy server ended: the worker was ended by signal SIGKILL"):
@@ -686,7 +686,7 @@ def test_no_signal_leaves_a_process_behind(
                 peer.send("infer", {"observation": {"fifo": str(fifo)}})
                 stack.enter_context(fifo.open("w"))
             process.send_signal(number)
-            assert process.wait(20) == (-9 if number == signal.SIGKILL else 0)
+            assert process.wait(DEADLINE_S) == (-9 if number == signal.SIGKILL else 0)
             wait_until(lambda: not processes(mark), "all processes are gone")
         with contextlib.suppress(Exception):
             peer.close()

@@ -18,7 +18,7 @@ import typer
 from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 from tests.support.runs import synthetic
 from tests.support.told import Command, fault
 from xpl_cli import main
@@ -85,7 +85,7 @@ def test_no_schema_name_stands_in_code_and_not_in_the_list() -> None:
     kept = {"xpl.environment/1", "xpl.undo/1", "xpl.recording/1", "xpl.record/1", "xpl.skill/1", "xpl.submission/1"}
     found = {
         name
-        for path in (ROOT / "xpl_cli").rglob("*.py")
+        for path in tracked("xpl_cli/**/*.py")
         for name in re.findall(r"\"(xpl\.[a-z-]+/\d+)\"", path.read_text(encoding="utf-8"))
     }
     assert found - kept <= set(answers.answers())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.derived.compiler import compile_source
@@ -82,8 +82,8 @@ def _numbers() -> set[float]:
 
 
 def _sources(*patterns: str) -> list[Path]:
-    paths = {path for pattern in patterns for path in ROOT.glob(pattern)}
-    return sorted(path for path in paths if not any(path.relative_to(ROOT).match(name) for name in EXEMPT))
+    paths = tracked(*patterns)
+    return [path for path in paths if not any(path.relative_to(ROOT).match(name) for name in EXEMPT)]
 
 
 def _constants(path: Path) -> Iterator[ast.Constant]:
@@ -198,7 +198,7 @@ def test_a_fault_of_the_standard_is_found(
 )
 def test_manifests_of_this_repository_are_valid(pattern: str, schema: str) -> None:
     """What is shipped with the standard keeps to it."""
-    files = sorted(ROOT.glob(pattern))
+    files = tracked(pattern)
     assert files
     assert [str(problem) for file in files for problem in validate_yaml_file(file, schema, None)] == []
 

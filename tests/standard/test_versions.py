@@ -16,7 +16,7 @@ import pytest
 import yaml
 from typer.main import get_command
 
-from tests.support.places import ROOT
+from tests.support.places import ROOT, copy, tracked
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
@@ -45,8 +45,7 @@ KINDS: dict[str, dict[str, Any]] = {
 @pytest.fixture
 def rooms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return a copy of `spec/` and `templates/` that takes the place of ours, and may be changed."""
-    for name in ("spec", "templates"):
-        shutil.copytree(ROOT / name, tmp_path / name)
+    copy(tmp_path, "spec/**", "templates/**")
     for module in (spec, freeze, template):
         monkeypatch.setattr(module, "room", lambda name: tmp_path / name)
     _forget()
@@ -283,7 +282,8 @@ def test_everything_that_follows_from_the_standard_is_up_to_date() -> None:
     """`xpl spec compile` writes the SDK's constants and the reference pages."""
     derived = compiler.derived(get_command(app))
     assert [name for name, content in derived.items() if (ROOT / name).read_bytes() != content] == []
-    pages = {f"{compiler.REFERENCE}/{path.name}" for path in (ROOT / compiler.REFERENCE).iterdir()}
+    pages = {path.relative_to(ROOT).as_posix() for path in tracked(f"{compiler.REFERENCE}/*")}
+    assert pages
     assert pages <= set(derived)
 
 

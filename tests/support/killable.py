@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Self
 
-from tests.support.peer import MARK, processes, wait_until
+from tests.support.peer import DEADLINE_S, MARK, processes, wait_until
 
 LISTENING, CONNECTED = "0A", "01"
 """States in /proc/net/tcp."""
@@ -74,7 +74,7 @@ class Server:
         self._listens = False
         ready = threading.Event()
         threading.Thread(target=self._read, args=(self._process.stdout, ready), daemon=True).start()
-        assert ready.wait(60), self.log
+        assert ready.wait(DEADLINE_S), self.log
         assert self._listens or self._stopping or self._keeper, self.log
 
     def workers(self) -> list[int]:
@@ -115,7 +115,7 @@ class Server:
         if self._keeper is not None:
             self._keeper.join()
         self._process.terminate()
-        self._process.wait(30)
+        self._process.wait(DEADLINE_S)
         gone(lambda: processes(self.mark).values(), "processes of the server")
         gone(lambda: sockets(self.port, LISTENING, CONNECTED), "sockets of the server")
         gone(lambda: orphans(self._since), "shared memory")

@@ -19,7 +19,7 @@ import websockets.sync.client
 import websockets.sync.server
 from websockets.exceptions import ConnectionClosed
 
-DEADLINE_S = 30.0
+DEADLINE_S = 100.0
 METADATA = {"reset_pose": [0.0, -1.5]}
 
 

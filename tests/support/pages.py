@@ -13,11 +13,11 @@ from typing import Any
 
 import typer
 
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 from xpl_cli.derived import commands, compiler, rules
 from xpl_cli.main import app
 
-DOCS = sorted((ROOT / "docs").rglob("*.md"))
+DOCS = tracked("docs/**/*.md")
 TOP = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
 GENERATED = (compiler.REFERENCE, rules.FOLDER, commands.PAGE)
 """Pages that are written from something else, and cannot be wrong on their own."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.peer import MARK, processes, wait_until
+from tests.support.peer import DEADLINE_S, MARK, processes, wait_until
 from xpl import _spec as spec
 from xpl.process import link
 from xpl.process.link import Channel
@@ -150,7 +150,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Process]]:
     yield run
     for one in started:
         one.channel.close()
-        one.process.wait(20)
+        one.process.wait(DEADLINE_S)
         assert one.process.stdout is not None
         one.process.stdout.close()
     wait_until(lambda: not processes(mark), "all workers are gone")
@@ -551,7 +551,7 @@ def test_a_link_out_of_step_ends_the_worker(start: Callable[..., Process], noise
     """It cannot be mended, and a silent worker would be waited for."""
     process = start()
     process.channel.sendall(noise)
-    process.process.wait(20)
+    process.process.wait(DEADLINE_S)
     assert process.process.stdout is not None
     assert b"out of step" in process.process.stdout.read()
 
@@ -572,7 +572,7 @@ def test_a_worker_ends_with_the_front_end_even_while_it_computes(
     process.start(request("infer", {"fifo": str(fifo)}))
     with fifo.open("w"):
         process.channel.close()
-        process.process.wait(20)
+        process.process.wait(DEADLINE_S)
 
 
 def test_the_worker_runs_in_the_oldest_supported_python(

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.support.places import ROOT
+from tests.support.places import ROOT, tracked
 
 NESTED = 300
 
@@ -70,7 +70,7 @@ TARGETS: tuple[Callable[[bytes], None], ...] = (read_yaml, read_shell, read_pyth
 def seeds() -> Iterator[tuple[int, bytes]]:
     """Yield the number of a target and bytes for it: manifests, scripts and modules of this repository, and tangles."""
     for number, pattern in enumerate(("*.yml", "*.sh", "model.py")):
-        for file in sorted((ROOT / "policy").glob(f"*/{pattern}")):
+        for file in tracked(f"policy/*/{pattern}"):
             yield number, file.read_bytes()
     yield 0, b"a: &a [1, 2]\nb: {<<: {c: 1}, d: *a}\ne: !!int 010\nf: 2024-99-99\n? [1]\n: |\n  x\n"
     yield 1, b'cat <<\'E\' | tee "${a:-$(b "c")}" && f() { for i in $@; do (x); done; }\nE\ncase $1 in a) ;; esac\n'

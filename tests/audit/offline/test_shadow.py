@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from tests.support.peer import DEADLINE_S
 from xpl.policy import Policy
 from xpl.worker.lacking import is_third_party, lacking
 from xpl.worker.shadow import ShadowError, UndividedError, shadow_of
@@ -396,5 +397,5 @@ def test_a_shadow_is_served_and_says_so(package: Path) -> None:
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None
     ready = json.loads(process.stdout.readline())
-    process.communicate(timeout=30)
+    process.communicate(timeout=DEADLINE_S)
     assert (ready["event"], ready["shadow"]) == ("ready", True)
