@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import pytest
 
 from tests.support import drill
 from tests.support.peer import wait_until, xpl
-from tests.support.places import ROOT
+from tests.support.places import ROOT, copy
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.loop.desk import EndlessError
 from xpl_cli.evaluation.loop.process import Limits, Loop, LoopLostError, LoopRaisedError
@@ -360,8 +359,7 @@ def test_a_model_that_kills_itself_where_it_loses_gains_nothing(tmp_path: Path, 
 @pytest.mark.parametrize("where", ["import", "loop"])
 def test_an_exit_in_deploy_py_never_ends_an_audit(tmp_path: Path, where: str) -> None:
     """The MuJoCo gate judges on: the loop is a finding, and the model is looked at by all other rules."""
-    adapter = tmp_path / "policy" / "demo_policy"
-    shutil.copytree(ROOT / "policy" / "demo_policy", adapter, ignore=shutil.ignore_patterns("__pycache__"))
+    adapter = copy(tmp_path, "policy/demo_policy/**") / "policy/demo_policy"
     end = {"import": "import os\nos._exit(0)\n", "loop": ""}[where]
     body = "def eval_one_episode(TASK_ENV, model_client):\n    import os\n    os._exit(0)\n\n"
     (adapter / "deploy.py").write_text(f"{end}{body}eval_one_episode_batch = eval_one_episode\n", encoding="utf-8")

@@ -34,7 +34,7 @@ ENV_OPERATIONS = (
     "render",
 )
 CLIENT_OPERATIONS = (
-    "call",
+    spec.Message.CALL,
     spec.Method.RESET,
     spec.Method.UPDATE_OBS,
     spec.Method.UPDATE_OBS_BATCH,
@@ -94,7 +94,9 @@ class Judge:
             ActionError, ClientError, ValueError, TypeError, AttributeError: as environment or policy raised it.
             PackingError: an argument cannot travel.
         """
-        goes_ahead = operation in GO_AHEAD or (operation == "call" and options.get("func_name") in GO_AHEAD)
+        goes_ahead = operation in GO_AHEAD or (
+            operation == spec.Message.CALL and options.get(spec.Payload.FUNC_NAME) in GO_AHEAD
+        )
         with self._turn:
             given = packed.encode([list(arguments), options], self._shown.place)
             head = {"ask": whom, "operation": operation, "ahead": goes_ahead}
