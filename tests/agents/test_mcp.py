@@ -84,13 +84,19 @@ CALLS = [
 ]
 
 
-def test_every_tool_answers_what_the_command_answers(project: Path) -> None:
+def test_every_tool_has_a_call() -> None:
+    """Those below, and that of a test of its own."""
+    assert {name for name, _ in CALLS} | {"eval_summary"} == set(OFFERS)
+
+
+@pytest.mark.parametrize("calls", [pytest.param(CALLS, marks=pytest.mark.slow), CALLS[2:4]], ids=["all", "some"])
+def test_every_tool_answers_what_the_command_answers(calls: list[tuple[str, dict[str, Any]]], project: Path) -> None:
     """The same document, the same exit code, and the same sentence where there is no document."""
 
     async def all_calls(client: Client) -> list[CallToolResult]:
-        return [await client.call_tool(name, arguments) for name, arguments in CALLS]
+        return [await client.call_tool(name, arguments) for name, arguments in calls]
 
-    for (name, arguments), answer in zip(CALLS, talk(project, all_calls), strict=True):
+    for (name, arguments), answer in zip(calls, talk(project, all_calls), strict=True):
         done = xpl(*tool(name).command_line(arguments), cwd=project)
         where = f"{name} {arguments}: {said(answer)}"
         expected = json.loads(done.stdout) if done.stdout.strip() else None
@@ -100,7 +106,6 @@ def test_every_tool_answers_what_the_command_answers(project: Path) -> None:
         for line in done.stderr.splitlines():
             if line.startswith(("error:", "Hint:")):
                 assert line in said(answer), where
-    assert {name for name, _ in CALLS} | {"eval_summary"} == set(OFFERS)
 
 
 def test_a_recorded_run_is_summarised(tmp_path: Path) -> None:

@@ -338,7 +338,7 @@ def test_a_slow_reader_costs_bounded_memory(server: Server, proxy: Proxy) -> Non
         assert other.ask("heartbeat").message_type == "heartbeat_ack"
         assert memory(server.pid) - before < BOUND
         answers = [peer.receive() for _ in range(count)]
-        assert [answer.message_id for answer in answers] == ids, Counter(answer.message_type for answer in answers)
+        assert Counter(answer.message_id for answer in answers) == Counter(ids)  # large ones may overtake each other
         assert {len(answer.payload["result"]) for answer in answers} == {MIB}
         peer.send("close")
 
