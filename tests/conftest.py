@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.support.peer import MARK, processes, wait_until
 from xpl_cli.serving import nursery
@@ -21,6 +22,10 @@ from xpl_cli.serving.launch import RunningServer, serving
 
 # No test multiplies matrices, and threads for that cost every process that imports numpy half of its start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# How long an example takes, or its making, depends on what else the machine does.
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support import breakout
+from tests.support.peer import DEADLINE_S
 from xpl import Client
 from xpl_cli.isolation import plan, sandbox, seccomp
 
@@ -120,7 +121,12 @@ def outcome(request: pytest.FixtureRequest, way: str) -> Iterator[dict[str, Any]
         script = Path(breakout.__file__).read_text(encoding="utf-8")
         inside = [become[-1], "-I", "-S", "-c", script, json.dumps(known)]
         done = subprocess.run(
-            [*become, *prefix[1:], *inside], capture_output=True, text=True, check=False, cwd=checkout, timeout=120
+            [*become, *prefix[1:], *inside],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=checkout,
+            timeout=DEADLINE_S,
         )
         if done.returncode == 125 or "bwrap:" in done.stderr:
             pytest.skip(f"this kernel forbids it to this user: {done.stderr.strip()}")

@@ -260,7 +260,7 @@ def _tried(data: st.DataObject, sound: Path, folder: Path) -> None:
 drawn = given(data=st.data())
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @drawn
 def test_whatever_stands_in_a_line_is_left_out_or_can_be_reported(
     data: st.DataObject, sound: Path, tmp_path: Path
@@ -271,7 +271,7 @@ def test_whatever_stands_in_a_line_is_left_out_or_can_be_reported(
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@settings(max_examples=1000, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=1000, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @drawn
 def test_a_thousand_values_are_left_out_or_can_be_reported(data: st.DataObject, sound: Path, tmp_path: Path) -> None:
     """Values of any kind, at any place of any line."""

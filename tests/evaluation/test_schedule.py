@@ -203,7 +203,7 @@ def test_a_cell_ends_when_it_is_enough(plan: dict[str, Any], tmp_path: Path) -> 
         assert _play(folder, long, Script(1, _good, _first), enough).attempts == run.attempts
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data(), lanes=st.integers(1, 4))
 def test_whatever_happens_each_episode_is_final_once(
     plan: dict[str, Any], tmp_path: Path, data: st.DataObject, lanes: int
