@@ -191,7 +191,6 @@ def test_an_answer_without_anything_kept_leaves_it_as_it_was() -> None:
     assert seen == [0, 1, 1, 3, 3]
 
 
-@pytest.mark.timeout(60)
 def test_clients_that_share_a_model_keep_memories_of_their_own(write_adapter: Callable[..., Path]) -> None:
     """Over real sockets: questions put twice, by two clients in turn, and a reset of one of them."""
     folder = write_adapter(MODEL, serving={"shared": True}, temporal={"kind": "memory", "chunk": 1})

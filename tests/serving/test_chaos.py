@@ -315,12 +315,20 @@ def memory(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
+def threads(pid: int) -> list[str]:
+    """Return the states of a process's threads; R: it runs, or would if the machine were not busy."""
+    stats = Path(f"/proc/{pid}/task").glob("*/stat")
+    return [stat.read_text(encoding="utf-8").rpartition(")")[2].split()[0] for stat in stats]
+
+
 def wait_at_rest(pid: int) -> None:
-    """Wait until neither a process nor this one has used processor time for thirty looks."""
+    """Wait until neither a process nor this one has used, or waited for, processor time for thirty looks."""
     looks: deque[tuple[str, int]] = deque(maxlen=30)
 
     def resting() -> bool:
         used = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[0]
+        if "R" in threads(pid):
+            looks.clear()
         looks.append((used, int(time.process_time() * 20)))  # looking itself takes a little
         return len(looks) == looks.maxlen and len(set(looks)) == 1
 
