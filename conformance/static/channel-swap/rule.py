@@ -18,7 +18,7 @@ def channel_swap(source: Source) -> Iterator[Finding]:
     ## What it does
     Follows the observation through the observing methods and looks for exchanges of the channels: `cvtColor` from BGR,
     which images of the standard never are, and any exchange right after decoding. An exchange that hangs on a setting,
-    or that goes to a writer which wants BGR, does not count.
+    or that goes to a writer which wants BGR, does not count. Other exchanges are left to `undeclared-channel-swap`.
 
     ## Why it matters
     The policy sees a blue cup where a red one stands. A branch for encoded frames only makes it worse: the colours then

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.hollow import hollow as hollow_scripts
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
@@ -14,7 +15,8 @@ def placeholders(source: Source) -> Iterator[Finding]:
     """Places that the template marked for the author are still open.
 
     ## What it does
-    Counts the template's marker in the files of the adapter.
+    Counts the template's marker in the files of the adapter. As long as there is one, it also lists the scripts of the
+    template that have nothing behind them yet, process_data.sh and train.sh; afterwards `hollow-scripts` does.
 
     ## Why it matters
     An adapter that nobody filled in runs: it holds the pose. The marker tells such a run from a policy that fails.
@@ -37,6 +39,9 @@ def placeholders(source: Source) -> Iterator[Finding]:
     if found:
         count = sum(map(len, found.values()))
         first = min(found)
+        hollow = {entry.script: entry for entry in hollow_scripts(source) if entry.by_xpl}
+        missing = " and ".join(sorted(entry.runs for entry in hollow.values()))
+        advice = "fill the places in and delete the markers"
         yield Finding(
             f"{count} places that the template marked are still open, in {', '.join(sorted(found))}",
             path=first,
@@ -44,6 +49,6 @@ def placeholders(source: Source) -> Iterator[Finding]:
             column=1,
             expected="no marker left",
             got=f"{count} of {marker}",
-            evidence=found,
-            fix=Fix("advice", "fill the places in and delete the markers"),
+            evidence={**found, **{script: [entry.word.line] for script, entry in hollow.items() if entry.word}},
+            fix=Fix("advice", f"{advice}; write {missing}, or declare evaluation_only: true" if hollow else advice),
         )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.audit.static.syntax import called, constant, enclosing, last, names, targets, texts
+from xpl import _spec as sdk
+from xpl_cli.audit.static.syntax import called, constant, enclosing, last, names, parameters, targets, texts
 
 if TYPE_CHECKING:
     from xpl_cli.audit.static.function import Function
@@ -16,6 +18,13 @@ _READS_BGR: Final = frozenset(("imread", "read", "retrieve", "VideoCapture"))
 """Functions of OpenCV that read standard files and videos, and give BGR."""
 _WANTS_BGR: Final = frozenset(("imwrite", "write", "imencode", "imshow", "VideoWriter"))
 _DECODES: Final = frozenset(("imdecode", "decode_image_bit", "decode_image"))
+_BACKWARDS: Final = frozenset(("[2, 1, 0]", "(2, 1, 0)"))
+_AXES: Final = 3
+_READS_IMAGE: Final = "get_image"
+_OBSERVED: Final = frozenset(
+    (_READS_IMAGE, *(f"[{key}]" for key in (sdk.Obs.VISION, sdk.Camera.COLOR, *sdk.READ_ALIASES[sdk.Camera.COLOR])))
+)
+_IMAGE: Final = re.compile(r"(^|_)(images?|imgs?|rgb|frames?|pixels|colou?rs?)(_|$)")
 
 
 @dataclass(frozen=True)
@@ -24,13 +33,15 @@ class Swap:
 
     Attributes:
         claims_bgr: whether the code says that its input is BGR.
-        decoded: whether its input was decoded in the same function.
+        decoded: whether its input was decoded in the same function, and the code does not ask for BGR.
+        observed: whether its input is certainly an image of an observation, or a parameter that is called one.
     """
 
     function: Function
     node: ast.expr
     claims_bgr: bool
     decoded: bool
+    observed: bool
 
 
 def swaps(function: Function) -> Iterator[Swap]:
@@ -47,42 +58,83 @@ def swaps(function: Function) -> Iterator[Swap]:
     for node, image, claims_bgr in found:
         if image is None:
             continue
-        origin = {called(call).rpartition(".")[2] for call in ast.walk(image) if isinstance(call, ast.Call)}
+        origin = _origin(image)
         for name in names(image):
             origin |= sources.get(name, set())
         if origin & _READS_BGR or _is_for_a_writer(node, function) or _is_a_setting(node, function):
             continue
-        yield Swap(function, node, claims_bgr, bool(origin & _DECODES))
+        is_decoded = bool(origin & _DECODES) and not _asks_for_bgr(node)
+        yield Swap(function, node, claims_bgr, is_decoded, _is_observed(origin))
 
 
 def _swapped(node: ast.AST) -> tuple[ast.expr | None, bool]:
     """Return the image whose channels a node exchanges, and whether the code calls it BGR."""
-    if isinstance(node, ast.Call) and last(called(node)) == "cvtColor" and len(node.args) > 1:
-        code = last(ast.unparse(node.args[1]))
-        if code == "COLOR_BGR2RGB":  # the opposite is asked for by something that wants BGR
-            return node.args[0], True
+    if isinstance(node, ast.Call):
+        if last(called(node)) == "cvtColor" and len(node.args) > 1:
+            code = last(ast.unparse(node.args[1]))
+            return (node.args[0] if code in {"COLOR_BGR2RGB", "COLOR_RGB2BGR"} else None), code == "COLOR_BGR2RGB"
+        return _flipped(node), False
     if not isinstance(node, ast.Subscript) or not isinstance(node.ctx, ast.Load):
         return None, False
-    if isinstance(node.slice, ast.Tuple) and node.slice.elts:
-        channels = node.slice.elts[-1]
-        backwards = isinstance(channels, ast.Slice) and channels.lower is channels.upper is None
-        if backwards and constant(getattr(channels, "step", None)) == -1:
-            return node.value, False
-        if ast.unparse(channels) == "[2, 1, 0]":
-            return node.value, False
-    return None, False
+    places = node.slice.elts if isinstance(node.slice, ast.Tuple) else []
+    if len(places) < _AXES and not any(map(_is_ellipsis, places)):
+        return None, False  # `[:, ::-1]` is a mirror
+    channels = places[-1]
+    backwards = isinstance(channels, ast.Slice) and channels.lower is channels.upper is None
+    if backwards and constant(getattr(channels, "step", None)) == -1:
+        return node.value, False
+    return (node.value if ast.unparse(channels) in _BACKWARDS else None), False
+
+
+def _flipped(node: ast.Call) -> ast.expr | None:
+    """Return what `np.flip(image, -1)`, `image.flip(-1)` or `np.take(image, [2, 1, 0], axis=-1)` takes."""
+    name, axes = last(called(node)), {"axis", "dims", "dim"}
+    given = [keyword.value for keyword in node.keywords if keyword.arg in axes]
+    if name == "take" and len(node.args) > 1 and ast.unparse(node.args[1]) in _BACKWARDS:
+        given += node.args[2:]
+    elif name == "flip" and node.args:
+        given += node.args[1:] if len(node.args) > 1 or given else node.args
+    else:
+        return None
+    if len(given) != 1 or ast.unparse(given[0]).strip("()[],") not in {"-1", "2"}:
+        return None
+    is_method = isinstance(node.func, ast.Attribute) and given[0] is node.args[0]
+    return node.func.value if is_method and isinstance(node.func, ast.Attribute) else node.args[0]
+
+
+def _is_ellipsis(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and node.value is Ellipsis
+
+
+def _asks_for_bgr(node: ast.expr) -> bool:
+    return isinstance(node, ast.Call) and any("RGB2BGR" in ast.unparse(argument) for argument in node.args[1:])
+
+
+def _origin(node: ast.AST) -> set[str]:
+    """Return the functions that an expression calls, and the keys it reads in brackets: `get_image`, `[vision]`."""
+    return {last(called(call)) for call in ast.walk(node) if isinstance(call, ast.Call)} | {
+        f"[{text}]" for text in texts(node)
+    }
+
+
+def _is_observed(origin: set[str]) -> bool:
+    return bool(origin & _OBSERVED) or any(key.startswith("[cam_") for key in origin)
 
 
 def _sources(function: Function) -> dict[str, set[str]]:
-    """Return, for each name, the functions whose results it was made of, through other names and loops."""
-    found: dict[str, set[str]] = {}
+    """Return, for each name, the functions and keys that its value comes from, through other names and loops.
+
+    A parameter that is called an image counts as one of the observation.
+    """
+    images = filter(_IMAGE.search, parameters(function.node))
+    found: dict[str, set[str]] = {name: {_READS_IMAGE} for name in images}
     for _ in range(3):
         for node in function.nodes:
             value = node.iter if isinstance(node, (ast.For, ast.comprehension)) else getattr(node, "value", None)
             if isinstance(node, (ast.Assign, ast.AnnAssign, ast.For, ast.comprehension)) and isinstance(
                 value, ast.expr
             ):
-                origin = {last(called(call)) for call in ast.walk(value) if isinstance(call, ast.Call)}
+                origin = _origin(value)
                 for name in names(value):
                     origin |= found.get(name, set())
                 bound = [node.target] if isinstance(node, ast.comprehension) else targets(node)

@@ -1,0 +1,4 @@
+from trainer import run
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,61 @@
+"""XPL191: Who exchanges red and blue says that the model wants BGR."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
+from xpl_cli.audit.static.colour import swaps
+from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.source import Source
+
+_WORD = "bgr"
+
+
+@rule(code="XPL191", requirement="XPL-OBS-7")
+def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
+    """Red and blue of an observation's image are exchanged, and nothing says why.
+
+    ## What it does
+    Follows images of the observation, as `channel-swap` does, and reports every other exchange of the channels:
+    `[..., ::-1]`, `[..., [2, 1, 0]]`, `np.flip` over the last axis, `COLOR_RGB2BGR`. Some models do want BGR, which
+    files cannot show and policy.yml has no key for. So a word counts as declared: "bgr" in a name, comment or docstring
+    of the function, in policy.yml or in deploy.yml. What goes to a writer that wants BGR does not count either. A
+    warning, since the reader cannot know what the weights were trained on.
+
+    ## Why it matters
+    Images of the standard are RGB. A leftover of code that read them with OpenCV shows the policy a blue cup where a
+    red one stands; it still moves, only worse, and nobody looks for it there.
+
+    ## Example
+    `image = xpl.observation.get_image(obs, "cam_head")[..., ::-1]`.
+
+    ## Use instead
+    The image as it is. Where the weights were trained on BGR, say so: `bgr = image[..., ::-1] # trained on BGR`.
+
+    ## Fix safety
+    No automatic fix: weights that were trained on exchanged channels need them so.
+    """
+    told = (source.text(name) for name in (sdk.File.POLICY_YML, sdk.File.DEPLOY_YML) if source.has(name))
+    if any(_WORD in text.lower() for text in told):
+        return
+    for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
+        for swap in swaps(function):
+            is_found_already = swap.claims_bgr or swap.decoded
+            if swap.observed and not is_found_already and not _says_why(source, function):
+                yield Finding(
+                    "red and blue of an observation's image are exchanged, and nothing says that the model wants BGR",
+                    **source.at(function.file, swap.node),
+                    expected="RGB as it arrives, or a word on BGR",
+                    got=ast.unparse(swap.node),
+                    fix=Fix("advice", "delete the exchange; or, if the weights were trained on BGR, say so beside it"),
+                )
+
+
+def _says_why(source: Source, function: Function) -> bool:
+    """Tell whether a function, or the line above it, speaks of BGR other than by the name of the conversion."""
+    lines = source.text(function.file).split("\n")[max(function.node.lineno - 2, 0) : function.node.end_lineno]
+    return _WORD in "\n".join(lines).replace("COLOR_RGB2BGR", "").lower()

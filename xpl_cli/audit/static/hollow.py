@@ -1,0 +1,178 @@
+"""Scripts of a package that have nothing behind them: what they run is not there, or does nothing."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from xpl import _spec as sdk
+from xpl_cli.audit.static import script_flow
+from xpl_cli.audit.static.syntax import called, constant, dotted, last
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.shell import Command, Word
+    from xpl_cli.audit.static.source import Source
+
+RUN_BY_XPL: Final = {
+    "prepare": f"{Path(sdk.File.PROCESS_DATA_SH).stem}.py",
+    "train": f"{Path(sdk.File.TRAIN_SH).stem}.py",
+}
+"""Commands of `xpl` that run the author's own script, and that script."""
+
+_PREPARES: Final = frozenset(
+    (
+        *("set", "exit", "return", "cd", "pushd", "popd", "mkdir", "shift", "cat", "true", "false", "read", "usage"),
+        *("source", ".", "conda", "unset", "trap", "ulimit", "export", "local", "declare", "readonly", "typeset"),
+    )
+)
+"""Programs that convert and train nothing."""
+_SAYS: Final = frozenset(
+    (
+        *("print", "exit", "debug", "info", "warning", "error", "critical", "exception", "basicConfig", "getLogger"),
+        *("ArgumentParser", "add_argument", "parse_args", "parse_known_args"),
+    )
+)
+"""Functions that only talk, end, or read arguments."""
+_OWN_FOLDER: Final = re.compile(
+    r"""["']?\$\((?:CDPATH='' )?(?:cd (?:-- )?)?["']?\$?\(?dirname [^/]*["')\]}]+(?: && pwd(?: -P)?)?\)?["']?"""
+)
+_DEFAULT: Final = re.compile(r"\$\{\w+:?-([^${}]*)\}")
+_VARIABLE: Final = re.compile(r"\$\{?(\w+)\}?")
+
+
+@dataclass(frozen=True)
+class Hollow:
+    """A script with nothing behind it.
+
+    Attributes:
+        script: its name.
+        word: where it runs what is not there; None if it runs nothing.
+        runs: the Python file that it runs, "" if it runs none.
+        is_there: whether that file is there, and does nothing.
+        by_xpl: whether it runs by `xpl prepare` or `xpl train`, as the template's scripts do.
+    """
+
+    script: str
+    word: Word | None
+    runs: str = ""
+    is_there: bool = False
+    by_xpl: bool = False
+
+
+def hollow(source: Source) -> list[Hollow]:
+    """Return the scripts for data and training that have nothing behind them; none of a package for evaluation only.
+
+    Raises:
+        NotRun: if a script is too large to be read.
+    """
+    if source.manifest.get("evaluation_only", False):
+        return []
+    names = [name for name in spec.data("package")["files"]["training"] if source.has(name)]
+    found = (_judged(source, name) for name in names)
+    return [entry for entry in found if entry is not None]
+
+
+def _judged(source: Source, name: str) -> Hollow | None:
+    """Return what is wrong with a script; None where something, known or not, may do the work."""
+    folders: dict[str, str] = {}
+    here: str | None = ""
+    empty: list[Hollow] = []
+    for command in script_flow.script(source, name):
+        if any("$(" in value.raw and ".py" in value.raw for _, value in command.assignments):
+            return None
+        folders.update({variable: _text(value.raw, folders) for variable, value in command.assignments})
+        if not command.arguments:
+            continue
+        words, program = script_flow.runs(command), _program(command)
+        if program == "cd":
+            here = "" if len(words) > 1 and _resolved(words[1].raw, folders, "") == "" else None
+        if _only_prepares(command, program):
+            continue
+        target = _target(program, words)
+        if target is None:
+            return None
+        by_xpl = program == "xpl"
+        file = RUN_BY_XPL[target.text] if by_xpl else _resolved(target.raw, folders, here)
+        if not file or _works(source, file):
+            return None
+        empty.append(Hollow(name, target, file, source.has(file), by_xpl))
+    if empty:
+        return empty[0]
+    return None if source.is_ecosystem else Hollow(name, None)  # which has no place to say that nothing is trained
+
+
+def _program(command: Command) -> str:
+    words = script_flow.runs(command)
+    return _DEFAULT.sub(r"\1", words[0].text).rpartition("/")[2] if words else ""
+
+
+def _only_prepares(command: Command, program: str) -> bool:
+    is_counted = command.words[0].raw.startswith("$#")  # `(( $# < 4 ))`
+    return script_flow.talks(command) or program in _PREPARES or is_counted
+
+
+def _target(program: str, words: Sequence[Word]) -> Word | None:
+    """Return the word that names what a command runs: a Python file, or the command of `xpl`; None for others."""
+    if program == "xpl":
+        return words[1] if len(words) > 1 and words[1].text in RUN_BY_XPL else None
+    if program not in {"python", "python3"}:
+        return None
+    rest = (word for word in words[1:] if not re.fullmatch(r"-[uBEsOI]+", word.raw))
+    first = next(rest, None)
+    return first if first is not None and first.text.endswith(".py") else None
+
+
+def _text(raw: str, folders: dict[str, str]) -> str:
+    """Return the value of a variable where it is the package's folder or lies below it; "?" for others."""
+    if _OWN_FOLDER.fullmatch(raw) and ".." not in raw and ("BASH_SOURCE" in raw or "$0" in raw):
+        return "."
+    value = _resolved(raw, folders, None)
+    return "?" if value is None else value or "."
+
+
+def _resolved(raw: str, folders: dict[str, str], here: str | None) -> str | None:
+    """Return a path relative to the package's folder, "" for that itself; None where it is not known."""
+    text = raw.replace('"', "").replace("'", "")
+    text = _VARIABLE.sub(lambda found: folders.get(found.group(1), "?"), text)
+    parts = [part for part in text.split("/") if part not in {"", "."}]
+    is_own = text.startswith(".") and raw.lstrip("\"'").startswith("$")
+    if "?" in text or "$" in text or "`" in text or ".." in parts or text.startswith("/"):
+        return None
+    return None if here is None and not is_own else "/".join(parts)
+
+
+def _works(source: Source, file: str) -> bool:
+    """Tell whether a Python file may do something; one below a folder that is not there may be brought later."""
+    if not source.has(file):
+        folder = (source.path / file).parent
+        return folder != source.path and not any(folder.glob("*.py"))
+    if not source.parses(file):
+        return True  # the rule `parses` tells it
+    tree = source.tree(file)
+    own = {node.name for node in tree.body if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))}
+    return not all(_is_idle(statement, own) for statement in tree.body)
+
+
+def _is_idle(node: ast.stmt, own: set[str]) -> bool:
+    """Tell whether a statement does nothing but define, talk, take arguments or raise."""
+    if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.If, ast.With)):
+        blocks = [*node.body, *(node.orelse if isinstance(node, ast.If) else [])]
+        return not getattr(node, "decorator_list", []) and all(_is_idle(statement, own) for statement in blocks)
+    if isinstance(node, (ast.Import, ast.ImportFrom)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or "."]
+        return all(name.partition(".")[0] in {*sys.stdlib_module_names, "xpl"} for name in names)
+    if isinstance(node, (ast.Pass, ast.Raise)):
+        return True
+    value = node.value if isinstance(node, (ast.Expr, ast.Return, ast.Assign, ast.AnnAssign)) else ...
+    if value is None or not isinstance(value, ast.expr):
+        return value is None
+    calls = {last(called(entry)) for entry in ast.walk(value) if isinstance(entry, ast.Call)}
+    if calls:
+        return calls <= _SAYS | own
+    return constant(value) is not ... or bool(dotted(value)) or isinstance(node, ast.Assign)
