@@ -174,7 +174,7 @@ def test_a_robot_is_served_by_a_server_that_asks_for_a_token_only(server: Runnin
     robot = {"real_time": True}
     with pytest.raises(EnvironmentMismatchError, match="start it with --token-file"):
         Client(server.url, config=ONCE, environment=robot)
-    with serving(subject, secret=True) as own:
+    with serving(subject, token="a-token-of-this-test") as own:
         with pytest.raises(ServerConnectionError, match="bearer token"):
             Client(own.url, config=ONCE, environment=robot)
         with Client(own.url, config=ONCE, environment=robot, token=own.token) as client:

@@ -23,6 +23,8 @@ from xpl_cli.standard.validate import validate
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from xpl_cli.serving.launch import RunningServer
+
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
@@ -328,6 +330,21 @@ def test_what_does_not_keep_its_limits_is_guarded(  # noqa: PLR0917 - fixtures a
     assert record["end_reason"] == reason
     assert record["safety"][kind]["where"] in ("arm_joint_state", "joint1", "joint4")
     assert report["corrections"][kind] == record["safety"][kind]["count"]
+
+
+def test_what_runs_in_real_time_is_driven_by_servers_that_ask_for_a_token_only(
+    frail: Path, write_adapter: Callable[..., Path], serve: Callable[..., RunningServer], tmp_path: Path
+) -> None:
+    """Those that an evaluation starts do; another one is refused before the first step."""
+    facts = json.loads((frail / "env.yml").read_text())
+    (frail / "env.yml").write_text(json.dumps({**facts, "real_time": True}), encoding="utf-8")
+    adapter = write_adapter(WILD)
+    play = ("eval", str(adapter), *HOLD, "--horizon", "1", "--set", "far=0.0")
+    own = xpl(*play, cwd=tmp_path)
+    assert own.returncode == ExitCode.CLEAN, own.stderr
+    other = xpl(*play, "--connect", serve(adapter, overrides={"far": 0.0}).url, cwd=tmp_path)
+    assert other.returncode == ExitCode.USAGE
+    assert "asks for no token: start it with --token-file" in other.stderr
 
 
 SLOW = WILD.replace("def get_action(self):", "def get_action(self):\n            import time; time.sleep(0.5)")

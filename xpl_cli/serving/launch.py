@@ -6,7 +6,6 @@ import collections
 import contextlib
 import json
 import os
-import secrets
 import selectors
 import signal
 import subprocess
@@ -94,7 +93,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     options: Sequence[str] = (),
     load_timeout: float = 600.0,
     echo: bool = False,
-    secret: bool = False,
+    token: str | None = None,
 ) -> Iterator[RunningServer]:
     """Serve an adapter on a free loopback port for the length of a `with` block.
 
@@ -107,12 +106,11 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         options: further options of `xpl serve`.
         load_timeout: longest wait for the model, s.
         echo: also show the server's output on stderr.
-        secret: have it ask for a token that is made for it, as servers in front of robots do.
+        token: bearer token that it asks for, as servers in front of robots do; None to ask for none.
 
     Raises:
         ServerStartError: if it does not become ready.
     """
-    token = secrets.token_urlsafe(32) if secret else None
     command = ["serve", str(policy), "--port", "0", "--host", "localhost"]
     # The server holds our end of its standard input: if this process is killed, the server notices and ends too.
     command.append("--until-stdin-ends")

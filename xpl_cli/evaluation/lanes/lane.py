@@ -17,6 +17,7 @@ from xpl import Client, get_embodiment, observation, rollout
 from xpl import _spec as sdk
 from xpl.action import ActionError
 from xpl.client import ClientError, EnvironmentMismatchError, ServerFailedError
+from xpl.client.agreement import REAL_TIME
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -317,6 +318,7 @@ class Lane:
             "embodiment": settings["embodiment"],
             sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
             "control_frequency": scene.frequency,
+            **({REAL_TIME: True} if self._facts.get(REAL_TIME) else {}),
         }
         access, config = self._access, self._orders.config
         try:

@@ -10,6 +10,7 @@ import contextlib
 import os
 import platform
 import queue
+import secrets
 import signal
 import socket
 import subprocess
@@ -20,11 +21,10 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
+from xpl_cli.evaluation.lanes.lane import Access, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.lanes.lane import Orders
-
     _Done = queue.SimpleQueue[tuple["_LaneThread", Outcome | Exception]]
 
 _GRACE_S = 10.0
@@ -42,7 +42,7 @@ class LocalBackend:
 
     def __init__(self, orders: Orders, server_orders: ServerOrders, lanes: int, servers: int) -> None:
         shares = [lanes * (number + 1) // servers - lanes * number // servers for number in range(servers)]
-        self._servers = [Server(server_orders, share) for share in shares]
+        self._servers = [Server(server_orders, share, token=secrets.token_urlsafe(32)) for share in shares]
         self._done: _Done = queue.SimpleQueue()
         owners = [server for server, share in zip(self._servers, shares, strict=True) for _ in range(share)]
         self._lanes = [_LaneThread(orders, number, server, self._done) for number, server in enumerate(owners)]
@@ -114,7 +114,7 @@ class _LaneThread(threading.Thread):
         super().__init__(daemon=True)
         self.jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._worker = f"{platform.node()}/{number}"
-        self._process = _LaneProcess(orders, self._worker)
+        self._process = _LaneProcess(orders, self._worker, Access(server.token))
         self._server = server
         self._done = done
         self._is_busy = False
@@ -160,8 +160,8 @@ class LaneLostError(RuntimeError):
 class _LaneProcess:
     """A lane in a process of its own (`xpl_cli.evaluation.lanes.process`), which is started when it is needed."""
 
-    def __init__(self, orders: Orders, worker: str) -> None:
-        self._given = orders, worker
+    def __init__(self, orders: Orders, worker: str, access: Access) -> None:
+        self._given = orders, worker, access
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: Connection[Any, Any] | None = None
 

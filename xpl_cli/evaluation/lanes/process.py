@@ -1,7 +1,7 @@
 """The process of a lane: plays what comes through a channel, and ends with whoever holds the other end.
 
-Messages are pickled, as between processes of one program: orders and name first, then pairs of a job and the address of
-a policy server, each answered by an outcome or by what ends the run; None ends the process.
+Messages are pickled, as between processes of one program: orders, name and access first, then pairs of a job and the
+address of a policy server, each answered by an outcome or by what ends the run; None ends the process.
 """
 
 from __future__ import annotations

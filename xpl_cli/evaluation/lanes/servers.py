@@ -46,11 +46,12 @@ class ServerOrders:
     gpu: str | None = None
     bounds: Bounds = field(default_factory=Bounds)
 
-    def start(self, options: Sequence[str] = ()) -> AbstractContextManager[RunningServer]:
+    def start(self, options: Sequence[str] = (), token: str | None = None) -> AbstractContextManager[RunningServer]:
         """Return a server for the length of a `with` block (`xpl_cli.serving.launch.serving`).
 
         Args:
             options: further ones of `xpl serve`.
+            token: what it asks clients for.
         """
         return serving(
             Path(self.policy),
@@ -60,6 +61,7 @@ class ServerOrders:
             gpu=self.gpu,
             options=(*options, *self.bounds.flags),
             echo=True,
+            token=token,
         )
 
 
@@ -70,10 +72,14 @@ class Server:
         orders: how the policy is served.
         clients: lanes that use it; each has its own model, or session of one that may be shared.
         options: further ones of `xpl serve`.
+        token: what it asks its lanes for, so that no other process of this machine drives what they drive.
     """
 
-    def __init__(self, orders: ServerOrders, clients: int, options: Sequence[str] = ()) -> None:
+    def __init__(
+        self, orders: ServerOrders, clients: int, options: Sequence[str] = (), token: str | None = None
+    ) -> None:
         self._orders = orders
+        self.token = token
         self._options = (*options, *(("--workers", str(clients)) if clients > 1 else ()))
         self._is_shared = clients > 1
         self._turn = threading.Lock()
@@ -101,7 +107,7 @@ class Server:
         failed: list[ServerStartError] = []
         while len(failed) < _STARTS:
             try:
-                return self._stack.enter_context(self._orders.start(self._options))
+                return self._stack.enter_context(self._orders.start(self._options, self.token))
             except ServerStartError as error:
                 if not self._worked:
                     raise

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -193,8 +194,9 @@ def _backend(
         env_workers=request.workers,
         bounds=bounds,
     )
+    token = request.token if request.connect is not None else secrets.token_urlsafe(32)
     access = Access(
-        token=request.token,
+        token=token,
         ssl_context=request.ssl_context,
         is_patient=True,
         on_loading=lambda told: progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s"),
@@ -210,4 +212,4 @@ def _backend(
         gpu=request.gpu,
         bounds=bounds,
     )
-    return HereBackend(orders, Server(ours, 1), access)
+    return HereBackend(orders, Server(ours, 1, token=token), access)
