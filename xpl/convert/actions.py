@@ -1,0 +1,201 @@
+"""What a model answers as the standard's action steps, and back.
+
+Source: spec/<version>/native.schema.json, `action`. An answer loses its padding, is denormalised, and cut into parts; each
+part is counted from what its reference says; parts of one arm make joint angles or a pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, MutableMapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import poses, rotation
+from xpl.convert.errors import NativeError
+from xpl.convert.parts import Gripper, Joints, Part, Position, Rotation, State, part
+from xpl.convert.vectors import Vector
+from xpl.decoding import decode_rows
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl.embodiment import Embodiment
+
+Memory = MutableMapping[str, np.ndarray]
+"""What is remembered of one environment between two answers: the last command, by part."""
+
+
+class ActionOutput:
+    """The action vector of a model.
+
+    Args:
+        entry: `action` of the native block.
+        embodiment: the robot.
+        action_type: joint or ee.
+        folders: where files of statistics may lie.
+
+    Attributes:
+        vector: its parts, normalisation and padding.
+        first, steps: which of the model's steps are handed on; steps is None for all from `first` on.
+
+    Raises:
+        NativeError: if it does not make actions of this kind for this robot.
+    """
+
+    def __init__(
+        self, entry: Mapping[str, Any], embodiment: Embodiment, action_type: str, folders: Sequence[Path] = ()
+    ) -> None:
+        self._embodiment, self._action_type = embodiment, action_type
+        self.vector = Vector(entry, [part(item, embodiment) for item in entry["parts"]], folders, "native.action")
+        self.first: int = entry.get("first", 0)
+        self.steps: int | None = entry.get("steps")
+        self._reference: str = entry["reference"]
+        self._check()
+
+    def decode(self, raw: np.ndarray, state: State, memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
+        """Return the action steps of an answer.
+
+        Args:
+            raw: (H, D) numbers of the model.
+            state: the observation's, at the call.
+            memory: of this environment; needed where an action is counted from the command before.
+
+        Raises:
+            ActionError: if the answer makes no legal action.
+            NativeError: if its shape is not the block's.
+        """
+        kept = {} if memory is None else memory
+        rows = self.vector.denormalized(np.asarray(raw, np.float64))
+        columns: dict[str, np.ndarray] = {}
+        for item, values in self.vector.cut(rows):
+            columns[item.label] = self._absolute(item, values, state, kept, columns)
+        end = None if self.steps is None else self.first + self.steps
+        chosen = {label: values[self.first : end] for label, values in columns.items()}
+        for label, values in chosen.items():
+            kept[label] = values[-1]
+        return decode_rows(self._flat(chosen, state), self._embodiment, self._action_type)
+
+    def encode(self, steps: Sequence[Mapping[str, Any]], state: State, memory: Memory | None = None) -> np.ndarray:
+        """Return the answer (H, D), float64, that means these action steps; the inverse of `decode`.
+
+        Steps before `first` repeat the first one.
+        """
+        kept = {} if memory is None else memory
+        given = [steps[0]] * self.first + list(steps)
+        absolute = {item.label: np.stack([item.read(_as_state(step, state)) for step in given]) for item in self._parts}
+        pieces = [self._relative(item, absolute, state, kept) for item in self._parts]
+        for item in self._parts:
+            kept[item.label] = absolute[item.label][-1]
+        return self.vector.normalized(np.concatenate(pieces, axis=-1))
+
+    @property
+    def _parts(self) -> list[Part]:
+        return self.vector.parts
+
+    def _told(self, item: Part) -> str:
+        return item.reference or self._reference
+
+    def _absolute(
+        self, item: Part, values: np.ndarray, state: State, memory: Memory, done: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """Return the absolute numbers of one part, (H, width), still the model's."""
+        told = self._told(item)
+        if told == "absolute":
+            return values
+        start = item.read(state)
+        base = memory.get(item.label, start) if told == "delta_command" else start
+        turns = self._turns(item, state, memory, done, len(values))
+        result = []
+        for index, change in enumerate(values):
+            if isinstance(item, Position) and item.applied == "body":
+                change = item.turned(change, turns[index])  # noqa: PLW2901 - the change as the world sees it
+            result.append(item.add(base, change))
+            if told != "delta_state":
+                base = result[-1]
+        return np.stack(result)
+
+    def _relative(self, item: Part, absolute: Mapping[str, np.ndarray], state: State, memory: Memory) -> np.ndarray:
+        """Return what the model says of the absolute numbers of one part, (H, width)."""
+        told, wanted = self._told(item), absolute[item.label]
+        if told == "absolute":
+            return wanted
+        start = item.read(state)
+        base = memory.get(item.label, start) if told == "delta_command" else start
+        turns = self._turns(item, state, memory, absolute, len(wanted))
+        result = []
+        for index, values in enumerate(wanted):
+            change = item.subtract(values, base)
+            if isinstance(item, Position) and item.applied == "body":
+                change = rotation.rotate(rotation.conjugate(turns[index]), change)
+            result.append(change)
+            if told != "delta_state":
+                base = values
+        return np.stack(result)
+
+    def _turns(
+        self, item: Part, state: State, memory: Memory, done: Mapping[str, np.ndarray], height: int
+    ) -> Sequence[np.ndarray]:
+        """Return for each step the rotation (4,) in which a change of position in the moving frame is given."""
+        if not isinstance(item, Position) or item.applied != "body":
+            return []
+        turn = self._rotation_of(item)
+        told, now = self._told(item), turn.read(state)
+        start = memory.get(turn.label, now) if told == "delta_command" else now
+        following = [] if told == "delta_state" else list(done[turn.label][:-1])
+        return [turn.write(values) for values in [start, *following, *[start] * height][:height]]
+
+    def _rotation_of(self, item: Part) -> Rotation:
+        found = next((one for one in self._parts if isinstance(one, Rotation) and one.key == item.key), None)
+        if found is None:
+            raise NativeError(
+                f"native.action: {item.label} is applied in the moving frame, and no rotation is beside it"
+            )
+        return found
+
+    def _flat(self, columns: Mapping[str, np.ndarray], state: State) -> np.ndarray:
+        """Return rows (H, D) of flat absolute actions of the standard."""
+        made: dict[str, np.ndarray] = {}
+        for item in self._parts:
+            if isinstance(item, (Joints, Gripper)):
+                made[str(item.key)] = item.write(columns[item.label])
+        for arm in self._embodiment.arms:
+            key = arm.prefix + spec.State.EE_POSE
+            if key in self._embodiment.dims(self._action_type):
+                made[key] = self._poses(key, columns, state)
+        return np.concatenate([made[key] for key in self._embodiment.dims(self._action_type)], axis=-1)
+
+    def _poses(self, key: str, columns: Mapping[str, np.ndarray], state: State) -> np.ndarray:
+        """Return the flange's poses (H, 7) of one arm; what the model does not command stays as it is."""
+        items = [item for item in self._parts if item.key == key and isinstance(item, (Position, Rotation))]
+        frame = items[0].frame
+        now = frame.encode(np.asarray(state[key], np.float64))
+        height = len(columns[items[0].label])
+        place = np.broadcast_to(now[: spec.POSITION_DIM], (height, spec.POSITION_DIM))
+        turn = np.broadcast_to(now[spec.POSITION_DIM :], (height, spec.POSE_DIM - spec.POSITION_DIM))
+        for item in items:
+            if isinstance(item, Position):
+                place = item.write(columns[item.label])
+            else:
+                turn = item.write(columns[item.label])
+        return frame.decode(poses.pose(place, turn))
+
+    def _check(self) -> None:
+        for item in self._parts:
+            if isinstance(item, Position) and item.applied == "body":
+                self._rotation_of(item)
+        labels = [item.label for item in self._parts if item.kind != "fill"]
+        if len(set(labels)) != len(labels):
+            raise NativeError(f"native.action has a part twice: {', '.join(labels)}")
+        keys = {item.key for item in self._parts}
+        lacking = [key for key in self._embodiment.dims(self._action_type) if key not in keys]
+        if lacking:
+            raise NativeError(
+                f"native.action makes no {self._action_type} actions of {self._embodiment.name}: "
+                f"no part gives {', '.join(lacking)}"
+            )
+
+
+def _as_state(step: Mapping[str, Any], state: State) -> State:
+    return {**state, **step}

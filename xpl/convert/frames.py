@@ -1,0 +1,90 @@
+"""The pose of an arm at other points and in other frames than the standard's: flange or fingertips, world or base."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import poses, rotation
+from xpl.convert.errors import NativeError
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
+
+
+def side_index(embodiment: Embodiment, side: str) -> int:
+    """Return the position of an arm by its name in the spec (single, left, right).
+
+    Raises:
+        NativeError: if the robot has no such arm.
+    """
+    arms = list(embodiment.data["arms"])
+    if side not in arms:
+        raise NativeError(f"native names the arm {side!r}; {embodiment.name} has {', '.join(arms)}")
+    return arms.index(side)
+
+
+class Frame:
+    """Where a model says that a point of an arm is, beside where the standard says it.
+
+    Args:
+        embodiment: the robot.
+        side: the arm: single, left or right.
+        point: flange or tcp.
+        frame: world or base.
+
+    Raises:
+        NativeError: if the standard does not know what lies between the two.
+    """
+
+    def __init__(self, embodiment: Embodiment, side: str, point: str, frame: str) -> None:
+        self._inner = poses.pose(np.zeros(3), rotation.identity()) if point == "flange" else tool(embodiment)
+        self._outer = poses.pose(np.zeros(3), rotation.identity()) if frame == "world" else mount(embodiment, side)
+        self.is_plain = point == "flange" and frame == "world"
+
+    def encode(self, flange: np.ndarray) -> np.ndarray:
+        """Return a flange's pose (..., 7) in the world as the point's pose in the frame."""
+        if self.is_plain:
+            return np.asarray(flange, np.float64)
+        return poses.compose(poses.compose(poses.invert(self._outer), flange), self._inner)
+
+    def decode(self, native: np.ndarray) -> np.ndarray:
+        """Return the pose (..., 7) of the flange in the world."""
+        if self.is_plain:
+            return np.asarray(native, np.float64)
+        return poses.compose(poses.compose(self._outer, native), poses.invert(self._inner))
+
+
+def tool(embodiment: Embodiment) -> np.ndarray:
+    """Return the pose (7,) of the point between the fingertips in the flange.
+
+    Raises:
+        NativeError: if the standard does not know it for this robot.
+    """
+    known: Mapping[str, Any] | None = embodiment.data["end_effector"].get("tcp")
+    if not known:
+        raise NativeError(
+            f"the standard does not know where the fingertips of {embodiment.name} are; say point: flange"
+        )
+    return poses.pose(known["xyz"], rotation.from_rpy(known["rpy"]))
+
+
+def mount(embodiment: Embodiment, side: str) -> np.ndarray:
+    """Return the pose (7,) of an arm's base in the world; a single arm stands midway between the mounts of two.
+
+    Raises:
+        NativeError: if the standard does not know it for this robot.
+    """
+    mounts = embodiment.data.get("mounts")
+    if not mounts:
+        raise NativeError(f"the standard does not know where {embodiment.name} is mounted; say frame: world")
+    if side in mounts:
+        return poses.pose(mounts[side]["xyz"], mounts[side]["quaternion"])
+    places = np.mean([entry["xyz"] for entry in mounts.values()], axis=0)
+    return poses.pose(places, next(iter(mounts.values()))["quaternion"])
+
+
+POSE = spec.State.EE_POSE

@@ -1,0 +1,201 @@
+"""Images of the standard as a model's image input, and back.
+
+Source: spec/<version>/native.schema.json, `images`. Geometry first, on RGB; then colours, numbers, axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.convert.errors import NativeError
+from xpl.convert.resample import resize
+from xpl.observation import get_image
+
+_BYTES = 255.0
+
+
+class ImageInput:
+    """One image input of a model.
+
+    Args:
+        entry: of `images` in the native block.
+
+    Attributes:
+        name: the model's name for it.
+        cameras: the standard's cameras that it shows.
+    """
+
+    def __init__(self, entry: Mapping[str, Any]) -> None:
+        self.name: str = entry["input"]
+        self.cameras: tuple[str, ...] = tuple(entry["cameras"])
+        self._steps = [next(iter(step.items())) for step in entry.get("steps", ())]
+        self._stack = entry.get("stack")
+        self._is_bgr = entry["channels"] == "bgr"
+        self._is_chw = entry["layout"] == "chw"
+        self._is_bytes = entry["dtype"] == "uint8"
+        self._low, self._high = entry.get("range", (0.0, 1.0))
+        self._mean = np.asarray(entry.get("mean", 0.0), np.float32)
+        self._std = np.asarray(entry.get("std", 1.0), np.float32)
+        if len(self.cameras) > 1 and self._stack is None:
+            raise NativeError(f"native.images: {self.name} shows {len(self.cameras)} cameras; say with stack how")
+
+    def encode(self, obs: Mapping[str, Any]) -> np.ndarray:
+        """Return what the model gets of one observation, without a batch axis.
+
+        Raises:
+            ObservationError: if a camera is missing or is no image.
+        """
+        views = [self.view(get_image(obs, camera)) for camera in self.cameras]
+        if self._stack is None:
+            return views[0]
+        if self._stack == "views":
+            return np.stack(views)
+        channel, column = (0, 2) if self._is_chw else (2, 1)
+        return np.concatenate(views, axis=channel if self._stack == "channels" else column)
+
+    def view(self, image: np.ndarray) -> np.ndarray:
+        """Return one camera's image, (H, W, 3) uint8 RGB, as the model gets it."""
+        values = image
+        for kind, how in self._steps:
+            values = _STEPS[kind](values, how)
+        if self._is_bgr:
+            values = values[..., ::-1]
+        values = self._numbers(values)
+        return np.ascontiguousarray(np.moveaxis(values, -1, -3) if self._is_chw else values)
+
+    def decode(self, value: np.ndarray, sizes: Mapping[str, tuple[int, int]]) -> dict[str, np.ndarray]:
+        """Return the cameras' images, (H, W, 3) uint8 RGB, that would be shown to the model as `value`.
+
+        What a crop cut off is black, and what a filter blurred stays so.
+
+        Args:
+            value: the model's input, without a batch axis.
+            sizes: by camera, height and width of its images.
+        """
+        return {
+            camera: self._unview(view, *sizes[camera]) for camera, view in zip(self.cameras, self._unstacked(value))
+        }
+
+    def _unstacked(self, value: np.ndarray) -> Sequence[np.ndarray]:
+        if self._stack is None:
+            return [value]
+        if self._stack == "views":
+            return list(value)
+        channel, column = (0, 2) if self._is_chw else (2, 1)
+        return np.split(value, len(self.cameras), axis=channel if self._stack == "channels" else column)
+
+    def _unview(self, view: np.ndarray, height: int, width: int) -> np.ndarray:
+        values = np.moveaxis(view, -3, -1) if self._is_chw else view
+        if not self._is_bytes:
+            values = (values * self._std + self._mean - self._low) * (_BYTES / (self._high - self._low))
+            values = np.clip(np.floor(values + 0.5), 0, _BYTES).astype(np.uint8)
+        if self._is_bgr:
+            values = values[..., ::-1]
+        shapes = [(height, width)]
+        for kind, how in self._steps:
+            shapes.append(shape_after(kind, how, shapes[-1]))
+        for (kind, how), before in reversed(list(zip(self._steps, shapes))):
+            values = _UNDO[kind](values, how, before)
+        return np.ascontiguousarray(values)
+
+    def _numbers(self, values: np.ndarray) -> np.ndarray:
+        if self._is_bytes:
+            return values if values.dtype == np.uint8 else np.clip(np.floor(values + 0.5), 0, _BYTES).astype(np.uint8)
+        scale = np.float32((self._high - self._low) / _BYTES)
+        result: np.ndarray = (values * scale + np.float32(self._low) - self._mean) / self._std
+        return result.astype(np.float32, copy=False)
+
+
+def shape_after(kind: str, how: Any, shape: tuple[int, int]) -> tuple[int, int]:
+    """Return height and width after one step."""
+    if kind in ("resize", "letterbox"):
+        return int(how["to"][0]), int(how["to"][1])
+    if kind == "crop":
+        return _cropped(how, shape)
+    return (shape[1], shape[0]) if kind == "rotate" and how % 180 else shape
+
+
+def _cropped(how: Mapping[str, Any], shape: tuple[int, int]) -> tuple[int, int]:
+    if "to" in how:
+        height, width = how["to"]
+    else:
+        height, width = (int(size * how["fraction"]) for size in shape)
+    if height > shape[0] or width > shape[1]:
+        raise NativeError(f"native.images: a crop to {height}x{width} of an image of {shape[0]}x{shape[1]}")
+    return int(height), int(width)
+
+
+def _resized(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
+    return _resampled(values, how, *how["to"])
+
+
+def _resampled(values: np.ndarray, how: Mapping[str, Any], height: int, width: int) -> np.ndarray:
+    as_bytes = how.get("on", "uint8") == "uint8"
+    return resize(values, height, width, how["filter"], antialias=how.get("antialias", False), as_bytes=as_bytes)
+
+
+def _letterboxed(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
+    height, width = how["to"]
+    rows, columns, top, left = _frame(values.shape[:2], how)
+    frame = np.full((height, width, values.shape[2]), how.get("fill", 0), np.float32)
+    inside = _resampled(values, how, rows, columns)
+    frame[top : top + rows, left : left + columns] = inside
+    return frame.astype(inside.dtype)
+
+
+def _frame(shape: tuple[int, ...], how: Mapping[str, Any]) -> tuple[int, int, int, int]:
+    """Return height, width, first row and first column of the image in its frame."""
+    (height, width), anchor = how["to"], how.get("anchor", "center")
+    scale = min(height / shape[0], width / shape[1])
+    rows, columns = int(shape[0] * scale), int(shape[1] * scale)
+    free = height - rows, width - columns
+    if anchor == "center":
+        return rows, columns, free[0] // 2, free[1] // 2
+    return (rows, columns, *free) if anchor == "bottom_right" else (rows, columns, 0, 0)
+
+
+def _crop(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
+    height, width = _cropped(how, values.shape[:2])
+    top, left = (values.shape[0] - height) // 2, (values.shape[1] - width) // 2
+    return values[top : top + height, left : left + width]
+
+
+def _rotated(values: np.ndarray, how: int) -> np.ndarray:
+    return np.rot90(values, how // 90)
+
+
+def _mirrored(values: np.ndarray, how: str) -> np.ndarray:
+    return values[:, ::-1] if how == "left_right" else values[::-1]
+
+
+def _uncropped(values: np.ndarray, _how: Any, before: tuple[int, int]) -> np.ndarray:
+    result = np.zeros((*before, values.shape[2]), values.dtype)
+    top, left = (before[0] - values.shape[0]) // 2, (before[1] - values.shape[1]) // 2
+    result[top : top + values.shape[0], left : left + values.shape[1]] = values
+    return result
+
+
+def _unboxed(values: np.ndarray, how: Mapping[str, Any], before: tuple[int, int]) -> np.ndarray:
+    rows, columns, top, left = _frame(before, how)
+    return _resampled(values[top : top + rows, left : left + columns], {**how, "on": "uint8"}, *before)
+
+
+_STEPS = {
+    "resize": _resized,
+    "letterbox": _letterboxed,
+    "crop": _crop,
+    "rotate": _rotated,
+    "mirror": _mirrored,
+}
+_UNDO = {
+    "resize": lambda values, how, before: _resampled(values, {**how, "on": "uint8"}, *before),
+    "letterbox": _unboxed,
+    "crop": _uncropped,
+    "rotate": lambda values, how, _before: np.rot90(values, -how // 90),
+    "mirror": lambda values, how, _before: _mirrored(values, how),
+}
+CHANNELS = spec.COLOR_CHANNELS

@@ -1,0 +1,172 @@
+"""A model's interface, compiled from its native block: observations to inputs, answers to action steps, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.convert.actions import ActionOutput, Memory
+from xpl.convert.errors import NativeError
+from xpl.convert.images import ImageInput
+from xpl.convert.parts import Rotation, part
+from xpl.convert.vectors import Vector
+from xpl.observation import ObservationError, get_instruction
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
+
+__all__ = ["Interface", "Memory", "NativeError", "compile_interface"]
+
+_PLACE = "{instruction}"
+
+
+def compile_interface(
+    native: Mapping[str, Any],
+    embodiment: Embodiment,
+    action_type: str,
+    folders: Sequence[Path] = (),
+    chunk: int | None = None,
+) -> Interface:
+    """Return the interface that a native block describes.
+
+    Args:
+        native: the block `native` of policy.yml, valid by its schema.
+        embodiment: the robot.
+        action_type: joint or ee.
+        folders: where files of statistics may lie: the package, a checkpoint.
+        chunk: action steps that the manifest declares.
+
+    Raises:
+        NativeError: if the block does not fit the robot, or its numbers cannot be had.
+    """
+    return Interface(native, embodiment, action_type, folders, chunk)
+
+
+class Interface:
+    """What a model reads and answers; see `compile_interface`.
+
+    Attributes:
+        images, states: its inputs.
+        action: its answer.
+        history: observations that an input with history shows.
+        span: observations that have to be kept for that.
+    """
+
+    def __init__(
+        self,
+        native: Mapping[str, Any],
+        embodiment: Embodiment,
+        action_type: str,
+        folders: Sequence[Path],
+        chunk: int | None,
+    ) -> None:
+        self.images = [ImageInput(entry) for entry in native.get("images", ())]
+        self.states = {
+            entry["input"]: Vector(
+                entry, [part(item, embodiment) for item in entry["parts"]], folders, f"native.state {entry['input']}"
+            )
+            for entry in native.get("state", ())
+        }
+        self.action = ActionOutput(native["action"], embodiment, action_type, folders)
+        if self.action.steps is None:
+            self.action.steps = chunk
+        self._instruction = native.get("instruction")
+        history = native.get("history") or {}
+        self.history: int = history.get("length", 1)
+        self._stride: int = history.get("stride", 1)
+        self.span = (self.history - 1) * self._stride + 1
+        self._pad, self._mask = history.get("pad", "repeat"), history.get("mask")
+        with_history = history.get("of", ["images", "state"])
+        self._timed = {
+            *(item.name for item in self.images if "images" in with_history),
+            *(name for name in self.states if "state" in with_history),
+        }
+        names = [*(item.name for item in self.images), *self.states, *self._text()]
+        if len(set(names)) != len(names):
+            raise NativeError(f"native: an input is named twice: {', '.join(names)}")
+
+    def encode(self, obs: Mapping[str, Any], memory: Memory | None = None) -> dict[str, Any]:
+        """Return the inputs that one observation makes, under the model's names, without axes of batch and time.
+
+        Args:
+            obs: the observation.
+            memory: of this environment; needed where a quaternion's sign follows the step before.
+
+        Raises:
+            ObservationError: if it lacks something that the model reads.
+        """
+        inputs: dict[str, Any] = {item.name: item.encode(obs) for item in self.images}
+        state = obs.get(spec.Obs.STATE)
+        if self.states and not isinstance(state, Mapping):
+            raise ObservationError(f"the observation has no {spec.Obs.STATE!r} map")
+        for name, vector in self.states.items():
+            pieces = [self._read(item, state or {}, name, memory) for item in vector.parts]
+            inputs[name] = vector.normalized(np.concatenate(pieces)).astype(np.float32)
+        inputs.update(self._text(obs))
+        return inputs
+
+    def batch(self, encodings: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+        """Return the inputs of a batch of B environments.
+
+        Args:
+            encodings: for each environment what `encode` made of its observations, oldest first, at most `span`.
+
+        Returns:
+            By input: (B, ...) arrays, (B, T, ...) where it has history; a list of B texts for the instruction.
+        """
+        result: dict[str, Any] = {}
+        for name in encodings[0][-1]:
+            newest = [frames[-1][name] for frames in encodings]
+            if isinstance(newest[0], str):
+                result[name] = newest
+            elif self.history > 1 and name in self._timed:
+                result[name] = np.stack([np.stack(self._timeline([f[name] for f in frames])) for frames in encodings])
+            else:
+                result[name] = np.stack(newest)
+        if self._mask is not None:
+            result[self._mask] = np.stack([self._real(len(frames)) for frames in encodings])
+        return result
+
+    def decode(self, raw: Any, obs: Mapping[str, Any], memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
+        """Return the action steps of one environment's answer (H, D); `obs` is the newest observation."""
+        return self.action.decode(np.asarray(raw), obs[spec.Obs.STATE], memory)
+
+    def _timeline(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Return `history` values, oldest first."""
+        missing = np.zeros_like(values[0]) if self._pad == "zeros" else values[0]
+        ages = [(self.history - 1 - index) * self._stride for index in range(self.history)]
+        return [values[-1 - age] if age < len(values) else missing for age in ages]
+
+    def _real(self, count: int) -> np.ndarray:
+        return np.array([(self.history - 1 - i) * self._stride < count for i in range(self.history)], np.float32)
+
+    def _read(self, item: Any, state: Mapping[str, Any], name: str, memory: Memory | None) -> np.ndarray:
+        values: np.ndarray = item.read(state)
+        if not isinstance(item, Rotation) or not item.follows:
+            return values
+        if memory is None:
+            raise NativeError("native: a sign that follows the step before needs the environment's memory")
+        label = f"{name} {item.label}"
+        before = memory.get(label)
+        if (values @ before if before is not None else item.scalar(values)) < 0:
+            values = -values
+        memory[label] = values
+        return values
+
+    def _text(self, obs: Mapping[str, Any] | None = None) -> dict[str, str]:
+        """Return the instruction as the model gets it, under its name; {} if it reads none."""
+        how = self._instruction
+        if how is None:
+            return {}
+        if obs is None:
+            return {how["input"]: ""}
+        text = get_instruction(obs) or ""
+        if not text and how.get("empty", "refuse") == "refuse":
+            raise ObservationError("the observation has no instruction, and the model needs one")
+        text = text.strip(how["strip"]) if how.get("strip") else text
+        text = text.lower() if how.get("case") == "lower" else text
+        return {how["input"]: how.get("template", _PLACE).replace(_PLACE, text)}

@@ -1,0 +1,144 @@
+"""Normalisation: a vector's numbers as the model gets them, and back.
+
+Source: spec/<version>/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file: JSON, YAML
+(where a reader is installed), NPZ without pickles, or safetensors, whose header is JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xpl.convert.errors import NativeError
+
+_NAMES = {"mean_std": ("mean", "std"), "min_max": ("min", "max"), "quantiles": ("low", "high")}
+_SIZE_LIMIT = 64 * 2**20
+"""Bytes that a file of statistics may have."""
+
+
+class Normalization:
+    """One rule with its numbers.
+
+    Args:
+        entry: `normalize` of a vector; None leaves numbers as they are.
+        width: numbers that it is applied to.
+        folders: where its file may lie: the package, a checkpoint.
+
+    Raises:
+        NativeError: if the numbers cannot be had, or are not as many as the vector has.
+    """
+
+    def __init__(self, entry: Mapping[str, Any] | None, width: int, folders: Sequence[Path] = ()) -> None:
+        self._clip = (entry or {}).get("clip")
+        self._shift, self._scale = np.zeros(width), np.ones(width)
+        if entry is None:
+            return
+        if "unknown" in entry:
+            raise NativeError(f"normalize is open: {entry['unknown']}")
+        rule, epsilon = entry["rule"], entry.get("epsilon", 0.0)
+        one, two = (_numbers(entry, name, folders, width) for name in _NAMES[rule])
+        if rule == "mean_std":
+            self._shift, self._scale = one, two + epsilon
+        else:  # y = 2 (x - low) / (high - low + epsilon) - 1
+            half = (two - one + epsilon) / 2
+            self._shift, self._scale = one + half, half
+        only = np.asarray(entry.get("only", [True] * width), bool)
+        if only.shape != (width,):
+            raise NativeError(f"normalize.only has {only.size} entries, the vector has {width}")
+        self._shift, self._scale = np.where(only, self._shift, 0.0), np.where(only, self._scale, 1.0)
+        if (self._scale == 0).any():
+            where = np.flatnonzero(self._scale == 0).tolist()
+            raise NativeError(
+                f"normalize divides by zero in dimensions {where}; say epsilon, or leave them out by only"
+            )
+
+    def encode(self, values: np.ndarray) -> np.ndarray:
+        """Return normalised values (..., width)."""
+        result = (values - self._shift) / self._scale
+        return result if self._clip is None else np.clip(result, *self._clip)
+
+    def decode(self, values: np.ndarray) -> np.ndarray:
+        """Return what was normalised to these values (..., width)."""
+        given = values if self._clip is None else np.clip(values, *self._clip)
+        return given * self._scale + self._shift
+
+
+def _numbers(entry: Mapping[str, Any], name: str, folders: Sequence[Path], width: int) -> np.ndarray:
+    if "values" in entry:
+        found = entry["values"].get(name)
+    else:
+        found = _read(
+            entry["file"], folders, [*entry.get("key", "").split("/"), entry.get("names", {}).get(name, name)]
+        )
+    if found is None:
+        raise NativeError(f"normalize.values has no {name}, which the rule {entry['rule']} needs")
+    numbers = np.asarray(found, np.float64).reshape(-1)
+    if numbers.shape != (width,):
+        raise NativeError(f"normalize has {numbers.size} numbers as {name}, the vector has {width}")
+    if not np.isfinite(numbers).all():
+        raise NativeError(f"normalize: {name} holds a number that is not finite")
+    return numbers
+
+
+def _read(file: str, folders: Sequence[Path], words: Sequence[str]) -> Any:
+    path = next((folder / file for folder in folders if (folder / file).is_file()), None)
+    if path is None:
+        told = ", ".join(map(str, folders)) or "no folder"
+        raise NativeError(f"normalize names the file {file}, which is in none of: {told}")
+    if path.stat().st_size > _SIZE_LIMIT:
+        raise NativeError(f"{path} is larger than statistics are: {path.stat().st_size} bytes")
+    words = [word for word in words if word]
+    if path.suffix in (".npz", ".safetensors"):
+        table = _safetensors(path) if path.suffix == ".safetensors" else dict(np.load(path, allow_pickle=False))
+        for joint in ("/", "."):
+            if joint.join(words) in table:
+                return table[joint.join(words)]
+        raise NativeError(f"{path} has no {'/'.join(words)}; it has {', '.join(sorted(table))[:400]}")
+    return _entry(_document(path), words, path)
+
+
+def _document(path: Path) -> Any:
+    text = path.read_text(encoding="utf-8")
+    if path.suffix in (".yml", ".yaml"):
+        try:
+            import yaml
+        except ImportError:
+            raise NativeError(
+                f"{path} is YAML, and this Python has no reader of YAML; keep the numbers as JSON"
+            ) from None
+        return yaml.safe_load(text)
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise NativeError(f"{path} is not JSON: {error}") from None
+
+
+def _entry(document: Any, words: Sequence[str], path: Path) -> Any:
+    for word in words:
+        if not isinstance(document, Mapping) or word not in document:
+            there = ", ".join(map(str, document)) if isinstance(document, Mapping) else type(document).__name__
+            raise NativeError(f"{path} has no {'/'.join(words)}: at {word!r} there is {there[:400]}")
+        document = document[word]
+    return document
+
+
+def _safetensors(path: Path) -> dict[str, np.ndarray]:
+    """Read a safetensors file: eight bytes with the length of a JSON header, the header, the numbers."""
+    kinds = {"F64": np.float64, "F32": np.float32, "F16": np.float16, "I64": np.int64, "I32": np.int32}
+    data = path.read_bytes()
+    try:
+        (size,) = struct.unpack_from("<Q", data)
+        header = json.loads(data[8 : 8 + size])
+        body = memoryview(data)[8 + size :]
+        return {
+            name: np.frombuffer(body[slice(*entry["data_offsets"])], kinds[entry["dtype"]]).reshape(entry["shape"])
+            for name, entry in header.items()
+            if name != "__metadata__" and entry["dtype"] in kinds
+        }
+    except (ValueError, KeyError, TypeError, struct.error) as error:
+        raise NativeError(f"{path} is not a safetensors file: {error}") from None

@@ -1,0 +1,274 @@
+"""Parts of a model's vectors: what one arm, gripper, position or rotation is in the model's numbers, and back.
+
+Source: spec/<version>/native.schema.json#/$defs/part. A part reads its numbers out of a state, and writes those of a
+command into the fields of an arm; a position and a rotation of one arm make its pose together.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import rotation
+from xpl.action import ActionError
+from xpl.convert import rotations
+from xpl.convert.errors import NativeError
+from xpl.convert.frames import Frame, side_index
+from xpl.observation import ObservationError
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Arm, Embodiment
+
+_UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+_POSITION = slice(0, spec.POSITION_DIM)
+_ROTATION = slice(spec.POSITION_DIM, spec.POSE_DIM)
+
+State = Mapping[str, Any]
+
+
+class Part(ABC):
+    """One part of a vector.
+
+    Attributes:
+        kind: its word in the block.
+        label: how findings call it.
+        key: key of the standard's state that it is about, None for fill.
+        width: numbers that it has.
+        reference: what it is counted from in an action, None if the whole vector says that.
+        applied: where a change of pose is applied, fixed or body.
+    """
+
+    kind: str
+    key: str | None = None
+    width: int
+    reference: str | None = None
+    applied = "fixed"
+
+    def __init__(self, label: str) -> None:
+        self.label = label
+
+    @abstractmethod
+    def read(self, state: State) -> np.ndarray:
+        """Return the numbers (width,) float64 of a state or an absolute command of the standard."""
+
+    @abstractmethod
+    def write(self, values: np.ndarray) -> np.ndarray:
+        """Return absolute numbers (..., width) as the standard's; what that is depends on the part."""
+
+    def add(self, base: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return absolute numbers, (width,): a change of `base`."""
+        return base + change
+
+    def subtract(self, values: np.ndarray, base: np.ndarray) -> np.ndarray:
+        """Return the change that leads from `base` to `values`, (width,)."""
+        return values - base
+
+
+class Joints(Part):
+    """Joint angles of an arm, or of a hand."""
+
+    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment, *, is_hand: bool = False) -> None:
+        self.kind = "hand" if is_hand else "joints"
+        super().__init__(f"{self.kind} {entry['arm']}")
+        arm = embodiment.arms[side_index(embodiment, entry["arm"])]
+        self.key = arm.prefix + (spec.State.EE_JOINT_STATE if is_hand else spec.State.ARM_JOINT_STATE)
+        self.width = arm.ee_dim if is_hand else arm.dof
+        self._order = _order(entry.get("names"), arm, self.width)
+        self._sign = _column(entry.get("sign"), self.width, 1.0, "sign", self.label)
+        self._offset = _column(entry.get("offset"), self.width, 0.0, "offset", self.label)
+        self._scale = np.rad2deg(1.0) if entry.get("unit") == "deg" else 1.0
+        self.reference = entry.get("reference")
+
+    def read(self, state: State) -> np.ndarray:
+        angles = _of(state, self.key, self.width)[self._order]
+        return self._sign * angles * self._scale + self._offset
+
+    def write(self, values: np.ndarray) -> np.ndarray:
+        angles = self._sign * (values - self._offset) / self._scale
+        result = np.empty_like(angles)
+        result[..., self._order] = angles
+        return result
+
+
+class Gripper(Part):
+    """A parallel gripper: its opening, 0 closed and 1 open, between the model's two values."""
+
+    kind = "gripper"
+
+    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+        super().__init__(f"gripper {entry['arm']}")
+        arm = embodiment.arms[side_index(embodiment, entry["arm"])]
+        if arm.gripper != "parallel_gripper":
+            raise NativeError(f"native: {embodiment.name} has a hand at the arm {entry['arm']}; say hand, not gripper")
+        self.key = arm.prefix + spec.State.EE_JOINT_STATE
+        self._closed, self._open = np.atleast_1d(np.float64(entry["closed"])), np.atleast_1d(np.float64(entry["open"]))
+        if self._closed.shape != self._open.shape:
+            raise NativeError(f"native: {self.label} has as many values closed as open")
+        if (self._closed == self._open).all():
+            raise NativeError(f"native: {self.label} has the same value closed and open")
+        self.width = self._closed.size
+        self._threshold = entry.get("threshold")
+        self.reference = entry.get("reference", "absolute")
+
+    def read(self, state: State) -> np.ndarray:
+        opening = _of(state, self.key, 1)
+        return self._closed + opening * (self._open - self._closed)
+
+    def write(self, values: np.ndarray) -> np.ndarray:
+        span = self._open - self._closed
+        if self._threshold is not None:
+            first = int(np.flatnonzero(span)[0])
+            beyond = (values[..., first] - self._threshold) * np.sign(span[first]) > 0
+            return beyond.astype(np.float64)[..., None]
+        # Several fingers: the opening that fits them best.
+        opening = ((values - self._closed) * span).sum(-1) / (span * span).sum()
+        return np.asarray(opening)[..., None]
+
+
+class Position(Part):
+    """Where a point of an arm is."""
+
+    kind = "position"
+    width = spec.POSITION_DIM
+
+    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+        super().__init__(f"position {entry['arm']}")
+        arm = embodiment.arms[side_index(embodiment, entry["arm"])]
+        self.key = arm.prefix + spec.State.EE_POSE
+        self.frame = Frame(embodiment, entry["arm"], entry.get("point", "flange"), entry.get("frame", "world"))
+        self.unit = _UNITS[entry.get("unit", "m")]
+        self.reference = entry.get("reference")
+        self.applied = entry.get("applied", "fixed")
+
+    def read(self, state: State) -> np.ndarray:
+        return self.frame.encode(_of(state, self.key, spec.POSE_DIM))[_POSITION] * self.unit
+
+    def write(self, values: np.ndarray) -> np.ndarray:
+        return values / self.unit
+
+    def turned(self, change: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+        """Return a change that is given in the moving frame in the fixed one."""
+        return rotation.rotate(quaternion, change)
+
+
+class Rotation(Part):
+    """How a point of an arm is turned."""
+
+    kind = "rotation"
+
+    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+        super().__init__(f"rotation {entry['arm']}")
+        arm = embodiment.arms[side_index(embodiment, entry["arm"])]
+        self.key = arm.prefix + spec.State.EE_POSE
+        self.frame = Frame(embodiment, entry["arm"], entry.get("point", "flange"), entry.get("frame", "world"))
+        self.form: str = entry["form"]
+        self._euler = entry.get("euler")
+        self.width = rotations.WIDTHS[self.form]
+        self._sign = entry.get("sign", "any")
+        if self._sign != "any" and not self.form.startswith("quaternion"):
+            raise NativeError(f"native: sign of {self.label} is about quaternions, its form is {self.form}")
+        self.reference = entry.get("reference")
+        self.applied = entry.get("applied", "fixed")
+
+    def read(self, state: State) -> np.ndarray:
+        quaternion = self.frame.encode(_of(state, self.key, spec.POSE_DIM))[_ROTATION]
+        if self._sign == "positive_w" and quaternion[0] < 0:
+            quaternion = -quaternion
+        return rotations.encode(quaternion, self.form, self._euler)
+
+    @property
+    def follows(self) -> bool:
+        """Whether the sign of its quaternion is that of the step before."""
+        return self._sign == "continuous"
+
+    def scalar(self, values: np.ndarray) -> float:
+        """Return w of a quaternion in its form."""
+        return float(values[0 if self.form == "quaternion_wxyz" else -1])
+
+    def write(self, values: np.ndarray) -> np.ndarray:
+        """Return unit quaternions (..., 4)."""
+        return rotations.decode(values, self.form, self._euler)
+
+    def add(self, base: np.ndarray, change: np.ndarray) -> np.ndarray:
+        one, by = self.write(base), self.write(change)
+        turned = rotation.multiply(one, by) if self.applied == "body" else rotation.multiply(by, one)
+        return rotations.encode(turned, self.form, self._euler)
+
+    def subtract(self, values: np.ndarray, base: np.ndarray) -> np.ndarray:
+        to, back = self.write(values), rotation.conjugate(self.write(base))
+        change = rotation.multiply(back, to) if self.applied == "body" else rotation.multiply(to, back)
+        return rotations.encode(change, self.form, self._euler)
+
+
+class Fill(Part):
+    """Numbers that mean nothing."""
+
+    kind = "fill"
+
+    def __init__(self, entry: Mapping[str, Any]) -> None:
+        super().__init__("fill")
+        self.width = entry["width"]
+        self.reference = "absolute"
+        self._value = entry.get("value", 0.0)
+
+    def read(self, state: State) -> np.ndarray:
+        return np.full(self.width, float(self._value))
+
+    def write(self, values: np.ndarray) -> np.ndarray:
+        return values
+
+
+def part(entry: Mapping[str, Any], embodiment: Embodiment) -> Part:
+    """Return a part of a vector from its entry in the block.
+
+    Raises:
+        NativeError: if it does not fit the robot.
+    """
+    ((kind, how),) = entry.items()
+    if kind in ("joints", "hand"):
+        return Joints(how, embodiment, is_hand=kind == "hand")
+    if kind == "fill":
+        return Fill(how)
+    made: dict[str, type[Gripper | Position | Rotation]] = {
+        "gripper": Gripper,
+        "position": Position,
+        "rotation": Rotation,
+    }
+    return made[kind](how, embodiment)
+
+
+def _order(names: list[str] | None, arm: Arm, width: int) -> np.ndarray:
+    """Return for each of the model's joints its position in the standard's order."""
+    if names is None:
+        return np.arange(width)
+    known = arm.joint_names
+    if known is None:
+        raise NativeError("native: the standard knows no joint names of this arm; leave names out")
+    if sorted(names) != sorted(known):
+        raise NativeError(f"native: joints are named {', '.join(names)}; the robot has {', '.join(known)}")
+    return np.array([known.index(name) for name in names])
+
+
+def _column(values: Any, width: int, default: float, word: str, label: str) -> np.ndarray:
+    column = np.full(width, default) if values is None else np.asarray(values, np.float64)
+    if column.shape != (width,):
+        raise NativeError(f"native: {word} of {label} has {column.size} entries, there are {width} joints")
+    return column
+
+
+def _of(state: State, key: str | None, width: int) -> np.ndarray:
+    if key not in state:
+        raise ObservationError(f"the state has no {key!r}, which the native block reads; it has {', '.join(state)}")
+    values = np.asarray(state[str(key)], np.float64)
+    if values.shape != (width,):
+        raise ObservationError(f"{key} has shape {values.shape}, expected ({width},)")
+    if not np.isfinite(values).all():
+        raise ObservationError(f"{key} holds a value that is not finite")
+    return values
+
+
+__all__ = ["ActionError", "Fill", "Gripper", "Joints", "Part", "Position", "Rotation", "part"]
