@@ -1,7 +1,7 @@
 """What a model answers as the standard's action steps, and back.
 
-Source: spec/<version>/native.schema.json, `action`. An answer loses its padding, is denormalised, and cut into parts; each
-part is counted from what its reference says; parts of one arm make joint angles or a pose.
+Source: spec/<version>/native.schema.json, `action`. An answer loses its padding, is denormalised, and cut into parts;
+each part is counted from what its reference says; parts of one arm make joint angles or a pose.
 """
 
 from __future__ import annotations
@@ -149,9 +149,7 @@ class ActionOutput:
     def _rotation_of(self, item: Part) -> Rotation:
         found = next((one for one in self._parts if isinstance(one, Rotation) and one.key == item.key), None)
         if found is None:
-            raise NativeError(
-                f"native.action: {item.label} is applied in the moving frame, and no rotation is beside it"
-            )
+            raise NativeError(f"native.action: {item.label} moves in its own frame, and no rotation is beside it")
         return found
 
     def _flat(self, columns: Mapping[str, np.ndarray], state: State) -> np.ndarray:

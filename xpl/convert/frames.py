@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl import _spec as spec
 from xpl import poses, rotation
 from xpl.convert.errors import NativeError
 
@@ -66,9 +65,7 @@ def tool(embodiment: Embodiment) -> np.ndarray:
     """
     known: Mapping[str, Any] | None = embodiment.data["end_effector"].get("tcp")
     if not known:
-        raise NativeError(
-            f"the standard does not know where the fingertips of {embodiment.name} are; say point: flange"
-        )
+        raise NativeError(f"the standard does not know where {embodiment.name} has its fingertips; say point: flange")
     return poses.pose(known["xyz"], rotation.from_rpy(known["rpy"]))
 
 
@@ -85,6 +82,3 @@ def mount(embodiment: Embodiment, side: str) -> np.ndarray:
         return poses.pose(mounts[side]["xyz"], mounts[side]["quaternion"])
     places = np.mean([entry["xyz"] for entry in mounts.values()], axis=0)
     return poses.pose(places, next(iter(mounts.values()))["quaternion"])
-
-
-POSE = spec.State.EE_POSE

@@ -5,12 +5,11 @@ Source: spec/<version>/native.schema.json, `images`. Geometry first, on RGB; the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from xpl import _spec as spec
 from xpl.convert.errors import NativeError
 from xpl.convert.resample import resize
 from xpl.observation import get_image
@@ -135,7 +134,7 @@ def _resized(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
 
 def _resampled(values: np.ndarray, how: Mapping[str, Any], height: int, width: int) -> np.ndarray:
     as_bytes = how.get("on", "uint8") == "uint8"
-    return resize(values, height, width, how["filter"], antialias=how.get("antialias", False), as_bytes=as_bytes)
+    return resize(values, (height, width), how["filter"], antialias=how.get("antialias", False), as_bytes=as_bytes)
 
 
 def _letterboxed(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
@@ -184,18 +183,17 @@ def _unboxed(values: np.ndarray, how: Mapping[str, Any], before: tuple[int, int]
     return _resampled(values[top : top + rows, left : left + columns], {**how, "on": "uint8"}, *before)
 
 
-_STEPS = {
+_STEPS: dict[str, Callable[[np.ndarray, Any], np.ndarray]] = {
     "resize": _resized,
     "letterbox": _letterboxed,
     "crop": _crop,
     "rotate": _rotated,
     "mirror": _mirrored,
 }
-_UNDO = {
+_UNDO: dict[str, Callable[[np.ndarray, Any, tuple[int, int]], np.ndarray]] = {
     "resize": lambda values, how, before: _resampled(values, {**how, "on": "uint8"}, *before),
     "letterbox": _unboxed,
     "crop": _uncropped,
     "rotate": lambda values, how, _before: np.rot90(values, -how // 90),
     "mirror": lambda values, how, _before: _mirrored(values, how),
 }
-CHANNELS = spec.COLOR_CHANNELS

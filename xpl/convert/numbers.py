@@ -1,7 +1,7 @@
 """Normalisation: a vector's numbers as the model gets them, and back.
 
-Source: spec/<version>/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file: JSON, YAML
-(where a reader is installed), NPZ without pickles, or safetensors, whose header is JSON.
+Source: spec/<version>/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file: JSON,
+YAML (where a reader is installed), NPZ without pickles, or safetensors, whose header is JSON.
 """
 
 from __future__ import annotations
@@ -53,9 +53,7 @@ class Normalization:
         self._shift, self._scale = np.where(only, self._shift, 0.0), np.where(only, self._scale, 1.0)
         if (self._scale == 0).any():
             where = np.flatnonzero(self._scale == 0).tolist()
-            raise NativeError(
-                f"normalize divides by zero in dimensions {where}; say epsilon, or leave them out by only"
-            )
+            raise NativeError(f"normalize divides by zero in dimensions {where}; say epsilon, or only")
 
     def encode(self, values: np.ndarray) -> np.ndarray:
         """Return normalised values (..., width)."""
@@ -108,9 +106,7 @@ def _document(path: Path) -> Any:
         try:
             import yaml
         except ImportError:
-            raise NativeError(
-                f"{path} is YAML, and this Python has no reader of YAML; keep the numbers as JSON"
-            ) from None
+            raise NativeError(f"{path}: this Python has no reader of YAML; keep the numbers as JSON") from None
         return yaml.safe_load(text)
     try:
         return json.loads(text)

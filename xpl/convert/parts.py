@@ -14,7 +14,6 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import rotation
-from xpl.action import ActionError
 from xpl.convert import rotations
 from xpl.convert.errors import NativeError
 from xpl.convert.frames import Frame, side_index
@@ -28,6 +27,7 @@ _POSITION = slice(0, spec.POSITION_DIM)
 _ROTATION = slice(spec.POSITION_DIM, spec.POSE_DIM)
 
 State = Mapping[str, Any]
+Numbers = np.ndarray[Any, np.dtype[Any]]
 
 
 class Part(ABC):
@@ -52,18 +52,18 @@ class Part(ABC):
         self.label = label
 
     @abstractmethod
-    def read(self, state: State) -> np.ndarray:
+    def read(self, state: State) -> Numbers:
         """Return the numbers (width,) float64 of a state or an absolute command of the standard."""
 
     @abstractmethod
-    def write(self, values: np.ndarray) -> np.ndarray:
+    def write(self, values: Numbers) -> Numbers:
         """Return absolute numbers (..., width) as the standard's; what that is depends on the part."""
 
-    def add(self, base: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def add(self, base: Numbers, change: Numbers) -> Numbers:
         """Return absolute numbers, (width,): a change of `base`."""
         return base + change
 
-    def subtract(self, values: np.ndarray, base: np.ndarray) -> np.ndarray:
+    def subtract(self, values: Numbers, base: Numbers) -> Numbers:
         """Return the change that leads from `base` to `values`, (width,)."""
         return values - base
 
@@ -83,11 +83,13 @@ class Joints(Part):
         self._scale = np.rad2deg(1.0) if entry.get("unit") == "deg" else 1.0
         self.reference = entry.get("reference")
 
-    def read(self, state: State) -> np.ndarray:
+    def read(self, state: State) -> Numbers:
+        """Return the numbers (width,) of a state."""
         angles = _of(state, self.key, self.width)[self._order]
         return self._sign * angles * self._scale + self._offset
 
-    def write(self, values: np.ndarray) -> np.ndarray:
+    def write(self, values: Numbers) -> Numbers:
+        """Return absolute numbers (..., width) as the standard's."""
         angles = self._sign * (values - self._offset) / self._scale
         result = np.empty_like(angles)
         result[..., self._order] = angles
@@ -114,11 +116,13 @@ class Gripper(Part):
         self._threshold = entry.get("threshold")
         self.reference = entry.get("reference", "absolute")
 
-    def read(self, state: State) -> np.ndarray:
+    def read(self, state: State) -> Numbers:
+        """Return the numbers (width,) of a state."""
         opening = _of(state, self.key, 1)
         return self._closed + opening * (self._open - self._closed)
 
-    def write(self, values: np.ndarray) -> np.ndarray:
+    def write(self, values: Numbers) -> Numbers:
+        """Return absolute numbers (..., width) as the standard's."""
         span = self._open - self._closed
         if self._threshold is not None:
             first = int(np.flatnonzero(span)[0])
@@ -144,13 +148,15 @@ class Position(Part):
         self.reference = entry.get("reference")
         self.applied = entry.get("applied", "fixed")
 
-    def read(self, state: State) -> np.ndarray:
+    def read(self, state: State) -> Numbers:
+        """Return the numbers (width,) of a state."""
         return self.frame.encode(_of(state, self.key, spec.POSE_DIM))[_POSITION] * self.unit
 
-    def write(self, values: np.ndarray) -> np.ndarray:
+    def write(self, values: Numbers) -> Numbers:
+        """Return absolute numbers (..., width) as the standard's."""
         return values / self.unit
 
-    def turned(self, change: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    def turned(self, change: Numbers, quaternion: Numbers) -> Numbers:
         """Return a change that is given in the moving frame in the fixed one."""
         return rotation.rotate(quaternion, change)
 
@@ -174,7 +180,8 @@ class Rotation(Part):
         self.reference = entry.get("reference")
         self.applied = entry.get("applied", "fixed")
 
-    def read(self, state: State) -> np.ndarray:
+    def read(self, state: State) -> Numbers:
+        """Return the numbers (width,) of a state."""
         quaternion = self.frame.encode(_of(state, self.key, spec.POSE_DIM))[_ROTATION]
         if self._sign == "positive_w" and quaternion[0] < 0:
             quaternion = -quaternion
@@ -185,20 +192,22 @@ class Rotation(Part):
         """Whether the sign of its quaternion is that of the step before."""
         return self._sign == "continuous"
 
-    def scalar(self, values: np.ndarray) -> float:
+    def scalar(self, values: Numbers) -> float:
         """Return w of a quaternion in its form."""
         return float(values[0 if self.form == "quaternion_wxyz" else -1])
 
-    def write(self, values: np.ndarray) -> np.ndarray:
+    def write(self, values: Numbers) -> Numbers:
         """Return unit quaternions (..., 4)."""
         return rotations.decode(values, self.form, self._euler)
 
-    def add(self, base: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def add(self, base: Numbers, change: Numbers) -> Numbers:
+        """Return the rotation that a change leads to."""
         one, by = self.write(base), self.write(change)
         turned = rotation.multiply(one, by) if self.applied == "body" else rotation.multiply(by, one)
         return rotations.encode(turned, self.form, self._euler)
 
-    def subtract(self, values: np.ndarray, base: np.ndarray) -> np.ndarray:
+    def subtract(self, values: Numbers, base: Numbers) -> Numbers:
+        """Return the change that leads from one rotation to another."""
         to, back = self.write(values), rotation.conjugate(self.write(base))
         change = rotation.multiply(back, to) if self.applied == "body" else rotation.multiply(to, back)
         return rotations.encode(change, self.form, self._euler)
@@ -215,10 +224,13 @@ class Fill(Part):
         self.reference = "absolute"
         self._value = entry.get("value", 0.0)
 
-    def read(self, state: State) -> np.ndarray:
+    def read(self, state: State) -> Numbers:
+        """Return the numbers; the state has no say."""
+        del state
         return np.full(self.width, float(self._value))
 
-    def write(self, values: np.ndarray) -> np.ndarray:
+    def write(self, values: Numbers) -> Numbers:
+        """Return absolute numbers (..., width) as the standard's."""
         return values
 
 
@@ -241,7 +253,7 @@ def part(entry: Mapping[str, Any], embodiment: Embodiment) -> Part:
     return made[kind](how, embodiment)
 
 
-def _order(names: list[str] | None, arm: Arm, width: int) -> np.ndarray:
+def _order(names: list[str] | None, arm: Arm, width: int) -> Numbers:
     """Return for each of the model's joints its position in the standard's order."""
     if names is None:
         return np.arange(width)
@@ -253,14 +265,14 @@ def _order(names: list[str] | None, arm: Arm, width: int) -> np.ndarray:
     return np.array([known.index(name) for name in names])
 
 
-def _column(values: Any, width: int, default: float, word: str, label: str) -> np.ndarray:
+def _column(values: Any, width: int, default: float, word: str, label: str) -> Numbers:
     column = np.full(width, default) if values is None else np.asarray(values, np.float64)
     if column.shape != (width,):
         raise NativeError(f"native: {word} of {label} has {column.size} entries, there are {width} joints")
     return column
 
 
-def _of(state: State, key: str | None, width: int) -> np.ndarray:
+def _of(state: State, key: str | None, width: int) -> Numbers:
     if key not in state:
         raise ObservationError(f"the state has no {key!r}, which the native block reads; it has {', '.join(state)}")
     values = np.asarray(state[str(key)], np.float64)
@@ -269,6 +281,3 @@ def _of(state: State, key: str | None, width: int) -> np.ndarray:
     if not np.isfinite(values).all():
         raise ObservationError(f"{key} holds a value that is not finite")
     return values
-
-
-__all__ = ["ActionError", "Fill", "Gripper", "Joints", "Part", "Position", "Rotation", "part"]

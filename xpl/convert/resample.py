@@ -18,19 +18,21 @@ _FEW_TAPS = 4
 """Up to here pixels are gathered one by one; beyond, a product of matrices is faster."""
 
 
-def resize(image: np.ndarray, height: int, width: int, kind: str, *, antialias: bool, as_bytes: bool) -> np.ndarray:
-    """Return images (..., H, W, C) in another size, (..., height, width, C).
+def resize(
+    image: np.ndarray, size: tuple[int, int], kind: str, *, antialias: bool = False, as_bytes: bool = True
+) -> np.ndarray:
+    """Return images (..., H, W, C) in another size.
 
     Args:
         image: uint8 or float32.
-        height, width: pixels.
+        size: height and width, pixels.
         kind: one of the filters.
         antialias: widen the filter where the image shrinks.
         as_bytes: round to whole numbers and clip to 0..255, as libraries do with 8-bit images.
     """
     values = image.astype(np.float32)
-    for axis, size in ((-2, width), (-3, height)):
-        values = _along(values, axis, size, kind, antialias=antialias)
+    for axis, wanted in ((-2, size[1]), (-3, size[0])):
+        values = _along(values, axis, wanted, kind, antialias=antialias)
         if as_bytes:  # after each direction, as Pillow does
             values = np.clip(np.floor(values + np.float32(0.5)), 0, 255)
     return values.astype(image.dtype) if as_bytes else values

@@ -26,21 +26,16 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 
 def encode(quaternion: np.ndarray, form: str, euler: str | None = None) -> np.ndarray:
     """Return unit quaternions (..., 4) in a form, (..., width)."""
-    if form == "quaternion_wxyz":
-        return np.asarray(quaternion, np.float64)
-    if form == "quaternion_xyzw":
-        return np.roll(np.asarray(quaternion, np.float64), -1, axis=-1)
+    if form.startswith("quaternion"):
+        return np.roll(np.asarray(quaternion, np.float64), 0 if form == "quaternion_wxyz" else -1, axis=-1)
     if form == "axis_angle":
         return rotation.to_axis_angle(quaternion)
     matrix = rotation.to_matrix(quaternion)
     leading = matrix.shape[:-2]
-    if form == "matrix":
-        return matrix.reshape(*leading, 9)
-    if form == "rot6d_rows":
-        return matrix[..., :2, :].reshape(*leading, 6)
-    if form == "rot6d_columns":
-        return np.swapaxes(matrix, -1, -2)[..., :2, :].reshape(*leading, 6)
-    return _to_euler(matrix, str(euler))
+    if form == "euler":
+        return _to_euler(matrix, str(euler))
+    vectors = np.swapaxes(matrix, -1, -2) if form == "rot6d_columns" else matrix
+    return vectors[..., : WIDTHS[form] // 3, :].reshape(*leading, WIDTHS[form])
 
 
 def decode(values: np.ndarray, form: str, euler: str | None = None) -> np.ndarray:
@@ -104,19 +99,16 @@ def _to_euler(matrix: np.ndarray, order: str) -> np.ndarray:
     even = (j - i) % 3 == 1
     sign = 1.0 if even else -1.0
     m = matrix
+    locked = np.arctan2(sign * m[..., k, j], m[..., j, j])
     if proper:
         middle = np.arctan2(np.hypot(m[..., i, j], m[..., i, k]), m[..., i, i])
         free = np.sin(middle) > 1e-7
-        first = np.where(
-            free, np.arctan2(m[..., j, i], -sign * m[..., k, i]), np.arctan2(sign * m[..., k, j], m[..., j, j])
-        )
+        first = np.where(free, np.arctan2(m[..., j, i], -sign * m[..., k, i]), locked)
         last = np.where(free, np.arctan2(m[..., i, j], sign * m[..., i, k]), 0.0)
     else:
         middle = np.arctan2(sign * m[..., i, k], np.hypot(m[..., i, i], m[..., i, j]))
         free = np.cos(middle) > 1e-7
-        first = np.where(
-            free, np.arctan2(-sign * m[..., j, k], m[..., k, k]), np.arctan2(sign * m[..., k, j], m[..., j, j])
-        )
+        first = np.where(free, np.arctan2(-sign * m[..., j, k], m[..., k, k]), locked)
         last = np.where(free, np.arctan2(-sign * m[..., i, j], m[..., i, i]), 0.0)
     angles = np.stack((first, middle, last), axis=-1)
     return angles if order.isupper() else angles[..., ::-1]
