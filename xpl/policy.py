@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from xpl.embodiment import get_embodiment
 from xpl.memory import Memory
 from xpl.observation import env_index, env_indices
 from xpl.wire.arrays import as_array
+
+if TYPE_CHECKING:
+    from xpl.convert import Interface
 
 Observation = Mapping[str, Any]
 ActionStep = dict[str, np.ndarray]
@@ -54,6 +57,9 @@ class _Environment:
     rng: np.random.Generator
     frames: deque[_Frame]
     step: int = -1
+    # Of native conversions: what was so before the newest observation, and what follows once there is a newer one.
+    native_before: dict[str, np.ndarray] = field(default_factory=dict)
+    native_after: dict[str, np.ndarray] = field(default_factory=dict)
     predictions: dict[int, np.ndarray] = field(default_factory=dict)
     memory: Memory = field(default_factory=Memory)
 
@@ -81,6 +87,7 @@ class Policy:
         seed: the run seed; 0 is a seed like any other.
         chunk: action steps that one call returns, or None where no manifest declares it.
         history: observations that `predict` sees per environment.
+        interface: the model's own interface (`xpl.convert`), where the manifest has a block `native`; else None.
         policy_dir: folder of model.py; relative paths start there.
 
     Raises:
@@ -105,6 +112,7 @@ class Policy:
         self.seed: int = self.setting(spec.Deploy.SEED, spec.DEPLOY_DEFAULTS[spec.Deploy.SEED])
         file = getattr(sys.modules.get(type(self).__module__), "__file__", None)
         self.policy_dir = Path(file).resolve().parent if file else Path.cwd()
+        self.interface = self._compiled(manifest.get("native"))
         self._environments: dict[int, _Environment] = {}
         self._order: list[int] | None = None
         # By client: where several share a model, each has `limits.client_envs` environment numbers of its own.
@@ -118,8 +126,13 @@ class Policy:
         """Build the native model. Import heavy libraries here, so that the module itself imports anywhere."""
 
     def encode(self, obs: Observation, env: int) -> Any:
-        """Return the model's inputs for one observation (g_in). Pure: neither changes `obs` nor keeps state."""
-        raise NotImplementedError(f"{type(self).__name__} must define encode(obs, env)")
+        """Return the model's inputs for one observation (g_in). Pure: neither changes `obs` nor keeps state.
+
+        The default converts as the manifest's block `native` says.
+        """
+        if self.interface is None:
+            raise NotImplementedError(f"{type(self).__name__} must define encode(obs, env), or have a native block")
+        return self.interface.encode(obs, self._environments[env].native_after)
 
     def predict(self, inputs: list[Any], envs: list[int]) -> Any:
         """Run the model on a batch (pi), in one forward pass where it can.
@@ -127,6 +140,8 @@ class Policy:
         Args:
             inputs: what `encode` returned, one entry per environment. With history > 1 an entry is a list of
                 `history` encodings, oldest first; the first observation is repeated until the history is full.
+                With a block `native` and no `encode` of your own: a map of the model's inputs, each a (B, ...) array
+                or a list of B texts.
             envs: environment index of each entry; `self.rng(env)` is its random generator.
 
         Returns:
@@ -137,10 +152,15 @@ class Policy:
     def decode(self, raw: np.ndarray, obs: Observation, env: int) -> list[ActionStep]:  # noqa: ARG002 - overridden
         """Return the action chunk of one environment (g_out).
 
-        The default reads each row of `raw`, (H, D), as a flat absolute action. Override it where the model predicts
-        something else, for example deltas to the state in `obs`, the newest observation.
+        The default converts as the manifest's block `native` says; without one it reads each row of `raw`, (H, D), as a
+        flat absolute action. Override it where the model predicts something else, for example deltas to the state in
+        `obs`, the newest observation.
         """
-        return decode_rows(raw, self.embodiment, self.action_type)
+        if self.interface is None:
+            return decode_rows(raw, self.embodiment, self.action_type)
+        state = self._environments[env]
+        state.native_after.update(state.native_before)
+        return self.interface.decode(raw, obs, state.native_after)
 
     def reset_env(self, env: int) -> None:
         """Forget native state of one environment that the base class cannot see.
@@ -227,7 +247,8 @@ class Policy:
         for state in states:
             state.memory.ask(state.step)
         try:
-            rows = self._checked(self.predict(inputs, envs), envs)
+            given = inputs if self.interface is None or self._encodes else self.interface.batch(inputs)
+            rows = self._checked(self.predict(given, envs), envs)
             chunks = [self._decoded(raw, state, env) for raw, state, env in zip(rows, states, envs)]
             answered = True
         except BaseException:
@@ -259,6 +280,17 @@ class Policy:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
+    @property
+    def _encodes(self) -> bool:
+        return type(self).encode is not Policy.encode
+
+    def _compiled(self, native: Mapping[str, Any] | None) -> Interface | None:
+        if native is None:
+            return None
+        from xpl.convert import compile_interface
+
+        return compile_interface(native, self.embodiment, self.action_type, [self.policy_dir], self.chunk)
+
     def _observe(self, observations: Sequence[Observation], envs: list[int]) -> None:
         for env in envs:
             if env not in self._environments:
@@ -267,6 +299,7 @@ class Policy:
             state = self._environments[env]
             state.frames.append(_Frame(obs))
             state.step += 1
+            state.native_before = dict(state.native_after)
         self._order = envs
         self._observed.update(map(_client, envs))
 
@@ -275,7 +308,8 @@ class Policy:
         client = _client(env)
         episode, own = self._episodes.get(client, 0), env % spec.LIMITS["client_envs"]
         rng = np.random.default_rng([self.seed % 2**63, episode, own])
-        return _Environment(rng=rng, frames=deque(maxlen=self.history))
+        kept = self.history if self.interface is None else max(self.history, self.interface.span)
+        return _Environment(rng=rng, frames=deque(maxlen=kept))
 
     def _known(self, env: int) -> _Environment:
         if env not in self._environments:
@@ -288,6 +322,8 @@ class Policy:
             if not frame.encoded:
                 frame.inputs, frame.encoded = self.encode(frame.obs, env), True
         encodings = [frame.inputs for frame in state.frames]
+        if self.interface is not None and not self._encodes:
+            return encodings  # `Interface.batch` makes a history of them
         if self.history == 1:
             return encodings[-1]
         return [encodings[0]] * (self.history - len(encodings)) + encodings
