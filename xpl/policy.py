@@ -57,9 +57,9 @@ class _Environment:
     rng: np.random.Generator
     frames: deque[_Frame]
     step: int = -1
-    # Of native conversions: what was so before the newest observation, and what follows once there is a newer one.
-    native_before: dict[str, np.ndarray] = field(default_factory=dict)
-    native_after: dict[str, np.ndarray] = field(default_factory=dict)
+    # Of native conversions: the last quaternions that were encoded, and the last command of each answer.
+    signs: dict[str, np.ndarray] = field(default_factory=dict)
+    commands: Memory = field(default_factory=Memory)
     predictions: dict[int, np.ndarray] = field(default_factory=dict)
     memory: Memory = field(default_factory=Memory)
 
@@ -132,7 +132,7 @@ class Policy:
         """
         if self.interface is None:
             raise NotImplementedError(f"{type(self).__name__} must define encode(obs, env), or have a native block")
-        return self.interface.encode(obs, self._environments[env].native_after)
+        return self.interface.encode(obs, self._environments[env].signs)
 
     def predict(self, inputs: list[Any], envs: list[int]) -> Any:
         """Run the model on a batch (pi), in one forward pass where it can.
@@ -149,7 +149,7 @@ class Policy:
         """
         raise NotImplementedError(f"{type(self).__name__} must define predict(inputs, envs)")
 
-    def decode(self, raw: np.ndarray, obs: Observation, env: int) -> list[ActionStep]:  # noqa: ARG002 - overridden
+    def decode(self, raw: np.ndarray, obs: Observation, env: int) -> list[ActionStep]:
         """Return the action chunk of one environment (g_out).
 
         The default converts as the manifest's block `native` says; without one it reads each row of `raw`, (H, D), as a
@@ -158,9 +158,11 @@ class Policy:
         """
         if self.interface is None:
             return decode_rows(raw, self.embodiment, self.action_type)
-        state = self._environments[env]
-        state.native_after.update(state.native_before)
-        return self.interface.decode(raw, obs, state.native_after)
+        commands = self._environments[env].commands
+        last = dict(commands.value or {})
+        steps = self.interface.decode(raw, obs, last)
+        commands.keep(last)
+        return steps
 
     def reset_env(self, env: int) -> None:
         """Forget native state of one environment that the base class cannot see.
@@ -246,8 +248,9 @@ class Policy:
         answered = False
         for state in states:
             state.memory.ask(state.step)
+            state.commands.ask(state.step)
         try:
-            given = inputs if self.interface is None or self._encodes else self.interface.batch(inputs)
+            given: Any = inputs if self.interface is None or self._encodes else self.interface.batch(inputs)
             rows = self._checked(self.predict(given, envs), envs)
             chunks = [self._decoded(raw, state, env) for raw, state, env in zip(rows, states, envs)]
             answered = True
@@ -259,6 +262,7 @@ class Policy:
         finally:
             for state in states:
                 state.memory.settle(answered=answered)
+                state.commands.settle(answered=answered)
         return chunks
 
     def reset(self) -> None:
@@ -299,7 +303,6 @@ class Policy:
             state = self._environments[env]
             state.frames.append(_Frame(obs))
             state.step += 1
-            state.native_before = dict(state.native_after)
         self._order = envs
         self._observed.update(map(_client, envs))
 
@@ -326,7 +329,8 @@ class Policy:
             return encodings  # `Interface.batch` makes a history of them
         if self.history == 1:
             return encodings[-1]
-        return [encodings[0]] * (self.history - len(encodings)) + encodings
+        # A native block may keep more of them.
+        return [encodings[0]] * (self.history - len(encodings)) + encodings[-self.history :]
 
     def _checked(self, raw: Any, envs: list[int]) -> list[np.ndarray]:
         if isinstance(raw, Mapping) or not hasattr(raw, "__iter__"):

@@ -14,7 +14,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import poses, rotation
 from xpl.convert.errors import NativeError
-from xpl.convert.parts import Gripper, Joints, Part, Position, Rotation, State, part
+from xpl.convert.parts import Gripper, Joints, Part, Position, Rotation, State
 from xpl.convert.vectors import Vector
 from xpl.decoding import decode_rows
 
@@ -48,7 +48,7 @@ class ActionOutput:
         self, entry: Mapping[str, Any], embodiment: Embodiment, action_type: str, folders: Sequence[Path] = ()
     ) -> None:
         self._embodiment, self._action_type = embodiment, action_type
-        self.vector = Vector(entry, [part(item, embodiment) for item in entry["parts"]], folders, "native.action")
+        self.vector = Vector(entry, embodiment, folders, "native.action")
         self.first: int = entry.get("first", 0)
         self.steps: int | None = entry.get("steps")
         self._reference: str = entry["reference"]
@@ -68,6 +68,12 @@ class ActionOutput:
         """
         kept = {} if memory is None else memory
         rows = self.vector.denormalized(np.asarray(raw, np.float64))
+        needed = self.first + (1 if self.steps is None else self.steps)
+        if rows.ndim != 2 or len(rows) < needed:
+            raise NativeError(
+                f"native.action: expected at least {needed} steps (first {self.first}, and those handed on), "
+                f"the model gave the shape {np.shape(raw)}; mend first, steps or temporal.chunk"
+            )
         columns: dict[str, np.ndarray] = {}
         for item, values in self.vector.cut(rows):
             columns[item.label] = self._absolute(item, values, state, kept, columns)
@@ -146,10 +152,16 @@ class ActionOutput:
         following = [] if told == "delta_state" else list(done[turn.label][:-1])
         return [turn.write(values) for values in [start, *following, *[start] * height][:height]]
 
-    def _rotation_of(self, item: Part) -> Rotation:
+    def _rotation_of(self, item: Position) -> Rotation:
         found = next((one for one in self._parts if isinstance(one, Rotation) and one.key == item.key), None)
         if found is None:
-            raise NativeError(f"native.action: {item.label} moves in its own frame, and no rotation is beside it")
+            raise NativeError(
+                f"native.action, {item.label}: applied: body needs the arm's rotation, and no part gives it; add it"
+            )
+        if found.frame.told != item.frame.told:
+            raise NativeError(
+                f"native.action, {item.label}: its point and frame differ from its rotation's; say the same for both"
+            )
         return found
 
     def _flat(self, columns: Mapping[str, np.ndarray], state: State) -> np.ndarray:
@@ -167,31 +179,43 @@ class ActionOutput:
     def _poses(self, key: str, columns: Mapping[str, np.ndarray], state: State) -> np.ndarray:
         """Return the flange's poses (H, 7) of one arm; what the model does not command stays as it is."""
         items = [item for item in self._parts if item.key == key and isinstance(item, (Position, Rotation))]
-        frame = items[0].frame
-        now = frame.encode(np.asarray(state[key], np.float64))
+        place = next((item for item in items if isinstance(item, Position)), None)
+        turn = next((item for item in items if isinstance(item, Rotation)), None)
+        now = np.asarray(state[key], np.float64)
         height = len(columns[items[0].label])
-        place = np.broadcast_to(now[: spec.POSITION_DIM], (height, spec.POSITION_DIM))
-        turn = np.broadcast_to(now[spec.POSITION_DIM :], (height, spec.POSE_DIM - spec.POSITION_DIM))
-        for item in items:
-            if isinstance(item, Position):
-                place = item.write(columns[item.label])
-            else:
-                turn = item.write(columns[item.label])
-        return frame.decode(poses.pose(place, turn))
+        if turn is None:
+            turned = np.broadcast_to(now[spec.POSITION_DIM :], (height, spec.POSE_DIM - spec.POSITION_DIM))
+        else:
+            turned = turn.frame.flange_rotation(turn.write(columns[turn.label]))
+        if place is None:  # the point that is turned stays where it is
+            frame = items[0].frame
+            where = np.broadcast_to(frame.encode(now)[: spec.POSITION_DIM], (height, spec.POSITION_DIM))
+        else:
+            frame, where = place.frame, place.write(columns[place.label])
+        return poses.pose(frame.flange_position(where, turned), turned)
 
     def _check(self) -> None:
         for item in self._parts:
             if isinstance(item, Position) and item.applied == "body":
                 self._rotation_of(item)
-        labels = [item.label for item in self._parts if item.kind != "fill"]
-        if len(set(labels)) != len(labels):
-            raise NativeError(f"native.action has a part twice: {', '.join(labels)}")
+        labels = [item.label for item in self._parts]
+        twice = sorted({label for label in labels if labels.count(label) > 1})
+        if twice:
+            raise NativeError(f"native.action has a part twice: {', '.join(twice)}; one command has one place")
         keys = {item.key for item in self._parts}
+        extra = [
+            item.label for item in self._parts if item.key not in {None, *self._embodiment.dims(self._action_type)}
+        ]
+        if extra:
+            raise NativeError(
+                f"native.action has {', '.join(extra)}, which {self._action_type} actions do not; "
+                "leave it out, say fill, or declare the other action type"
+            )
         lacking = [key for key in self._embodiment.dims(self._action_type) if key not in keys]
         if lacking:
             raise NativeError(
                 f"native.action makes no {self._action_type} actions of {self._embodiment.name}: "
-                f"no part gives {', '.join(lacking)}"
+                f"no part gives {', '.join(lacking)}; add it, or declare another action type"
             )
 
 

@@ -7,11 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from xpl import _spec as spec
 from xpl import poses, rotation
 from xpl.convert.errors import NativeError
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
+
+
+_POSITION = slice(0, spec.POSITION_DIM)
+_ROTATION = slice(spec.POSITION_DIM, spec.POSE_DIM)
 
 
 def side_index(embodiment: Embodiment, side: str) -> int:
@@ -22,7 +27,7 @@ def side_index(embodiment: Embodiment, side: str) -> int:
     """
     arms = list(embodiment.data["arms"])
     if side not in arms:
-        raise NativeError(f"native names the arm {side!r}; {embodiment.name} has {', '.join(arms)}")
+        raise NativeError(f"{embodiment.name} has no arm {side!r}; say one of {', '.join(arms)}")
     return arms.index(side)
 
 
@@ -35,6 +40,9 @@ class Frame:
         point: flange or tcp.
         frame: world or base.
 
+    Attributes:
+        told: point and frame.
+
     Raises:
         NativeError: if the standard does not know what lies between the two.
     """
@@ -43,6 +51,7 @@ class Frame:
         self._inner = poses.pose(np.zeros(3), rotation.identity()) if point == "flange" else tool(embodiment)
         self._outer = poses.pose(np.zeros(3), rotation.identity()) if frame == "world" else mount(embodiment, side)
         self.is_plain = point == "flange" and frame == "world"
+        self.told = (point, frame)
 
     def encode(self, flange: np.ndarray) -> np.ndarray:
         """Return a flange's pose (..., 7) in the world as the point's pose in the frame."""
@@ -50,11 +59,14 @@ class Frame:
             return np.asarray(flange, np.float64)
         return poses.compose(poses.compose(poses.invert(self._outer), flange), self._inner)
 
-    def decode(self, native: np.ndarray) -> np.ndarray:
-        """Return the pose (..., 7) of the flange in the world."""
-        if self.is_plain:
-            return np.asarray(native, np.float64)
-        return poses.compose(poses.compose(self._outer, native), poses.invert(self._inner))
+    def flange_rotation(self, native: np.ndarray) -> np.ndarray:
+        """Return the rotation (..., 4) of the flange in the world, of the point's in the frame."""
+        turn = rotation.multiply(self._outer[_ROTATION], native)
+        return rotation.multiply(turn, rotation.conjugate(self._inner[_ROTATION]))
+
+    def flange_position(self, native: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """Return where (..., 3) the flange is in the world, of where the point is, and how the flange is turned."""
+        return poses.transform(self._outer, native) - rotation.rotate(turn, self._inner[_POSITION])
 
 
 def tool(embodiment: Embodiment) -> np.ndarray:
@@ -78,7 +90,11 @@ def mount(embodiment: Embodiment, side: str) -> np.ndarray:
     mounts = embodiment.data.get("mounts")
     if not mounts:
         raise NativeError(f"the standard does not know where {embodiment.name} is mounted; say frame: world")
+    # Written with seven digits, and every pose goes through them.
+    turns = {name: rotation.normalise(entry["quaternion"]) for name, entry in mounts.items()}
     if side in mounts:
-        return poses.pose(mounts[side]["xyz"], mounts[side]["quaternion"])
-    places = np.mean([entry["xyz"] for entry in mounts.values()], axis=0)
-    return poses.pose(places, next(iter(mounts.values()))["quaternion"])
+        return poses.pose(mounts[side]["xyz"], turns[side])
+    turn = next(iter(turns.values()))
+    if any(not np.allclose(turn, other) for other in turns.values()):
+        raise NativeError(f"the mounts of {embodiment.name} are turned differently; say frame: world")
+    return poses.pose(np.mean([entry["xyz"] for entry in mounts.values()], axis=0), turn)

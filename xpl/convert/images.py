@@ -39,8 +39,19 @@ class ImageInput:
         self._low, self._high = entry.get("range", (0.0, 1.0))
         self._mean = np.asarray(entry.get("mean", 0.0), np.float32)
         self._std = np.asarray(entry.get("std", 1.0), np.float32)
+        where = f"native.images {self.name}"
         if len(self.cameras) > 1 and self._stack is None:
-            raise NativeError(f"native.images: {self.name} shows {len(self.cameras)} cameras; say with stack how")
+            raise NativeError(
+                f"{where}: shows {len(self.cameras)} cameras as one input; say stack: views, width or channels"
+            )
+        if self._is_bytes and not {"range", "mean", "std"}.isdisjoint(entry):
+            raise NativeError(
+                f"{where}: bytes have neither range nor mean and std; say dtype: float32, or leave them out"
+            )
+        if self._low == self._high:
+            raise NativeError(f"{where}: range is {self._low} at both ends; say what 0 and 255 become")
+        if (self._std == 0).any():
+            raise NativeError(f"{where}: std holds a zero, and images are divided by it; give each channel's own")
 
     def encode(self, obs: Mapping[str, Any]) -> np.ndarray:
         """Return what the model gets of one observation, without a batch axis.
@@ -48,13 +59,24 @@ class ImageInput:
         Raises:
             ObservationError: if a camera is missing or is no image.
         """
-        views = [self.view(get_image(obs, camera)) for camera in self.cameras]
+        views = [self._seen(obs, camera) for camera in self.cameras]
         if self._stack is None:
             return views[0]
+        if len({view.shape for view in views}) > 1:
+            sizes = ", ".join(f"{camera} {view.shape}" for camera, view in zip(self.cameras, views))
+            raise NativeError(
+                f"native.images {self.name}: views of one input have one size, these are {sizes}; add a resize"
+            )
         if self._stack == "views":
             return np.stack(views)
         channel, column = (0, 2) if self._is_chw else (2, 1)
         return np.concatenate(views, axis=channel if self._stack == "channels" else column)
+
+    def _seen(self, obs: Mapping[str, Any], camera: str) -> np.ndarray:
+        try:
+            return self.view(get_image(obs, camera))
+        except NativeError as error:
+            raise NativeError(f"native.images {self.name}, {camera}: {error}") from None
 
     def view(self, image: np.ndarray) -> np.ndarray:
         """Return one camera's image, (H, W, 3) uint8 RGB, as the model gets it."""
@@ -124,7 +146,11 @@ def _cropped(how: Mapping[str, Any], shape: tuple[int, int]) -> tuple[int, int]:
     else:
         height, width = (int(size * how["fraction"]) for size in shape)
     if height > shape[0] or width > shape[1]:
-        raise NativeError(f"native.images: a crop to {height}x{width} of an image of {shape[0]}x{shape[1]}")
+        raise NativeError(
+            f"a crop to {height}x{width} of an image of {shape[0]}x{shape[1]}; crop less, or resize it before"
+        )
+    if not (height and width):
+        raise NativeError(f"a crop leaves nothing of an image of {shape[0]}x{shape[1]}; say a larger fraction")
     return int(height), int(width)
 
 
@@ -149,8 +175,11 @@ def _letterboxed(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
 def _frame(shape: tuple[int, ...], how: Mapping[str, Any]) -> tuple[int, int, int, int]:
     """Return height, width, first row and first column of the image in its frame."""
     (height, width), anchor = how["to"], how.get("anchor", "center")
-    scale = min(height / shape[0], width / shape[1])
-    rows, columns = int(shape[0] * scale), int(shape[1] * scale)
+    # As written by the authors: multiplied by the inverse, one pixel is lost for other sizes than for them.
+    ratio = max(shape[1] / width, shape[0] / height)
+    rows, columns = int(shape[0] / ratio), int(shape[1] / ratio)
+    if not (rows and columns):
+        raise NativeError(f"nothing is left of an image of {shape[0]}x{shape[1]} in a frame of {height}x{width}")
     free = height - rows, width - columns
     if anchor == "center":
         return rows, columns, free[0] // 2, free[1] // 2

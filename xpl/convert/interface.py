@@ -12,7 +12,7 @@ from xpl import _spec as spec
 from xpl.convert.actions import ActionOutput, Memory
 from xpl.convert.errors import NativeError
 from xpl.convert.images import ImageInput
-from xpl.convert.parts import Rotation, part
+from xpl.convert.parts import Rotation
 from xpl.convert.vectors import Vector
 from xpl.observation import ObservationError, get_instruction
 
@@ -66,14 +66,17 @@ class Interface:
     ) -> None:
         self.images = [ImageInput(entry) for entry in native.get("images", ())]
         self.states = {
-            entry["input"]: Vector(
-                entry, [part(item, embodiment) for item in entry["parts"]], folders, f"native.state {entry['input']}"
-            )
+            entry["input"]: Vector(entry, embodiment, folders, f"native.state {entry['input']}")
             for entry in native.get("state", ())
         }
         self.action = ActionOutput(native["action"], embodiment, action_type, folders)
         if self.action.steps is None:
             self.action.steps = chunk
+        elif chunk is not None and self.action.steps != chunk:
+            raise NativeError(
+                f"native.action.steps is {self.action.steps}, and temporal.chunk {chunk}: they are the same steps; "
+                "leave one out or make them equal"
+            )
         self._instruction = native.get("instruction")
         history = native.get("history") or {}
         self.history: int = history.get("length", 1)
@@ -85,9 +88,11 @@ class Interface:
             *(item.name for item in self.images if "images" in with_history),
             *(name for name in self.states if "state" in with_history),
         }
-        names = [*(item.name for item in self.images), *self.states, *self._text()]
-        if len(set(names)) != len(names):
-            raise NativeError(f"native: an input is named twice: {', '.join(names)}")
+        names = [*(item.name for item in self.images), *(entry["input"] for entry in native.get("state", ()))]
+        names += [*self._text(), *([] if self._mask is None else [self._mask])]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise NativeError(f"native: an input is named twice: {', '.join(twice)}; each has a name of its own")
 
     def encode(self, obs: Mapping[str, Any], memory: Memory | None = None) -> dict[str, Any]:
         """Return the inputs that one observation makes, under the model's names, without axes of batch and time.
@@ -149,7 +154,9 @@ class Interface:
         if not isinstance(item, Rotation) or not item.follows:
             return values
         if memory is None:
-            raise NativeError("native: a sign that follows the step before needs the environment's memory")
+            raise NativeError(
+                f"native.state {name}, {item.label}: sign: continuous follows the step before; give encode a memory"
+            )
         label = f"{name} {item.label}"
         before = memory.get(label)
         if (values @ before if before is not None else item.scalar(values)) < 0:
@@ -166,7 +173,9 @@ class Interface:
             return {how["input"]: ""}
         text = get_instruction(obs) or ""
         if not text and how.get("empty", "refuse") == "refuse":
-            raise ObservationError("the observation has no instruction, and the model needs one")
+            raise ObservationError(
+                "the observation has no instruction, and the model needs one (native.instruction.empty: refuse)"
+            )
         text = text.strip(how["strip"]) if how.get("strip") else text
         text = text.lower() if how.get("case") == "lower" else text
         return {how["input"]: how.get("template", _PLACE).replace(_PLACE, text)}

@@ -17,6 +17,12 @@ import numpy as np
 from xpl.convert.errors import NativeError
 
 _NAMES = {"mean_std": ("mean", "std"), "min_max": ("min", "max"), "quantiles": ("low", "high")}
+_CONSTANT = {
+    "keep": ((1.0, 0.0), (0.0, 1.0)),
+    "zero": ((np.inf, 0.0), (0.0, 1.0)),
+    "shift": ((1.0, 1.0), (1.0, 1.0)),
+}
+"""Dimensions that never moved, there and back: the scale, and whether min, low or mean is the shift."""
 _SIZE_LIMIT = 64 * 2**20
 """Bytes that a file of statistics may have."""
 
@@ -35,35 +41,55 @@ class Normalization:
 
     def __init__(self, entry: Mapping[str, Any] | None, width: int, folders: Sequence[Path] = ()) -> None:
         self._clip = (entry or {}).get("clip")
-        self._shift, self._scale = np.zeros(width), np.ones(width)
+        self._to, self._back = _Line(width), _Line(width)
         if entry is None:
             return
         if "unknown" in entry:
-            raise NativeError(f"normalize is open: {entry['unknown']}")
+            raise NativeError(f"normalize is open ({entry['unknown']}); say the rule and its numbers, or null for none")
         rule, epsilon = entry["rule"], entry.get("epsilon", 0.0)
         one, two = (_numbers(entry, name, folders, width) for name in _NAMES[rule])
-        if rule == "mean_std":
-            self._shift, self._scale = one, two + epsilon
-        else:  # y = 2 (x - low) / (high - low + epsilon) - 1
-            half = (two - one + epsilon) / 2
-            self._shift, self._scale = one + half, half
         only = np.asarray(entry.get("only", [True] * width), bool)
         if only.shape != (width,):
-            raise NativeError(f"normalize.only has {only.size} entries, the vector has {width}")
-        self._shift, self._scale = np.where(only, self._shift, 0.0), np.where(only, self._scale, 1.0)
-        if (self._scale == 0).any():
-            where = np.flatnonzero(self._scale == 0).tolist()
-            raise NativeError(f"normalize divides by zero in dimensions {where}; say epsilon, or only")
+            raise NativeError(f"normalize.only has {only.size} entries, expected {width}: one for each number")
+        span = two if rule == "mean_std" else two - one
+        constant = only & (span == 0)
+        how = entry.get("constant", "refuse")
+        span = np.where(constant, epsilon, span) if how == "epsilon" else span + epsilon
+        if how in ("refuse", "epsilon") and (only & (span == 0)).any():
+            where = np.flatnonzero(only & (span == 0)).tolist()
+            raise NativeError(
+                f"normalize divides by zero in dimensions {where}: the data never moved there; "
+                "say epsilon, constant, or only"
+            )
+        # mean_std: y = (x - mean) / span; else y = 2 (x - low) / span - 1
+        scale = span if rule == "mean_std" else span / 2
+        shift = one if rule == "mean_std" else one + scale
+        for line in (self._to, self._back):
+            line.scale, line.shift = np.where(only, scale, 1.0), np.where(only, shift, 0.0)
+        if how in _CONSTANT:
+            (to_scale, to_shift), (back_scale, back_shift) = _CONSTANT[how]
+            self._to.put(constant, to_scale, to_shift * one)
+            self._back.put(constant, back_scale, back_shift * one)
 
     def encode(self, values: np.ndarray) -> np.ndarray:
         """Return normalised values (..., width)."""
-        result = (values - self._shift) / self._scale
+        result = (values - self._to.shift) / self._to.scale
         return result if self._clip is None else np.clip(result, *self._clip)
 
     def decode(self, values: np.ndarray) -> np.ndarray:
         """Return what was normalised to these values (..., width)."""
         given = values if self._clip is None else np.clip(values, *self._clip)
-        return given * self._scale + self._shift
+        return given * self._back.scale + self._back.shift
+
+
+class _Line:
+    """By dimension: x = scale * y + shift."""
+
+    def __init__(self, width: int) -> None:
+        self.scale, self.shift = np.ones(width), np.zeros(width)
+
+    def put(self, where: np.ndarray, scale: float, shift: np.ndarray) -> None:
+        self.scale, self.shift = np.where(where, scale, self.scale), np.where(where, shift, self.shift)
 
 
 def _numbers(entry: Mapping[str, Any], name: str, folders: Sequence[Path], width: int) -> np.ndarray:
@@ -74,12 +100,21 @@ def _numbers(entry: Mapping[str, Any], name: str, folders: Sequence[Path], width
             entry["file"], folders, [*entry.get("key", "").split("/"), entry.get("names", {}).get(name, name)]
         )
     if found is None:
-        raise NativeError(f"normalize.values has no {name}, which the rule {entry['rule']} needs")
-    numbers = np.asarray(found, np.float64).reshape(-1)
+        raise NativeError(
+            f"normalize has no {name}, which the rule {entry['rule']} needs; add it to values, or name it"
+        )
+    try:
+        numbers = np.asarray(found, np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        raise NativeError(f"normalize: expected a list of numbers as {name}, got {str(found)[:80]}") from None
     if numbers.shape != (width,):
-        raise NativeError(f"normalize has {numbers.size} numbers as {name}, the vector has {width}")
+        raise NativeError(
+            f"normalize has {numbers.size} numbers as {name}, expected {width}: one for each number of the parts"
+        )
     if not np.isfinite(numbers).all():
-        raise NativeError(f"normalize: {name} holds a number that is not finite")
+        raise NativeError(
+            f"normalize: {name} holds a number that is not finite in {np.flatnonzero(~np.isfinite(numbers))}"
+        )
     return numbers
 
 
@@ -87,7 +122,9 @@ def _read(file: str, folders: Sequence[Path], words: Sequence[str]) -> Any:
     path = next((folder / file for folder in folders if (folder / file).is_file()), None)
     if path is None:
         told = ", ".join(map(str, folders)) or "no folder"
-        raise NativeError(f"normalize names the file {file}, which is in none of: {told}")
+        raise NativeError(
+            f"normalize names the file {file}, which is in none of: {told}; copy it, or say where in one of these it is"
+        )
     if path.stat().st_size > _SIZE_LIMIT:
         raise NativeError(f"{path} is larger than statistics are: {path.stat().st_size} bytes")
     words = [word for word in words if word]

@@ -39,7 +39,7 @@ class Part(ABC):
         key: key of the standard's state that it is about, None for fill.
         width: numbers that it has.
         reference: what it is counted from in an action, None if the whole vector says that.
-        applied: where a change of pose is applied, fixed or body.
+        applied: where a change of pose is applied: fixed, body or numbers.
     """
 
     kind: str
@@ -77,7 +77,9 @@ class Joints(Part):
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
         self.key = arm.prefix + (spec.State.EE_JOINT_STATE if is_hand else spec.State.ARM_JOINT_STATE)
         self.width = arm.ee_dim if is_hand else arm.dof
-        self._order = _order(entry.get("names"), arm, self.width)
+        if is_hand and arm.gripper == "parallel_gripper":
+            raise NativeError(f"{self.label}: {embodiment.name} has a parallel gripper there; say gripper, not hand")
+        self._order = _order(entry.get("names"), arm, self.width, self.label)
         self._sign = _column(entry.get("sign"), self.width, 1.0, "sign", self.label)
         self._offset = _column(entry.get("offset"), self.width, 0.0, "offset", self.label)
         self._scale = np.rad2deg(1.0) if entry.get("unit") == "deg" else 1.0
@@ -86,11 +88,12 @@ class Joints(Part):
     def read(self, state: State) -> Numbers:
         """Return the numbers (width,) of a state."""
         angles = _of(state, self.key, self.width)[self._order]
-        return self._sign * angles * self._scale + self._offset
+        result: Numbers = self._sign * angles * self._scale + self._offset
+        return result
 
     def write(self, values: Numbers) -> Numbers:
         """Return absolute numbers (..., width) as the standard's."""
-        angles = self._sign * (values - self._offset) / self._scale
+        angles: Numbers = self._sign * (values - self._offset) / self._scale
         result = np.empty_like(angles)
         result[..., self._order] = angles
         return result
@@ -105,13 +108,15 @@ class Gripper(Part):
         super().__init__(f"gripper {entry['arm']}")
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
         if arm.gripper != "parallel_gripper":
-            raise NativeError(f"native: {embodiment.name} has a hand at the arm {entry['arm']}; say hand, not gripper")
+            raise NativeError(f"{self.label}: {embodiment.name} has a hand there; say hand, not gripper")
         self.key = arm.prefix + spec.State.EE_JOINT_STATE
         self._closed, self._open = np.atleast_1d(np.float64(entry["closed"])), np.atleast_1d(np.float64(entry["open"]))
         if self._closed.shape != self._open.shape:
-            raise NativeError(f"native: {self.label} has as many values closed as open")
+            raise NativeError(
+                f"{self.label}: {self._closed.size} values closed and {self._open.size} open; give as many of each"
+            )
         if (self._closed == self._open).all():
-            raise NativeError(f"native: {self.label} has the same value closed and open")
+            raise NativeError(f"{self.label}: closed and open are the same; say the model's two values")
         self.width = self._closed.size
         self._threshold = entry.get("threshold")
         self.reference = entry.get("reference", "absolute")
@@ -119,14 +124,15 @@ class Gripper(Part):
     def read(self, state: State) -> Numbers:
         """Return the numbers (width,) of a state."""
         opening = _of(state, self.key, 1)
-        return self._closed + opening * (self._open - self._closed)
+        result: Numbers = self._closed + opening * (self._open - self._closed)
+        return result
 
     def write(self, values: Numbers) -> Numbers:
         """Return absolute numbers (..., width) as the standard's."""
         span = self._open - self._closed
         if self._threshold is not None:
             first = int(np.flatnonzero(span)[0])
-            beyond = (values[..., first] - self._threshold) * np.sign(span[first]) > 0
+            beyond: Numbers = (values[..., first] - self._threshold) * np.sign(span[first]) > 0
             return beyond.astype(np.float64)[..., None]
         # Several fingers: the opening that fits them best.
         opening = ((values - self._closed) * span).sum(-1) / (span * span).sum()
@@ -176,7 +182,10 @@ class Rotation(Part):
         self.width = rotations.WIDTHS[self.form]
         self._sign = entry.get("sign", "any")
         if self._sign != "any" and not self.form.startswith("quaternion"):
-            raise NativeError(f"native: sign of {self.label} is about quaternions, its form is {self.form}")
+            raise NativeError(f"{self.label}: sign is for quaternions, the form is {self.form}; leave it out")
+        axes = str(self._euler or "").lower()
+        if any(one == two for one, two in zip(axes, axes[1:])):
+            raise NativeError(f"{self.label}: euler {self._euler} turns about one axis twice in a row; say such as xyz")
         self.reference = entry.get("reference")
         self.applied = entry.get("applied", "fixed")
 
@@ -190,7 +199,7 @@ class Rotation(Part):
     @property
     def follows(self) -> bool:
         """Whether the sign of its quaternion is that of the step before."""
-        return self._sign == "continuous"
+        return bool(self._sign == "continuous")
 
     def scalar(self, values: Numbers) -> float:
         """Return w of a quaternion in its form."""
@@ -198,16 +207,23 @@ class Rotation(Part):
 
     def write(self, values: Numbers) -> Numbers:
         """Return unit quaternions (..., 4)."""
-        return rotations.decode(values, self.form, self._euler)
+        try:
+            return rotations.decode(values, self.form, self._euler)
+        except NativeError as error:
+            raise NativeError(f"native.action, {self.label}: {error}") from None
 
     def add(self, base: Numbers, change: Numbers) -> Numbers:
         """Return the rotation that a change leads to."""
+        if self.applied == "numbers":
+            return base + change
         one, by = self.write(base), self.write(change)
         turned = rotation.multiply(one, by) if self.applied == "body" else rotation.multiply(by, one)
         return rotations.encode(turned, self.form, self._euler)
 
     def subtract(self, values: Numbers, base: Numbers) -> Numbers:
         """Return the change that leads from one rotation to another."""
+        if self.applied == "numbers":
+            return values - base
         to, back = self.write(values), rotation.conjugate(self.write(base))
         change = rotation.multiply(back, to) if self.applied == "body" else rotation.multiply(to, back)
         return rotations.encode(change, self.form, self._euler)
@@ -253,22 +269,22 @@ def part(entry: Mapping[str, Any], embodiment: Embodiment) -> Part:
     return made[kind](how, embodiment)
 
 
-def _order(names: list[str] | None, arm: Arm, width: int) -> Numbers:
+def _order(names: list[str] | None, arm: Arm, width: int, label: str) -> Numbers:
     """Return for each of the model's joints its position in the standard's order."""
     if names is None:
         return np.arange(width)
     known = arm.joint_names
     if known is None:
-        raise NativeError("native: the standard knows no joint names of this arm; leave names out")
+        raise NativeError(f"{label}: the standard knows no joint names of this arm; leave names out")
     if sorted(names) != sorted(known):
-        raise NativeError(f"native: joints are named {', '.join(names)}; the robot has {', '.join(known)}")
+        raise NativeError(f"{label}: expected each joint of the robot once, {', '.join(known)}; got {', '.join(names)}")
     return np.array([known.index(name) for name in names])
 
 
 def _column(values: Any, width: int, default: float, word: str, label: str) -> Numbers:
     column = np.full(width, default) if values is None else np.asarray(values, np.float64)
     if column.shape != (width,):
-        raise NativeError(f"native: {word} of {label} has {column.size} entries, there are {width} joints")
+        raise NativeError(f"{label}: {word} has {column.size} entries, expected {width}: one for each joint")
     return column
 
 

@@ -1,8 +1,8 @@
 """Images of another size: each filter as weights of a few pixels in each direction, with numpy alone.
 
 The filters and their formulas are those of spec/<version>/native.schema.json#/$defs/filter. Pixel centres lie at half
-integers. Without antialias the edge pixel is repeated, as OpenCV and torch do; with it weights beyond the edge are left
-out and the others scaled to a sum of one, as Pillow does. Results differ from theirs by one step of 256 at most.
+integers. Without antialias the edge pixel is repeated, as OpenCV and torch do; with it, and for lanczos, weights beyond
+the edge are left out and the others scaled to a sum of one, as Pillow and TensorFlow do. Results differ from theirs by one step of 256 at most.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _along(values: np.ndarray, axis: int, size: int, kind: str, *, antialias: bo
         return _by_matrix(values, axis, _dense(before, size, kind, antialias))
     shape = [1] * values.ndim
     shape[axis] = size
-    total = np.take(values, index[:, 0], axis) * weight[:, 0].reshape(shape)
+    total: np.ndarray = np.take(values, index[:, 0], axis) * weight[:, 0].reshape(shape)
     for tap in range(1, index.shape[1]):
         total += np.take(values, index[:, tap], axis) * weight[:, tap].reshape(shape)
     return total
@@ -55,9 +55,11 @@ def _along(values: np.ndarray, axis: int, size: int, kind: str, *, antialias: bo
 
 def _by_matrix(values: np.ndarray, axis: int, matrix: np.ndarray) -> np.ndarray:
     if axis == -2:  # columns: (width', width) @ (..., H, width, C)
-        return np.matmul(matrix, values)
+        columns: np.ndarray = np.matmul(matrix, values)
+        return columns
     rows = values.reshape(*values.shape[:-2], -1)  # (..., H, W * C)
-    return np.matmul(matrix, rows).reshape(*values.shape[:-3], matrix.shape[0], *values.shape[-2:])
+    result: np.ndarray = np.matmul(matrix, rows)
+    return result.reshape(*values.shape[:-3], matrix.shape[0], *values.shape[-2:])
 
 
 @lru_cache(maxsize=256)
@@ -83,7 +85,7 @@ def taps(before: int, after: int, kind: str, *, antialias: bool) -> tuple[np.nda
     count = int(np.ceil(2 * support * widened)) + 1
     index = first[:, None] + np.arange(count)
     weight = weigh((index + 0.5 - centre[:, None]) / widened)
-    if antialias:
+    if antialias or kind == "lanczos":
         weight = np.where((index >= 0) & (index < before), weight, 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
     used = np.abs(weight).max(axis=0) > 0

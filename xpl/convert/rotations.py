@@ -51,7 +51,7 @@ def decode(values: np.ndarray, form: str, euler: str | None = None) -> np.ndarra
     if form in ("quaternion_wxyz", "quaternion_xyzw"):
         found = array if form == "quaternion_wxyz" else np.roll(array, 1, axis=-1)
         if not (np.linalg.norm(found, axis=-1) > 1e-6).all():
-            raise NativeError("a quaternion of the model has length zero")
+            raise NativeError("a quaternion of the model has length zero, which is no rotation")
         return rotation.normalise(found)
     if form == "axis_angle":
         return rotation.from_axis_angle(array)
@@ -72,7 +72,7 @@ def _orthogonal(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     rest = second - (one * second).sum(-1, keepdims=True) * one
     height = np.linalg.norm(rest, axis=-1, keepdims=True)
     if not ((lengths > 1e-6).all() and (height > 1e-6).all()):
-        raise NativeError("two vectors of a rotation are zero or parallel")
+        raise NativeError("two vectors of the model's rotation are zero or parallel, which is no rotation")
     two = rest / height
     return np.stack((one, two, np.cross(one, two)), axis=-2)
 

@@ -9,11 +9,13 @@ import numpy as np
 
 from xpl.convert.errors import NativeError
 from xpl.convert.numbers import Normalization
+from xpl.convert.parts import part
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl.convert.parts import Part
+    from xpl.embodiment import Embodiment
 
 
 class Vector:
@@ -21,7 +23,7 @@ class Vector:
 
     Args:
         entry: of `state`, or `action`, in the native block.
-        parts: its parts.
+        embodiment: the robot.
         folders: where a file of statistics may lie.
         where: how errors call it.
 
@@ -31,13 +33,21 @@ class Vector:
         padded: numbers of the model's vector.
     """
 
-    def __init__(self, entry: Mapping[str, Any], parts: list[Part], folders: Sequence[Path], where: str) -> None:
-        self.parts = parts
-        self.width = sum(item.width for item in parts)
-        self.padded: int = entry.get("pad", self.width)
+    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment, folders: Sequence[Path], where: str) -> None:
         self._where = where
+        try:
+            self.parts = [part(item, embodiment) for item in entry["parts"]]
+        except NativeError as error:
+            raise NativeError(f"{where}, {error}") from None
+        for index, item in enumerate(self.parts):
+            if item.kind == "fill":  # there may be several
+                item.label = f"{item.label} {index}"
+        self.width = sum(item.width for item in self.parts)
+        self.padded: int = entry.get("pad", self.width)
         if self.padded < self.width:
-            raise NativeError(f"{where}: padded to {self.padded} numbers, but its parts have {self.width}")
+            raise NativeError(
+                f"{where}.pad is {self.padded}, but its parts have {self.width} numbers; say at least that"
+            )
         try:
             self._numbers = Normalization(entry.get("normalize"), self.width, folders)
         except NativeError as error:
@@ -56,8 +66,14 @@ class Vector:
             NativeError: if there are more or fewer.
         """
         if values.ndim < 1 or values.shape[-1] != self.padded:
-            raise NativeError(f"{self._where}: expected {self.padded} numbers, the model gave {values.shape}")
-        return self._numbers.decode(values[..., : self.width])
+            raise NativeError(
+                f"{self._where}: expected steps of {self.padded} numbers, the model gave the shape {values.shape}; "
+                "mend its parts or pad"
+            )
+        kept = values[..., : self.width]
+        if not np.isfinite(kept).all():
+            raise NativeError(f"{self._where}: the model gave a number that is not finite")
+        return self._numbers.decode(kept)
 
     def cut(self, values: np.ndarray) -> Iterator[tuple[Part, np.ndarray]]:
         """Yield each part with its numbers (..., width of the part); rotations first, positions may need them."""
