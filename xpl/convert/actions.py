@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl import _spec as spec
-from xpl import poses, rotation
+from xpl import rotation
+from xpl.convert.assembly import assembled
 from xpl.convert.errors import NativeError
-from xpl.convert.parts import Gripper, Joints, Part, Position, Rotation, State
+from xpl.convert.parts import Part, Position, Rotation, State
 from xpl.convert.vectors import Vector
 from xpl.decoding import decode_rows
 
@@ -166,33 +166,8 @@ class ActionOutput:
 
     def _flat(self, columns: Mapping[str, np.ndarray], state: State) -> np.ndarray:
         """Return rows (H, D) of flat absolute actions of the standard."""
-        made: dict[str, np.ndarray] = {}
-        for item in self._parts:
-            if isinstance(item, (Joints, Gripper)):
-                made[str(item.key)] = item.write(columns[item.label])
-        for arm in self._embodiment.arms:
-            key = arm.prefix + spec.State.EE_POSE
-            if key in self._embodiment.dims(self._action_type):
-                made[key] = self._poses(key, columns, state)
+        made = assembled(self._parts, columns, state)
         return np.concatenate([made[key] for key in self._embodiment.dims(self._action_type)], axis=-1)
-
-    def _poses(self, key: str, columns: Mapping[str, np.ndarray], state: State) -> np.ndarray:
-        """Return the flange's poses (H, 7) of one arm; what the model does not command stays as it is."""
-        items = [item for item in self._parts if item.key == key and isinstance(item, (Position, Rotation))]
-        place = next((item for item in items if isinstance(item, Position)), None)
-        turn = next((item for item in items if isinstance(item, Rotation)), None)
-        now = np.asarray(state[key], np.float64)
-        height = len(columns[items[0].label])
-        if turn is None:
-            turned = np.broadcast_to(now[spec.POSITION_DIM :], (height, spec.POSE_DIM - spec.POSITION_DIM))
-        else:
-            turned = turn.frame.flange_rotation(turn.write(columns[turn.label]))
-        if place is None:  # the point that is turned stays where it is
-            frame = items[0].frame
-            where = np.broadcast_to(frame.encode(now)[: spec.POSITION_DIM], (height, spec.POSITION_DIM))
-        else:
-            frame, where = place.frame, place.write(columns[place.label])
-        return poses.pose(frame.flange_position(where, turned), turned)
 
     def _check(self) -> None:
         for item in self._parts:
@@ -203,9 +178,7 @@ class ActionOutput:
         if twice:
             raise NativeError(f"native.action has a part twice: {', '.join(twice)}; one command has one place")
         keys = {item.key for item in self._parts}
-        extra = [
-            item.label for item in self._parts if item.key not in {None, *self._embodiment.dims(self._action_type)}
-        ]
+        extra = [item.label for item in self._parts if item.key not in {"", *self._embodiment.dims(self._action_type)}]
         if extra:
             raise NativeError(
                 f"native.action has {', '.join(extra)}, which {self._action_type} actions do not; "

@@ -10,11 +10,12 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.convert.actions import ActionOutput, Memory
+from xpl.convert.assembly import assembled
 from xpl.convert.errors import NativeError
 from xpl.convert.images import ImageInput
 from xpl.convert.parts import Rotation
 from xpl.convert.vectors import Vector
-from xpl.observation import ObservationError, get_instruction
+from xpl.observation import ObservationError, get_image, get_instruction
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
@@ -139,6 +140,39 @@ class Interface:
     def decode(self, raw: Any, obs: Mapping[str, Any], memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
         """Return the action steps of one environment's answer (H, D); `obs` is the newest observation."""
         return self.action.decode(np.asarray(raw), obs[spec.Obs.STATE], memory)
+
+    def observe(self, inputs: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the observation that the model would see as these inputs: the inverse of `encode`.
+
+        Args:
+            inputs: under the model's names, without axes of batch and time.
+            like: an observation of the robot; what the inputs do not tell, and the images' sizes, are taken from it.
+
+        Raises:
+            NativeError: if an input is missing, or has not the block's width.
+            ObservationError: if `like` lacks a camera.
+        """
+        lacking = [
+            name for name in (*(item.name for item in self.images), *self.states, *self._text()) if name not in inputs
+        ]
+        if lacking:
+            raise NativeError(f"native: no input {', '.join(lacking)}; the inputs are {', '.join(inputs)}")
+        vision, state = dict(like.get(spec.Obs.VISION) or {}), dict(like.get(spec.Obs.STATE) or {})
+        for item in reversed(self.images):  # of two inputs that show one camera the first counts
+            sizes = {camera: get_image(like, camera).shape[:2] for camera in item.cameras}
+            for camera, image in item.decode(np.asarray(inputs[item.name]), sizes).items():
+                vision[camera] = {**vision[camera], spec.Camera.COLOR: image}
+        for name, vector in self.states.items():
+            rows = vector.denormalized(np.asarray(inputs[name], np.float64))[None]
+            columns = {item.label: values for item, values in vector.cut(rows)}
+            made = assembled(vector.parts, columns, state)
+            state.update({key: values[0].astype(np.float32) for key, values in made.items()})
+        result = {**like, spec.Obs.VISION: vision, spec.Obs.STATE: state}
+        if self._instruction is not None:
+            before, after = self._instruction.get("template", _PLACE).split(_PLACE, 1)
+            text = str(inputs[self._instruction["input"]])
+            result[spec.Obs.INSTRUCTION] = text.removeprefix(before).removesuffix(after)
+        return result
 
     def _timeline(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Return `history` values, oldest first."""

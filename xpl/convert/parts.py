@@ -36,14 +36,14 @@ class Part(ABC):
     Attributes:
         kind: its word in the block.
         label: how findings call it.
-        key: key of the standard's state that it is about, None for fill.
+        key: key of the standard's state that it is about, "" for fill.
         width: numbers that it has.
         reference: what it is counted from in an action, None if the whole vector says that.
         applied: where a change of pose is applied: fixed, body or numbers.
     """
 
     kind: str
-    key: str | None = None
+    key: str = ""
     width: int
     reference: str | None = None
     applied = "fixed"
@@ -288,10 +288,10 @@ def _column(values: Any, width: int, default: float, word: str, label: str) -> N
     return column
 
 
-def _of(state: State, key: str | None, width: int) -> Numbers:
+def _of(state: State, key: str, width: int) -> Numbers:
     if key not in state:
         raise ObservationError(f"the state has no {key!r}, which the native block reads; it has {', '.join(state)}")
-    values = np.asarray(state[str(key)], np.float64)
+    values = np.asarray(state[key], np.float64)
     if values.shape != (width,):
         raise ObservationError(f"{key} has shape {values.shape}, expected ({width},)")
     if not np.isfinite(values).all():

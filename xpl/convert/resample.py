@@ -2,7 +2,8 @@
 
 The filters and their formulas are those of spec/<version>/native.schema.json#/$defs/filter. Pixel centres lie at half
 integers. Without antialias the edge pixel is repeated, as OpenCV and torch do; with it, and for lanczos, weights beyond
-the edge are left out and the others scaled to a sum of one, as Pillow and TensorFlow do. Results differ from theirs by one step of 256 at most.
+the edge are left out and the others scaled to a sum of one, as Pillow and TensorFlow do. Results differ from theirs by
+one step of 256 at most.
 """
 
 from __future__ import annotations
@@ -33,9 +34,13 @@ def resize(
     values = image.astype(np.float32)
     for axis, wanted in ((-2, size[1]), (-3, size[0])):
         values = _along(values, axis, wanted, kind, antialias=antialias)
-        if as_bytes:  # after each direction, as Pillow does
-            values = np.clip(np.floor(values + np.float32(0.5)), 0, 255)
-    return values.astype(image.dtype) if as_bytes else values
+        if as_bytes and antialias:  # after each direction, as Pillow does
+            values = _rounded(values)
+    return _rounded(values).astype(image.dtype) if as_bytes else values
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.floor(values + np.float32(0.5)), 0, 255)
 
 
 def _along(values: np.ndarray, axis: int, size: int, kind: str, *, antialias: bool) -> np.ndarray:
@@ -75,7 +80,9 @@ def taps(before: int, after: int, kind: str, *, antialias: bool) -> tuple[np.nda
     """Return which pixels each new one is made of, (after, taps) int64, and how much of each, (after, taps) float32."""
     scale = before / after
     if kind == "nearest":
-        return np.floor((np.arange(after) + 0.5) * scale).astype(np.int64)[:, None], np.ones((after, 1), np.float32)
+        # Added up, as Pillow and OpenCV do: between two pixels the rounding of these sums decides.
+        nearest = np.cumsum(np.concatenate(([0.5 * scale], np.full(after - 1, scale)))).astype(np.int64)
+        return np.minimum(nearest, before - 1)[:, None], np.ones((after, 1), np.float32)
     if kind == "area":
         return _overlaps(before, after)
     weigh, support = _kernel(kind, antialias=antialias)

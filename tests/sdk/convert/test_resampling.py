@@ -1,0 +1,117 @@
+"""Filters are those of the libraries that define them: within one step of 256, for shrinking and growing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from xpl.convert.resample import resize, taps
+
+cv2: Any = pytest.importorskip("cv2")
+
+SIZES = [((48, 64), (22, 22)), ((48, 64), (24, 32)), ((37, 53), (16, 31)), ((20, 30), (41, 77)), ((33, 33), (33, 20))]
+IMAGES = {size: np.random.default_rng(size[1]).integers(0, 256, (*size, 3), dtype=np.uint8) for size, _ in SIZES}
+PILLOW = {
+    "bilinear": Image.Resampling.BILINEAR,
+    "bicubic": Image.Resampling.BICUBIC,
+    "lanczos": Image.Resampling.LANCZOS,
+    "nearest": Image.Resampling.NEAREST,
+}
+OPENCV = {
+    "bilinear": cv2.INTER_LINEAR,
+    "bicubic": cv2.INTER_CUBIC,
+    "area": cv2.INTER_AREA,
+    "nearest": cv2.INTER_NEAREST_EXACT,
+}
+TORCH = {"bilinear": "bilinear", "bicubic": "bicubic", "nearest": "nearest-exact"}
+
+
+def _apart(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.abs(one.astype(np.float64) - other).max())
+
+
+@pytest.mark.parametrize(("before", "after"), SIZES)
+@pytest.mark.parametrize("kind", PILLOW)
+def test_with_antialias_it_is_pillows(kind: str, before: tuple[int, int], after: tuple[int, int]) -> None:
+    """Pillow widens its filters always."""
+    image = IMAGES[before]
+    wanted = np.asarray(Image.fromarray(image).resize((after[1], after[0]), PILLOW[kind]))
+    assert _apart(resize(image, after, kind, antialias=True), wanted) <= 1
+
+
+@pytest.mark.parametrize(("before", "after"), SIZES)
+@pytest.mark.parametrize("kind", OPENCV)
+def test_without_antialias_it_is_opencvs(kind: str, before: tuple[int, int], after: tuple[int, int]) -> None:
+    """Area and all; OpenCV rounds once, at the end."""
+    image = IMAGES[before]
+    wanted = cv2.resize(image, (after[1], after[0]), interpolation=OPENCV[kind])
+    assert _apart(resize(image, after, kind), wanted) <= 1
+
+
+@pytest.mark.parametrize(("before", "after"), SIZES)
+@pytest.mark.parametrize("kind", ["bilinear", "bicubic", "area"])
+def test_on_numbers_it_is_opencvs_too(kind: str, before: tuple[int, int], after: tuple[int, int]) -> None:
+    """Nothing is rounded, so that nothing but float32 differs."""
+    image = IMAGES[before].astype(np.float32)
+    wanted = cv2.resize(image, (after[1], after[0]), interpolation=OPENCV[kind])
+    assert _apart(resize(image, after, kind, as_bytes=False), wanted) < 2e-2
+
+
+@pytest.mark.parametrize(("before", "after"), SIZES)
+@pytest.mark.parametrize("antialias", [False, True])
+@pytest.mark.parametrize("kind", TORCH)
+def test_on_numbers_it_is_torchs(kind: str, antialias: bool, before: tuple[int, int], after: tuple[int, int]) -> None:
+    """Where torch is there to be asked."""
+    torch: Any = pytest.importorskip("torch")
+    image = IMAGES[before].astype(np.float32)
+    tensor = torch.from_numpy(image).permute(2, 0, 1)[None]
+    more = {} if kind == "nearest" else {"align_corners": False, "antialias": antialias}
+    wanted = torch.nn.functional.interpolate(tensor, size=after, mode=TORCH[kind], **more)[0].permute(1, 2, 0).numpy()
+    assert _apart(resize(image, after, kind, antialias=antialias, as_bytes=False), wanted) < 1e-2
+
+
+def test_the_nearest_pixel_is_the_libraries_also_between_two() -> None:
+    """All sizes that a row may have: where the place is a whole number, rounding decides, and ours is theirs."""
+    for before in range(3, 160, 11):
+        row = np.arange(before, dtype=np.uint8)[None, :, None]
+        for after in range(2, 160, 7):
+            wanted = cv2.resize(row[..., 0], (after, 1), interpolation=cv2.INTER_NEAREST_EXACT)
+            assert (resize(row, (1, after), "nearest")[..., 0] == wanted).all(), (before, after)
+
+
+@pytest.mark.parametrize("kind", ["nearest", "area", "bilinear", "bicubic", "lanczos"])
+@pytest.mark.parametrize("antialias", [False, True])
+def test_weights_add_up_to_one(kind: str, antialias: bool) -> None:
+    """An even picture stays what it is, its edges included."""
+    for before, after in ((64, 22), (22, 64), (31, 31), (5, 3), (1, 4)):
+        index, weight = taps(before, after, kind, antialias=antialias)
+        assert np.allclose(weight.sum(1), 1, atol=1e-6)
+        assert index.min() >= 0
+        assert index.max() < before
+    assert (resize(np.full((9, 7, 3), 77, np.uint8), (20, 3), kind, antialias=antialias) == 77).all()
+
+
+def test_a_hand_computed_row() -> None:
+    """Four pixels to two, in each way."""
+    row = np.array([[0, 10, 20, 100]], np.float32)[..., None]
+    made = {
+        (kind, antialias): resize(row, (1, 2), kind, antialias=antialias, as_bytes=False)[0, :, 0].tolist()
+        for kind in ("nearest", "area", "bilinear")
+        for antialias in (False, True)
+    }
+    assert made["nearest", False] == [10, 100]
+    assert made["area", False] == [5, 60]
+    assert made["bilinear", False] == [5, 60]  # centres at 1 and 3: between two pixels
+    # Widened by 2: weights 1/8, 3/8, 3/8, 1/8, those beyond the edge left out.
+    assert made["bilinear", True] == pytest.approx([(3 * 0 + 3 * 10 + 20) / 7, (10 + 3 * 20 + 3 * 100) / 7], abs=1e-4)
+
+
+def test_a_batch_is_converted_as_its_images_are() -> None:
+    """Leading axes are axes of a batch."""
+    image = IMAGES[48, 64]
+    both = resize(np.stack([image, image[::-1]]), (22, 22), "bicubic", antialias=True)
+    assert (both[0] == resize(image, (22, 22), "bicubic", antialias=True)).all()
+    assert (both[1] == resize(image[::-1], (22, 22), "bicubic", antialias=True)).all()
