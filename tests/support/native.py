@@ -52,7 +52,8 @@ def picture(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
     row, column = np.meshgrid(np.linspace(0, 1, size[0]), np.linspace(0, 1, size[1]), indexing="ij")
     slopes = rng.uniform(20, 90, (3, 2)) * np.array([[1.0, 0.3], [-0.4, 1.0], [0.6, -0.9]])
     planes = [base + down * row + right * column for base, (down, right) in zip((50, 120, 150), slopes, strict=True)]
-    return np.clip(np.stack(planes, -1), 0, 255).astype(np.uint8)
+    result: np.ndarray = np.clip(np.stack(planes, -1), 0, 255).astype(np.uint8)
+    return result
 
 
 def fields(robot: str, rng: np.random.Generator, *, joints: bool, ends: bool = False) -> dict[str, np.ndarray]:
@@ -95,7 +96,7 @@ def words(schema: Mapping[str, Any], value: Any, root: Mapping[str, Any], place:
 
 def vocabulary(schema: Mapping[str, Any]) -> set[tuple[str, Any]]:
     """Return every word of the schema, as `words` tells them."""
-    found = set()
+    found: set[tuple[str, Any]] = set()
 
     def walk(node: Mapping[str, Any], place: str) -> None:
         found.update((place, option["const"]) for option in node.get("oneOf", ()) if "const" in option)
@@ -268,7 +269,9 @@ CASES = {
                     steps=[{"letterbox": {"to": [40, 40], "filter": "lanczos", "antialias": True, "anchor": "center"}}],
                 ),
                 _image(
-                    "d", "cam_head", steps=[{"letterbox": {"to": [40, 40], "filter": "bilinear", "anchor": "top_left", "on": "uint8"}}]
+                    "d",
+                    "cam_head",
+                    steps=[{"letterbox": {"to": [40, 40], "filter": "bilinear", "anchor": "top_left", "on": "uint8"}}],
                 ),
             ],
             "state": [

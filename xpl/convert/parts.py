@@ -71,17 +71,19 @@ class Part(ABC):
 class Joints(Part):
     """Joint angles of an arm, or of a hand."""
 
-    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment, *, is_hand: bool = False) -> None:
-        self.kind = "hand" if is_hand else "joints"
+    kind = "joints"
+
+    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+        is_hand = self.kind == "hand"
         super().__init__(f"{self.kind} {entry['arm']}")
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
         self.key = arm.prefix + (spec.State.EE_JOINT_STATE if is_hand else spec.State.ARM_JOINT_STATE)
         self.width = arm.ee_dim if is_hand else arm.dof
         if is_hand and arm.gripper == "parallel_gripper":
-            raise NativeError(f"{self.label}: {embodiment.name} has a parallel gripper there; say gripper, not hand")
-        self._order = _order(entry.get("names"), arm, self.width, self.label)
-        self._sign = _column(entry.get("sign"), self.width, 1.0, "sign", self.label)
-        self._offset = _column(entry.get("offset"), self.width, 0.0, "offset", self.label)
+            raise NativeError(f"{embodiment.name} has a parallel gripper there; say gripper, not hand")
+        self._order = _order(entry.get("names"), arm, self.width)
+        self._sign = _column(entry.get("sign"), self.width, 1.0, "sign")
+        self._offset = _column(entry.get("offset"), self.width, 0.0, "offset")
         self._scale = np.rad2deg(1.0) if entry.get("unit") == "deg" else 1.0
         self.reference = entry.get("reference")
 
@@ -108,15 +110,13 @@ class Gripper(Part):
         super().__init__(f"gripper {entry['arm']}")
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
         if arm.gripper != "parallel_gripper":
-            raise NativeError(f"{self.label}: {embodiment.name} has a hand there; say hand, not gripper")
+            raise NativeError(f"{embodiment.name} has a hand there; say hand, not gripper")
         self.key = arm.prefix + spec.State.EE_JOINT_STATE
         self._closed, self._open = np.atleast_1d(np.float64(entry["closed"])), np.atleast_1d(np.float64(entry["open"]))
         if self._closed.shape != self._open.shape:
-            raise NativeError(
-                f"{self.label}: {self._closed.size} values closed and {self._open.size} open; give as many of each"
-            )
+            raise NativeError(f"{self._closed.size} values closed and {self._open.size} open; give as many of each")
         if (self._closed == self._open).all():
-            raise NativeError(f"{self.label}: closed and open are the same; say the model's two values")
+            raise NativeError("closed and open are the same; say the model's two values")
         self.width = self._closed.size
         self._threshold = entry.get("threshold")
         self.reference = entry.get("reference", "absolute")
@@ -182,10 +182,10 @@ class Rotation(Part):
         self.width = rotations.WIDTHS[self.form]
         self._sign = entry.get("sign", "any")
         if self._sign != "any" and not self.form.startswith("quaternion"):
-            raise NativeError(f"{self.label}: sign is for quaternions, the form is {self.form}; leave it out")
+            raise NativeError(f"sign is for quaternions, the form is {self.form}; leave it out")
         axes = str(self._euler or "").lower()
         if any(one == two for one, two in zip(axes, axes[1:])):
-            raise NativeError(f"{self.label}: euler {self._euler} turns about one axis twice in a row; say such as xyz")
+            raise NativeError(f"euler {self._euler} turns about one axis twice in a row; say such as xyz")
         self.reference = entry.get("reference")
         self.applied = entry.get("applied", "fixed")
 
@@ -229,6 +229,12 @@ class Rotation(Part):
         return rotations.encode(change, self.form, self._euler)
 
 
+class Hand(Joints):
+    """Joints of a hand."""
+
+    kind = "hand"
+
+
 class Fill(Part):
     """Numbers that mean nothing."""
 
@@ -250,6 +256,11 @@ class Fill(Part):
         return values
 
 
+_MADE: dict[str, type[Joints | Gripper | Position | Rotation]] = {
+    made.kind: made for made in (Joints, Hand, Gripper, Position, Rotation)
+}
+
+
 def part(entry: Mapping[str, Any], embodiment: Embodiment) -> Part:
     """Return a part of a vector from its entry in the block.
 
@@ -257,34 +268,30 @@ def part(entry: Mapping[str, Any], embodiment: Embodiment) -> Part:
         NativeError: if it does not fit the robot.
     """
     ((kind, how),) = entry.items()
-    if kind in ("joints", "hand"):
-        return Joints(how, embodiment, is_hand=kind == "hand")
     if kind == "fill":
         return Fill(how)
-    made: dict[str, type[Gripper | Position | Rotation]] = {
-        "gripper": Gripper,
-        "position": Position,
-        "rotation": Rotation,
-    }
-    return made[kind](how, embodiment)
+    try:
+        return _MADE[kind](how, embodiment)
+    except NativeError as error:
+        raise NativeError(f"{kind} {how['arm']}: {error}") from None
 
 
-def _order(names: list[str] | None, arm: Arm, width: int, label: str) -> Numbers:
+def _order(names: list[str] | None, arm: Arm, width: int) -> Numbers:
     """Return for each of the model's joints its position in the standard's order."""
     if names is None:
         return np.arange(width)
     known = arm.joint_names
     if known is None:
-        raise NativeError(f"{label}: the standard knows no joint names of this arm; leave names out")
+        raise NativeError("the standard knows no joint names of this arm; leave names out")
     if sorted(names) != sorted(known):
-        raise NativeError(f"{label}: expected each joint of the robot once, {', '.join(known)}; got {', '.join(names)}")
+        raise NativeError(f"expected each joint of the robot once, {', '.join(known)}; got {', '.join(names)}")
     return np.array([known.index(name) for name in names])
 
 
-def _column(values: Any, width: int, default: float, word: str, label: str) -> Numbers:
+def _column(values: Any, width: int, default: float, word: str) -> Numbers:
     column = np.full(width, default) if values is None else np.asarray(values, np.float64)
     if column.shape != (width,):
-        raise NativeError(f"{label}: {word} has {column.size} entries, expected {width}: one for each joint")
+        raise NativeError(f"{word} has {column.size} entries, expected {width}: one for each joint")
     return column
 
 

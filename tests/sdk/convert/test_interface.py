@@ -1,0 +1,288 @@
+"""A compiled block: names, histories, texts, and sentences about blocks that do not fit."""
+
+from __future__ import annotations
+
+import copy
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.native import CASES, observation
+from xpl.action import ActionError
+from xpl.convert import NativeError, compile_interface
+from xpl.embodiment import get_embodiment
+from xpl.observation import ObservationError
+
+ACTION: dict[str, Any] = {
+    "reference": "absolute",
+    "parts": [{"joints": {"arm": "single"}}, {"gripper": {"arm": "single", "closed": 0.0, "open": 1.0}}],
+}
+JOINTS = {"input": "q", "parts": [{"joints": {"arm": "single"}}]}
+
+
+def _interface(action_type: str = "joint", robot: str = "franka_single", chunk: int | None = None, **block: Any) -> Any:
+    return compile_interface({"action": ACTION, **block}, get_embodiment(robot), action_type, chunk=chunk)
+
+
+def _at(number: float) -> dict[str, Any]:
+    obs = observation("franka_single")
+    obs["state"]["arm_joint_state"] = np.full(7, number)
+    return obs
+
+
+@pytest.mark.parametrize(
+    ("history", "shown", "numbers", "real"),
+    [
+        ({"length": 3}, 1, [0, 0, 0], [0, 0, 1]),
+        ({"length": 3}, 2, [0, 0, 1], [0, 1, 1]),
+        ({"length": 3}, 5, [2, 3, 4], [1, 1, 1]),
+        ({"length": 3, "pad": "zeros"}, 2, [0, 0, 1], [0, 1, 1]),
+        ({"length": 3, "stride": 2}, 4, [0, 1, 3], [0, 1, 1]),
+        ({"length": 3, "stride": 2}, 7, [2, 4, 6], [1, 1, 1]),
+        ({"length": 2, "stride": 3}, 4, [0, 3], [1, 1]),
+    ],
+)
+def test_histories_are_oldest_first(history: dict[str, Any], shown: int, numbers: list[int], real: list[int]) -> None:
+    """Every stride-th observation; what was before the first is the first, or zeros, and the mask says so."""
+    interface = _interface(state=[JOINTS], history={**history, "mask": "real"})
+    frames = [interface.encode(_at(number)) for number in range(shown)][-interface.span :]
+    batch = interface.batch([frames, frames[-1:]])
+    assert batch["q"].shape == (2, interface.history, 7)
+    assert batch["q"][0, :, 0].tolist() == numbers
+    assert batch["real"][0].tolist() == real
+    assert batch["real"][1].tolist() == [0] * (interface.history - 1) + [1]
+
+
+def test_zeros_stand_for_what_was_not_seen() -> None:
+    """Zeros, not the first one."""
+    interface = _interface(state=[JOINTS], history={"length": 2, "pad": "zeros"})
+    assert interface.batch([[interface.encode(_at(5))]])["q"][0, :, 0].tolist() == [0, 5]
+
+
+def test_what_has_no_history_shows_the_newest() -> None:
+    """Only the inputs that `of` names get an axis of time."""
+    image = {"input": "i", "cameras": ["cam_head"], "channels": "rgb", "layout": "hwc", "dtype": "uint8"}
+    interface = _interface(state=[JOINTS], images=[image], history={"length": 2, "of": ["images"]})
+    frames = [interface.encode(_at(number)) for number in range(2)]
+    batch = interface.batch([frames])
+    assert (batch["q"].shape, batch["i"].shape) == ((1, 7), (1, 2, 24, 32, 3))
+    assert batch["q"][0, 0] == 1
+
+
+@pytest.mark.parametrize(
+    ("how", "text", "wanted"),
+    [
+        ({}, "Fold it.", "Fold it."),
+        ({"case": "lower"}, "Fold IT.", "fold it."),
+        ({"strip": ". "}, " Fold it. ", "Fold it"),
+        ({"template": "{instruction}\n"}, "Fold it.", "Fold it.\n"),
+        (
+            {
+                "template": "In: What action should the robot take to {instruction}?\nOut:",
+                "case": "lower",
+                "strip": ".",
+            },
+            "Fold it.",
+            "In: What action should the robot take to fold it?\nOut:",
+        ),
+        ({"empty": "blank"}, "", ""),
+        ({"empty": "blank", "template": "Task: {instruction}"}, "", "Task: "),
+    ],
+)
+def test_instructions(how: dict[str, Any], text: str, wanted: str) -> None:
+    """Stripped, in small letters, in the template: in this order."""
+    interface = _interface(instruction={"input": "prompt", **how})
+    encoded = interface.encode(observation("franka_single", instruction=text))
+    assert interface.batch([[encoded], [encoded]]) == {"prompt": [wanted, wanted]}
+
+
+def test_a_model_that_needs_an_instruction_refuses_none() -> None:
+    """An empty text is a wrong answer that nobody sees."""
+    with pytest.raises(ObservationError, match="no instruction"):
+        _interface(instruction={"input": "prompt"}).encode(observation("franka_single", instruction=""))
+
+
+def test_texts_are_taken_apart_again() -> None:
+    """What a template put around an instruction is no part of it."""
+    interface = _interface(instruction={"input": "prompt", "template": "do: {instruction}\n"})
+    obs = observation("franka_single", instruction="Fold it.")
+    assert (
+        interface.observe(interface.encode(obs), observation("franka_single", 1, instruction="x"))["instruction"]
+        == "Fold it."
+    )
+
+
+def test_continuous_signs_follow_the_step_before() -> None:
+    """The numbers q and -q are one rotation; a model that has seen one goes on seeing it."""
+    part = {"rotation": {"arm": "single", "form": "quaternion_wxyz", "sign": "continuous"}}
+    interface = _interface(state=[{"input": "q", "parts": [part]}])
+    angles = np.linspace(0, 2 * np.pi, 9)
+    memory: dict[str, np.ndarray] = {}
+    seen = []
+    for index, angle in enumerate(angles):
+        obs = observation("franka_single")
+        turn = np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0]) * (-1) ** index
+        obs["state"]["ee_pose"] = np.concatenate((np.zeros(3), turn))
+        seen.append(interface.encode(obs, memory)["q"])
+    assert seen[0][0] == 1
+    assert all(one @ other > 0.9 for one, other in pairwise(seen))
+    assert seen[-1][0] == pytest.approx(-1)
+
+
+@pytest.mark.parametrize(("sign", "first"), [("any", -0.6), ("positive_w", 0.6)])
+def test_signs_of_quaternions(sign: str, first: float) -> None:
+    """As it comes, or with w >= 0."""
+    part = {"rotation": {"arm": "single", "form": "quaternion_xyzw", "sign": sign}}
+    obs = observation("franka_single")
+    obs["state"]["ee_pose"] = np.array([0, 0, 0, -0.6, 0.8, 0, 0])
+    assert _interface(state=[{"input": "q", "parts": [part]}]).encode(obs)["q"][3] == pytest.approx(first)
+
+
+# -- what does not fit -------------------------------------------------------------------------------------------------
+
+GRIPPER: Any = ACTION["parts"][1]
+
+
+def _state(part: dict[str, Any]) -> dict[str, Any]:
+    return {"state": [{"input": "q", "parts": [part]}]}
+
+
+def _changed(**more: Any) -> dict[str, Any]:
+    return {"action": {**ACTION, **more}}
+
+
+UNFIT: list[tuple[dict[str, Any], str]] = [
+    (
+        _changed(parts=[{"joints": {"arm": "left"}}, GRIPPER]),
+        "native.action, joints left: franka_single has no arm 'left'; say one of single",
+    ),
+    (
+        _changed(parts=[GRIPPER]),
+        "native.action makes no joint actions of franka_single: no part gives arm_joint_state; add it",
+    ),
+    (_changed(parts=[*ACTION["parts"], GRIPPER]), "native.action has a part twice: gripper single"),
+    (
+        _changed(parts=[*ACTION["parts"], {"position": {"arm": "single"}}]),
+        "native.action has position single, which joint actions do not",
+    ),
+    (_changed(pad=7), "native.action.pad is 7, but its parts have 8 numbers"),
+    (_changed(steps=4), "native.action.steps is 4, and temporal.chunk 8"),
+    (_changed(normalize={"unknown": "ask the authors"}), r"native.action.normalize is open \(ask the authors\); say"),
+    (_changed(normalize={"rule": "mean_std", "file": "gone.json"}), "native.action.normalize names the file gone.json"),
+    (
+        _state({"joints": {"arm": "single", "sign": [1, -1]}}),
+        "native.state q, joints single: sign has 2 entries, expected 7",
+    ),
+    (
+        _state({"joints": {"arm": "single", "names": ["a"]}}),
+        "native.state q, joints single: expected each joint of the robot once, joint1, .*; got a",
+    ),
+    (
+        _state({"hand": {"arm": "single"}}),
+        "native.state q, hand single: franka_single has a parallel gripper there; say gripper",
+    ),
+    (
+        _state({"gripper": {"arm": "single", "closed": 1, "open": 1}}),
+        "native.state q, gripper single: closed and open are the same",
+    ),
+    (
+        _state({"gripper": {"arm": "single", "closed": [1, 2], "open": 1}}),
+        "native.state q, gripper single: 2 values closed and 1 open",
+    ),
+    (
+        _state({"rotation": {"arm": "single", "form": "matrix", "sign": "positive_w"}}),
+        "native.state q, rotation single: sign is for quaternions",
+    ),
+    (
+        _state({"rotation": {"arm": "single", "form": "euler", "euler": "xxy"}}),
+        "native.state q, rotation single: euler xxy turns about one axis twice",
+    ),
+    ({"state": [JOINTS, JOINTS]}, "native: an input is named twice: q"),
+    ({"state": [JOINTS], "history": {"length": 2, "mask": "q"}}, "native: an input is named twice: q"),
+]
+
+
+@pytest.mark.parametrize(("block", "told"), UNFIT)
+def test_a_block_that_does_not_fit_is_refused(block: dict[str, Any], told: str) -> None:
+    """Where, what was expected, what is there, and what to do."""
+    with pytest.raises(NativeError, match=told):
+        _interface(chunk=8, **block)
+
+
+def test_a_hand_is_no_gripper_and_what_is_not_known_is_no_frame() -> None:
+    """Robots of which the standard knows dimensions only."""
+    gripper = {"gripper": {"arm": "left", "closed": 0, "open": 1}}
+    hand = get_embodiment("tianji_marvin_wuji")
+    for parts, told in (
+        ([gripper], "native.state s, gripper left: tianji_marvin_wuji has a hand there; say hand"),
+        (
+            [{"position": {"arm": "left", "frame": "base"}}],
+            "native.state s, position left: .* is mounted; say frame: world",
+        ),
+        (
+            [{"position": {"arm": "left", "point": "tcp"}}],
+            "native.state s, position left: .* fingertips; say point: flange",
+        ),
+        (
+            [{"joints": {"arm": "left", "names": ["a"]}}],
+            "native.state s, joints left: .* no joint names of this arm; leave names out",
+        ),
+    ):
+        native = {**CASES["hands, absolute"].native, "state": [{"input": "s", "parts": parts}]}
+        with pytest.raises(NativeError, match=told):
+            compile_interface(native, hand, "joint")
+
+
+def test_a_change_in_the_moving_frame_needs_the_rotation() -> None:
+    """Of the same point in the same frame."""
+    position = {"position": {"arm": "single", "applied": "body"}}
+    with pytest.raises(NativeError, match=r"native.action, position single: applied: body needs the arm's rotation"):
+        _interface("ee", action={"reference": "delta_state", "parts": [position, GRIPPER]})
+    turn = {"rotation": {"arm": "single", "form": "matrix", "point": "tcp"}}
+    with pytest.raises(NativeError, match="position single: its point and frame differ"):
+        _interface("ee", action={"reference": "delta_state", "parts": [position, turn, GRIPPER]})
+
+
+@pytest.mark.parametrize(
+    ("raw", "told"),
+    [
+        (np.zeros((8, 7)), "expected steps of 8 numbers, the model gave the shape .8, 7."),
+        (np.zeros((7, 8)), "expected at least 8 steps .first 0, and those handed on., the model gave the shape .7, 8."),
+        (np.zeros(8), "expected at least 8 steps"),
+        (np.full((8, 8), np.nan), "the model gave a number that is not finite"),
+    ],
+)
+def test_an_answer_that_does_not_fit_is_refused(raw: np.ndarray, told: str) -> None:
+    """A number that is not finite is no closed gripper."""
+    action = copy.deepcopy(ACTION)
+    action["parts"][1]["gripper"]["threshold"] = 0.5
+    with pytest.raises(NativeError, match=f"native.action: {told}"):
+        _interface(chunk=8, action=action).decode(raw, observation("franka_single"))
+
+
+def test_what_is_no_rotation_names_its_part() -> None:
+    """Zeros have no direction; a gripper in metres that says it opens to one is beyond repair."""
+    parts = [{"rotation": {"arm": "single", "form": "rot6d_rows"}}, GRIPPER]
+    interface = _interface("ee", action={"reference": "absolute", "parts": parts})
+    with pytest.raises(NativeError, match=r"native.action, rotation single: .* no rotation"):
+        interface.decode(np.zeros((1, 7)), observation("franka_single"))
+    with pytest.raises(ActionError):
+        interface.decode(np.array([[1, 0, 0, 0, 1, 0, 55.0]]), observation("franka_single"))
+
+
+def test_an_observation_that_lacks_something_is_refused() -> None:
+    """A missing field, a wrong width, a number that is not finite."""
+    interface = _interface(state=[JOINTS])
+    for state, told in (
+        ({}, "no 'arm_joint_state', which the native block reads"),
+        ({"arm_joint_state": np.zeros(6)}, r"shape \(6,\), expected \(7,\)"),
+        ({"arm_joint_state": np.full(7, np.inf)}, "not finite"),
+    ):
+        with pytest.raises(ObservationError, match=told):
+            interface.encode({"state": state})
+    with pytest.raises(ObservationError, match="no 'state' map"):
+        interface.encode({})
+    with pytest.raises(NativeError, match="no input q"):
+        interface.observe({}, observation("franka_single"))
