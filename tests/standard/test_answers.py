@@ -311,7 +311,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
         (["new-policy", "Foo", "--embodiment", "arx5", "--json"], ExitCode.USAGE, "fetch", ["arx_x5"]),
         (["new-policy", "Foo", "--kind", "torh", "--json"], ExitCode.USAGE, "lerobot", ["torch"]),
         (["spec", "show", "polcy", "--json"], ExitCode.NOT_FOUND, None, ["policy"]),
-        (["spec", "show", "--spec", "v2", "--json"], ExitCode.USAGE, "v1", ["v1"]),
+        (["spec", "show", "--spec", "v2", "--json"], ExitCode.USAGE, "v1", ["v1.2"]),
         (["env", "list", "mojoco", "--json"], ExitCode.NOT_FOUND, "offline", ["mujoco"]),
         (["explain", "batch-ordr", "--json"], ExitCode.USAGE, None, ["batch-order"]),
         (["skills", "install", "--agent", "claud", "--json"], ExitCode.USAGE, "codex", ["claude"]),

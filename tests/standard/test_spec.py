@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import html
 import json
 import subprocess
 import sys
@@ -14,9 +15,11 @@ import pytest
 from tests.support.places import ROOT, tracked
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import NotFoundError
+from xpl_cli.derived import reference
 from xpl_cli.derived.compiler import compile_source
 from xpl_cli.standard import check, spec, view
 from xpl_cli.standard.validate import validate_yaml_file
+from xpl_cli.standard.words import choices
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -237,6 +240,28 @@ def test_an_outline_shows_kind_default_and_need() -> None:
     lines = view.view("deploy").text().splitlines()
     port = next(line for line in lines if " port " in line)
     assert " ".join(port.split()) == "* port integer | null TCP port; null or 0 lets the system choose (default null)"
+
+
+def test_words_are_shown_with_formula_source_and_what_others_call_them() -> None:
+    """In the outline and on the page, every word of the native vocabulary."""
+    schema = spec.schema("native", "v1.2")
+    outline, page = view.view("native", "v1.2").text(), reference.pages("v1.2")["native.md"]
+    for choice in choices(schema):
+        for word in choice.words:
+            for told in (word.meaning, word.formula, word.source, word.known_as):
+                assert told.rstrip(".") in outline
+                assert reference.prose(told.rstrip(".")) in html.unescape(page) or told == word.formula
+            assert f"| `{word.name}` |" in page
+    bilinear = next(word for choice in choices(schema) for word in choice.words if word.name == "bilinear")
+    assert bilinear.known_as == "opencv: INTER_LINEAR, pillow: BILINEAR, torch: bilinear"
+
+
+def test_what_has_no_words_is_shown_as_ever() -> None:
+    """Schemas whose choices are not defined word by word."""
+    assert [choices(spec.schema(name)) for name in ("deploy", "action", "wire") if name in spec.schema_names()] == [
+        [],
+        [],
+    ]
 
 
 def test_a_misspelt_name_shows_the_nearest() -> None:

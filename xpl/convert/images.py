@@ -137,7 +137,7 @@ def shape_after(kind: str, how: Any, shape: tuple[int, int]) -> tuple[int, int]:
         return int(how["to"][0]), int(how["to"][1])
     if kind == "crop":
         return _cropped(how, shape)
-    return (shape[1], shape[0]) if kind == "rotate" and how % 180 else shape
+    return (shape[1], shape[0]) if kind == "rotate" and (how // 90) % 2 else shape
 
 
 def _cropped(how: Mapping[str, Any], shape: tuple[int, int]) -> tuple[int, int]:

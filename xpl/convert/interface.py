@@ -78,7 +78,7 @@ class Interface:
                 f"native.action.steps is {self.action.steps}, and temporal.chunk {chunk}: they are the same steps; "
                 "leave one out or make them equal"
             )
-        self._instruction = native.get("instruction")
+        self._instruction = native.get(spec.Obs.INSTRUCTION)
         history = native.get("history") or {}
         self.history: int = history.get("length", 1)
         self._stride: int = history.get("stride", 1)

@@ -67,7 +67,7 @@ def _by_matrix(values: np.ndarray, axis: int, matrix: np.ndarray) -> np.ndarray:
     return result.reshape(*values.shape[:-3], matrix.shape[0], *values.shape[-2:])
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=128)
 def _dense(before: int, after: int, kind: str, antialias: bool) -> np.ndarray:  # noqa: FBT001 - cached by position
     index, weight = taps(before, after, kind, antialias=antialias)
     matrix = np.zeros((after, before), np.float32)
@@ -75,7 +75,7 @@ def _dense(before: int, after: int, kind: str, antialias: bool) -> np.ndarray:  
     return matrix
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=128)
 def taps(before: int, after: int, kind: str, *, antialias: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return which pixels each new one is made of, (after, taps) int64, and how much of each, (after, taps) float32."""
     scale = before / after

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.standard import spec
 from xpl_cli.standard.view import PARTS, Section, sections
+from xpl_cli.standard.words import choices
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.registry import Rule
@@ -96,6 +97,16 @@ def _schema(name: str, version: str) -> str:
     lines = [f"# {schema['title']}", "", str(schema.get("description", ""))]
     for section in sections(schema, version):
         lines += ["", *([f"## {section.name}", ""] if section.name else []), *_keys(section)]
+    for choice in choices(schema):
+        rows = [(f"`{word.name}`", word.told) for word in choice.words]
+        lines += [
+            "",
+            f"## Words of {choice.key}",
+            "",
+            f"{prose(choice.meaning)}.",
+            "",
+            *table(("word", "meaning"), rows),
+        ]
     return "\n".join(lines)
 
 

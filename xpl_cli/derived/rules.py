@@ -51,18 +51,18 @@ def _index(found: dict[str, list[Rule]]) -> str:
             (f"[{rule.code}]({name}.md#{rule.code.lower()}-{rule.slug}) {rule.slug}", *_severities(rule), rule.summary)
             for rule in members
         ]
-        lines += [f"## {title}", "", *table(("rule", *spec.versions(), "finds"), rows), ""]
+        lines += [f"## {title}", "", *table(("rule", *spec.published(), "finds"), rows), ""]
     return "\n".join(lines)
 
 
 def _severities(rule: Rule) -> Sequence[str]:
-    return [rule.severity_in(version) if rule.is_in(version) else "-" for version in spec.versions()]
+    return [rule.severity_in(version) if rule.is_in(version) else "-" for version in spec.published()]
 
 
 def _entry(rule: Rule) -> Iterator[str]:
     """Yield the lines of one rule: what it proves, then its documentation with headings that are no anchors."""
     requirement = spec.requirements()[rule.requirement]
-    levels = ", ".join(f"{version} {told}" for version, told in zip(spec.versions(), _severities(rule), strict=True))
+    levels = ", ".join(f"{version} {told}" for version, told in zip(spec.published(), _severities(rule), strict=True))
     summary, *sections = rule.documentation.split("\n## ")
     yield from ("", f"## {rule.code} {rule.slug}", "", prose(summary), "")
     proves = f"proves [{requirement.id}](../reference/requirements.md)"

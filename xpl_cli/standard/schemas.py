@@ -25,6 +25,8 @@ MANIFESTS = ("policy", "env", "deploy")
 
 _DIALECT = "http://json-schema.org/draft-07/schema#"
 _OWN = "#/$defs/"
+_HEAD = ("$schema", "$id", "$defs")
+"""What a schema has only as a file of its own."""
 _KINDS = {"uint8": "integer", "float": "number", "number": "number"}
 
 
@@ -83,40 +85,42 @@ def bundle(name: str, version: str = spec.CURRENT) -> dict[str, Any]:
     """Return a schema with everything in it that it refers to, in the words of draft 7."""
     schema = spec.schema(name, version)
     definitions: dict[str, Any] = {}
-    body = {key: value for key, value in schema.items() if key not in ("$schema", "$id", "$defs")}
-    result = _plain(body, name, version, definitions)
+    body = {key: value for key, value in schema.items() if key not in _HEAD}
+    result = _plain(body, name, version, definitions, name)
     return {"$schema": _DIALECT, **result, "definitions": dict(sorted(definitions.items()))}
 
 
-def _plain(value: Any, name: str, version: str, definitions: dict[str, Any]) -> Any:
-    """Return a part of a schema without references to other files; what it refers to is added to `definitions`."""
+def _plain(value: Any, name: str, version: str, definitions: dict[str, Any], root: str) -> Any:
+    """Return a part of schema `name` without references to other files; what it refers to is added to `definitions`."""
     if isinstance(value, list):
-        return [_plain(entry, name, version, definitions) for entry in value]
+        return [_plain(entry, name, version, definitions, root) for entry in value]
     if not isinstance(value, dict):
         return value
     result = {}
     for key, entry in value.items():
         if key == "$ref":
-            result[key] = _referred(entry, name, version, definitions)
+            result[key] = _referred(entry, name, version, definitions, root)
         elif key == "x-array":
             result |= _array(entry)
         else:
-            result[key] = _plain(entry, name, version, definitions)
+            result[key] = _plain(entry, name, version, definitions, root)
     return result
 
 
-def _referred(reference: str, name: str, version: str, definitions: dict[str, Any]) -> str:
+def _referred(reference: str, name: str, version: str, definitions: dict[str, Any], root: str) -> str:
     """Put what a reference leads to among the definitions, and return the reference to it there."""
     other, _, pointer = reference.partition("#")
     home = other.rpartition("/")[2] or name
     key = pointer.removeprefix(_OWN[1:]).replace("/", ".") or "whole"
-    label = key if home == name else f"{home}.{key}"
+    label = key if home == root else f"{home}.{key}"
     if label not in definitions:
         definitions[label] = {}  # before its own references are followed: it may lead back to itself
         target: Any = spec.schema(home, version)
         for part in pointer.split("/")[1:]:
             target = target[part]
-        definitions[label] = _plain(target, home, version, definitions)
+        dropped = () if pointer else _HEAD
+        target = {key: value for key, value in target.items() if key not in dropped}
+        definitions[label] = _plain(target, home, version, definitions, root)
     return f"#/definitions/{label}"
 
 

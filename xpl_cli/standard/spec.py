@@ -45,6 +45,11 @@ def versions() -> tuple[str, ...]:
     return tuple(sorted(found, key=order))
 
 
+def published() -> tuple[str, ...]:
+    """Return the versions that are frozen, oldest first: what is promised, and what pages tell of."""
+    return tuple(filter(is_frozen, versions()))
+
+
 def order(version: str) -> tuple[int, int]:
     """Return what versions are ordered by."""
     found = _VERSION.fullmatch(version)
@@ -60,7 +65,7 @@ def is_frozen(version: str) -> bool:
 
 def _newest() -> str:
     """Return the newest version that is frozen: one that is still being written is used only where it is named."""
-    return max(filter(is_frozen, versions()), key=order, default=versions()[-1])
+    return max(published(), key=order, default=versions()[-1])
 
 
 CURRENT = _newest()

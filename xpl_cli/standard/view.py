@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.basics.errors import UnknownNameError, UnknownTargetError, no_such
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import registry, shape_text
+from xpl_cli.standard.words import choices
 
 if TYPE_CHECKING:
     from referencing._core import Resolver
@@ -149,6 +150,12 @@ def _schema_text(schema: Mapping[str, Any], version: str) -> str:
         ]
         lines += [section.name] if section.name is not None else []
         lines.append(_table(rows) if rows else f"{margin * 2}{section.summary}")
+    for choice in choices(schema):
+        lines += [
+            "",
+            f"{choice.key}: {choice.meaning}",
+            _table([(f"  {word.name}", word.told) for word in choice.words]),
+        ]
     return "\n".join(lines)
 
 
@@ -186,7 +193,9 @@ def _kind(entry: Mapping[str, Any], resolver: Resolver[Any]) -> str:
         return _word(target["const"])
     for keyword in ("anyOf", "oneOf"):
         if keyword in target:
-            return " | ".join(_kind(option, at) for option in target[keyword])
+            kinds = [_kind(option, at) for option in target[keyword] if set(option) != {"required"}]
+            if kinds:
+                return " | ".join(kinds)
     types = target.get("type", "any")
     name = types if isinstance(types, str) else " | ".join(types)
     items = target.get("items")

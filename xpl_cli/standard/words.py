@@ -1,0 +1,74 @@
+"""Words of a vocabulary: what a value may be called, with the definition, formula and source that the schema gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+
+@dataclass(frozen=True)
+class Word:
+    """One word.
+
+    Attributes:
+        name: as it is written.
+        meaning: its definition.
+        formula, source: as the schema has them; "" where it has none.
+        known_as: what others call it, "library: name" each.
+    """
+
+    name: str
+    meaning: str
+    formula: str
+    source: str
+    known_as: str
+
+    @property
+    def told(self) -> str:
+        """Return all of it as one text, behind the name."""
+        parts = (
+            self.meaning,
+            self.formula and f"`{self.formula}`",
+            self.source and f"Source: {self.source}",
+            self.known_as and f"Known as {self.known_as}",
+        )
+        return ". ".join(part.rstrip(".") for part in parts if part) + "."
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A key whose value is one of some words."""
+
+    key: str
+    meaning: str
+    words: tuple[Word, ...]
+
+
+def choices(schema: Mapping[str, Any]) -> list[Choice]:
+    """Return every choice of a schema of which a word has a definition; equal ones once, in the schema's order."""
+    found: dict[tuple[str, tuple[Word, ...]], Choice] = {}
+    for name, entry in (("", schema), *schema.get("$defs", {}).items()):
+        for choice in _choices(entry, name):
+            found.setdefault((choice.key.rpartition(".")[2], choice.words), choice)
+    return list(found.values())
+
+
+def _choices(entry: Mapping[str, Any], place: str) -> Iterator[Choice]:
+    options = [option for option in entry.get("oneOf", ()) if "const" in option]
+    if options and all("description" in option for option in options):
+        yield Choice(place, entry.get("description", ""), tuple(map(_word, options)))
+    for option in entry.get("anyOf", ()):
+        yield from _choices(option, place)
+    for key, inner in entry.get("properties", {}).items():
+        yield from _choices(inner, f"{place}.{key}".lstrip("."))
+    if "items" in entry:
+        yield from _choices(entry["items"], place)
+
+
+def _word(option: Mapping[str, Any]) -> Word:
+    known = ", ".join(f"{library}: {name}" for library, name in option.get("x-known-as", {}).items())
+    formula, source = option.get("x-formula", ""), option.get("x-source", "")
+    return Word(str(option["const"]), option["description"], formula, source, known)
