@@ -15,8 +15,6 @@ import numpy as np
 
 _CUBIC_SHARP, _CUBIC_SMOOTH = -0.75, -0.5
 _LOBES = 3.0
-_FEW_TAPS = 4
-"""Up to here pixels are gathered one by one; beyond, a product of matrices is faster."""
 
 
 def resize(
@@ -31,12 +29,13 @@ def resize(
         antialias: widen the filter where the image shrinks.
         as_bytes: round to whole numbers and clip to 0..255, as libraries do with 8-bit images.
     """
-    values = image.astype(np.float32)
-    for axis, wanted in ((-2, size[1]), (-3, size[0])):
+    values, axes = image, [(-2, size[1]), (-3, size[0])]
+    # Pillow rounds after each direction, columns first; where that is not so, rows first are less work.
+    for axis, wanted in axes if antialias else reversed(axes):
         values = _along(values, axis, wanted, kind, antialias=antialias)
-        if as_bytes and antialias:  # after each direction, as Pillow does
+        if as_bytes and antialias:
             values = _rounded(values)
-    return _rounded(values).astype(image.dtype) if as_bytes else values
+    return _rounded(values).astype(image.dtype) if as_bytes else np.ascontiguousarray(values, np.float32)
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
@@ -44,35 +43,21 @@ def _rounded(values: np.ndarray) -> np.ndarray:
 
 
 def _along(values: np.ndarray, axis: int, size: int, kind: str, *, antialias: bool) -> np.ndarray:
-    before = values.shape[axis]
-    if before == size:
+    """Return images whose `axis` has another size, float32 if anything is weighed."""
+    if values.shape[axis] == size:
         return values
-    index, weight = taps(before, size, kind, antialias=antialias)
-    if index.shape[1] > _FEW_TAPS:
-        return _by_matrix(values, axis, _dense(before, size, kind, antialias))
-    shape = [1] * values.ndim
-    shape[axis] = size
-    total: np.ndarray = np.take(values, index[:, 0], axis) * weight[:, 0].reshape(shape)
-    for tap in range(1, index.shape[1]):
-        total += np.take(values, index[:, tap], axis) * weight[:, tap].reshape(shape)
-    return total
-
-
-def _by_matrix(values: np.ndarray, axis: int, matrix: np.ndarray) -> np.ndarray:
-    if axis == -2:  # columns: (width', width) @ (..., H, width, C)
-        columns: np.ndarray = np.matmul(matrix, values)
-        return columns
-    rows = values.reshape(*values.shape[:-2], -1)  # (..., H, W * C)
-    result: np.ndarray = np.matmul(matrix, rows)
-    return result.reshape(*values.shape[:-3], matrix.shape[0], *values.shape[-2:])
-
-
-@lru_cache(maxsize=128)
-def _dense(before: int, after: int, kind: str, antialias: bool) -> np.ndarray:  # noqa: FBT001 - cached by position
-    index, weight = taps(before, after, kind, antialias=antialias)
-    matrix = np.zeros((after, before), np.float32)
-    np.add.at(matrix, (np.arange(after)[:, None], index), weight)
-    return matrix
+    index, weight = taps(values.shape[axis], size, kind, antialias=antialias)
+    first = np.ascontiguousarray(np.moveaxis(values, axis, 0))  # whole lines are gathered many times faster than pixels
+    lines = first.reshape(len(first), -1)
+    total = np.take(lines, index[:, 0], 0)
+    if kind != "nearest":
+        total = total * weight[:, :1]
+        part, gathered = np.empty_like(total), np.empty(total.shape, lines.dtype)
+        for tap in range(1, index.shape[1]):
+            np.take(lines, index[:, tap], 0, out=gathered, mode="clip")  # within bounds: no copy is made to check
+            total += np.multiply(gathered, weight[:, tap, None], out=part)
+    result: np.ndarray = np.moveaxis(total.reshape(size, *first.shape[1:]), 0, axis)
+    return result
 
 
 @lru_cache(maxsize=128)
