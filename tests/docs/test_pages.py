@@ -155,14 +155,18 @@ def test_python_compiles_and_imports_what_there_is(block: pages.Block) -> None:
 
 @pytest.mark.parametrize("block", _of("yaml"), ids=str)
 def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
-    """Every key of a manifest has a value that its schema takes, whichever manifest it is."""
+    """Every key of a manifest has a value that its schema takes, whichever manifest it is.
+
+    A mark above the block names the version that it belongs to, if that is another than the current one.
+    """
+    version = block.mark if block.mark in spec.versions() else spec.CURRENT
     part = yaml.load(block.text, yaml.BaseLoader)  # noqa: S506 - texts only; `on` stays a word
     if any(set(part) <= keys for keys in FOREIGN):
         return
     for key, value in yaml.safe_load(block.text).items():
-        owners = [name for name in MANIFESTS if key in spec.schema(name)["properties"]]
+        owners = [name for name in MANIFESTS if key in spec.schema(name, version)["properties"]]
         assert owners, f"{key} is no key of a manifest"
-        assert [] in [validate(value, f"{name}#/properties/{key}") for name in owners]
+        assert [] in [validate(value, f"{name}#/properties/{key}", version) for name in owners]
 
 
 @pytest.mark.parametrize("block", _of("json"), ids=str)
