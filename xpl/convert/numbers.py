@@ -34,12 +34,15 @@ class Normalization:
         entry: `normalize` of a vector; None leaves numbers as they are.
         width: numbers that it is applied to.
         folders: where its file may lie: the package, a checkpoint.
+        padded: numbers of the padded vector; statistics may have as many, and the first are used.
 
     Raises:
         NativeError: if the numbers cannot be had, or are not as many as the vector has.
     """
 
-    def __init__(self, entry: Mapping[str, Any] | None, width: int, folders: Sequence[Path] = ()) -> None:
+    def __init__(
+        self, entry: Mapping[str, Any] | None, width: int, folders: Sequence[Path] = (), padded: int | None = None
+    ) -> None:
         self._clip = (entry or {}).get("clip")
         self._to, self._back = _Line(width), _Line(width)
         if entry is None:
@@ -47,7 +50,7 @@ class Normalization:
         if "unknown" in entry:
             raise NativeError(f"normalize is open ({entry['unknown']}); say the rule and its numbers, or null for none")
         rule, epsilon = entry["rule"], entry.get("epsilon", 0.0)
-        one, two = (_numbers(entry, name, folders, width) for name in _NAMES[rule])
+        one, two = (_numbers(entry, name, folders, width, padded) for name in _NAMES[rule])
         only = np.asarray(entry.get("only", [True] * width), bool)
         if only.shape != (width,):
             raise NativeError(f"normalize.only has {only.size} entries, expected {width}: one for each number")
@@ -92,7 +95,9 @@ class _Line:
         self.scale, self.shift = np.where(where, scale, self.scale), np.where(where, shift, self.shift)
 
 
-def _numbers(entry: Mapping[str, Any], name: str, folders: Sequence[Path], width: int) -> np.ndarray:
+def _numbers(
+    entry: Mapping[str, Any], name: str, folders: Sequence[Path], width: int, padded: int | None
+) -> np.ndarray:
     if "values" in entry:
         found = entry["values"].get(name)
     else:
@@ -107,6 +112,8 @@ def _numbers(entry: Mapping[str, Any], name: str, folders: Sequence[Path], width
         numbers = np.asarray(found, np.float64).reshape(-1)
     except (TypeError, ValueError):
         raise NativeError(f"normalize: expected a list of numbers as {name}, got {str(found)[:80]}") from None
+    if numbers.size == padded:  # openpi's own are of the padded vector
+        numbers = numbers[:width]
     if numbers.shape != (width,):
         raise NativeError(
             f"normalize has {numbers.size} numbers as {name}, expected {width}: one for each number of the parts"

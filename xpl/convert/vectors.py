@@ -49,7 +49,7 @@ class Vector:
                 f"{where}.pad is {self.padded}, but its parts have {self.width} numbers; say at least that"
             )
         try:
-            self._numbers = Normalization(entry.get("normalize"), self.width, folders)
+            self._numbers = Normalization(entry.get("normalize"), self.width, folders, self.padded)
         except NativeError as error:
             raise NativeError(f"{where}.{error}") from None
 

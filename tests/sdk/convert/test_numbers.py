@@ -58,6 +58,15 @@ def test_the_inverse_leads_back(rule: str, epsilon: float, values: list[float]) 
     assert np.allclose(numbers.decode(numbers.encode(np.array(values))), values, atol=1e-9)
 
 
+def test_statistics_of_the_padded_vector_are_cut() -> None:
+    """Those that openpi ships have 32 numbers, whatever the robot has; neither more nor fewer will do."""
+    values = {"low": [0.0] * 32, "high": [2.0] * 3 + [0.0] * 29}
+    how = {"rule": "quantiles", "values": values}
+    assert Normalization(how, 3, padded=32).encode(np.ones(3)).tolist() == [0, 0, 0]
+    with pytest.raises(NativeError, match="32 numbers as low, expected 3"):
+        Normalization(how, 3, padded=16)
+
+
 def test_a_mask_leaves_numbers_as_they_are() -> None:
     """OpenVLA keeps its gripper out; what is clipped is clipped everywhere."""
     numbers = _rule("quantiles", only=[True, False, True])
