@@ -298,7 +298,13 @@ def _column(values: Any, width: int, default: float, word: str) -> Numbers:
 def _of(state: State, key: str, width: int) -> Numbers:
     if key not in state:
         raise ObservationError(f"the state has no {key!r}, which the native block reads; it has {', '.join(state)}")
-    values = np.asarray(state[key], np.float64)
+    try:
+        given = np.asarray(state[key])
+    except ValueError:  # lists of unequal lengths
+        raise ObservationError(f"{key} holds lists of unequal lengths, expected {width} numbers") from None
+    if given.dtype.kind not in "biuf":  # numpy would read numbers out of texts
+        raise ObservationError(f"{key} holds {given.dtype}, expected numbers")
+    values = given.astype(np.float64)
     if values.shape != (width,):
         raise ObservationError(f"{key} has shape {values.shape}, expected ({width},)")
     if not np.isfinite(values).all():

@@ -33,6 +33,13 @@ _HELPERS: Final = {
         f"{sdk.Obs.STATE}.{leaf}" for leaf in (sdk.State.ARM_JOINT_STATE, sdk.State.EE_POSE, sdk.State.EE_JOINT_STATE)
     ),
 }
+_PARTS: Final = {
+    "joints": (sdk.State.ARM_JOINT_STATE,),
+    "gripper": (sdk.State.EE_JOINT_STATE,),
+    "hand": (sdk.State.EE_JOINT_STATE,),
+    "position": (sdk.State.EE_POSE,),
+    "rotation": (sdk.State.EE_POSE,),
+}
 _CAMERAS: Final = {camera for cameras in sdk.CAMERAS.values() for camera in cameras} | set(sdk.OPTIONAL_CAMERAS)
 _CHUNK: Final = re.compile(r"(?:action_)?chunk(?:_size|_len(?:gth)?)?")
 _EXECUTED: Final = re.compile(r"exec(?:uted?|ution)?_(?:.*_)?(?:chunk|horizon|steps)(?:_size|_len(?:gth)?)?")
@@ -50,7 +57,7 @@ def declared_otherwise(source: Source) -> Iterator[Finding]:
     Compares the manifest with the class: inputs that are declared and never read, inputs that are read and not
     declared, kinds of action and robots that are declared and refused, a chunk length that the code or `deploy.yml`
     gives another value, a history of which only the last observation is used. Code that reads names made at run time,
-    or hands observations on as a whole, may read any input.
+    or hands observations on as a whole, may read any input; what the block `native` names is read.
 
     ## Why it matters
     The manifest decides where the policy is evaluated, what environments send, and what comparisons print. A camera
@@ -94,6 +101,7 @@ def _inputs(source: Source, adapter: Adapter) -> Iterator[Finding]:
     words = {word for function in adapter.reach(*adapter.methods) for word in _words(function)}
     words |= {text for file in source.python_files if source.parses(file) for text in texts(source.tree(file))}
     words |= {str(value) for value in source.deploy.values()}  # a list of cameras is searched as text
+    words |= set(_native(source.manifest.get("native")))
     for name, kind in declared.items():
         if kind == "unused" or _is_read(name, words) or _is_open(functions, name.partition(".")[0]):
             continue
@@ -124,6 +132,18 @@ def _words(function: Function) -> Iterator[str]:
         elif isinstance(node, ast.Call):
             for name in _HELPERS.get(last(called(node)), ()):
                 yield name.rpartition(".")[2]
+
+
+def _native(block: object) -> Iterator[str]:
+    """Yield what conversions that are compiled from the block `native` read, in the words of the standard."""
+    if isinstance(block, dict):
+        yield from (key for key in block if key == sdk.Obs.INSTRUCTION and block[key])
+        for key, value in block.items():
+            yield from _PARTS.get(key, ())
+            yield from _native(value)
+    elif isinstance(block, list):
+        for entry in block:
+            yield from [entry] if isinstance(entry, str) and entry in _CAMERAS else _native(entry)
 
 
 def _is_read(name: str, words: set[str]) -> bool:

@@ -279,6 +279,9 @@ def test_an_observation_that_lacks_something_is_refused() -> None:
         ({}, "no 'arm_joint_state', which the native block reads"),
         ({"arm_joint_state": np.zeros(6)}, r"shape \(6,\), expected \(7,\)"),
         ({"arm_joint_state": np.full(7, np.inf)}, "not finite"),
+        ({"arm_joint_state": ["0.5"] * 7}, "arm_joint_state holds <U3, expected numbers"),
+        ({"arm_joint_state": [[0.5], 0.5]}, "lists of unequal lengths, expected 7 numbers"),
+        ({"arm_joint_state": [None] * 7}, "arm_joint_state holds object, expected numbers"),
     ):
         with pytest.raises(ObservationError, match=told):
             interface.encode({"state": state})
