@@ -1,7 +1,7 @@
 """Normalisation: a vector's numbers as the model gets them, and back.
 
 Source: spec/<version>/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file: JSON,
-YAML (where a reader is installed), NPZ without pickles, or safetensors, whose header is JSON.
+NPZ without pickles, or safetensors, whose header is JSON.
 """
 
 from __future__ import annotations
@@ -146,12 +146,6 @@ def _read(file: str, folders: Sequence[Path], words: Sequence[str]) -> Any:
 
 def _document(path: Path) -> Any:
     text = path.read_text(encoding="utf-8")
-    if path.suffix in (".yml", ".yaml"):
-        try:
-            import yaml
-        except ImportError:
-            raise NativeError(f"{path}: this Python has no reader of YAML; keep the numbers as JSON") from None
-        return yaml.safe_load(text)
     try:
         return json.loads(text)
     except ValueError as error:

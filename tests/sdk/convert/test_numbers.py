@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -114,7 +113,6 @@ def test_a_mean_stands_for_a_number_that_never_moved() -> None:
 def _files(folder: Path) -> None:
     document = {"norm_stats": {"state": {"q01": [1.0, 2.0], "q99": [3.0, 4.0]}}}
     (folder / "stats.json").write_text(json.dumps(document))
-    (folder / "stats.yml").write_text(yaml.safe_dump(document))
     arrays: dict[str, Any] = {"norm_stats.state.q01": [1.0, 2.0], "norm_stats.state.q99": [3.0, 4.0]}
     np.savez(folder / "stats.npz", **arrays)
     header, body = {}, b""
@@ -126,7 +124,7 @@ def _files(folder: Path) -> None:
     (folder / "stats.safetensors").write_bytes(struct.pack("<Q", len(text)) + text + body)
 
 
-@pytest.mark.parametrize("file", ["stats.json", "stats.yml", "stats.npz", "stats.safetensors"])
+@pytest.mark.parametrize("file", ["stats.json", "stats.npz", "stats.safetensors"])
 def test_numbers_are_read_from_files(file: str, tmp_path: Path) -> None:
     """Each kind of file that training leaves behind, by the file's own names."""
     _files(tmp_path)
