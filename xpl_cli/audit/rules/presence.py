@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
@@ -20,14 +21,22 @@ class Presence:
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """Look at a folder."""
-        return cls(path, tuple(sorted(file.name for file in path.iterdir() if file.is_file())) if path.is_dir() else ())
+        """Look at a folder; one that cannot be read has no files that could go."""
+        try:
+            names = sorted(os.listdir(path))  # noqa: PTH208 - names are all that is asked for
+        except OSError:
+            names = []
+        return cls(path, tuple(name for name in names if _is_file(path / name)))
 
     @property
     def loss(self) -> str | None:
         """What has gone since, in words; None if all is there."""
-        gone = [name for name in self.names if not (self.path / name).is_file()]
+        gone = [name for name in self.names if not _is_file(self.path / name)]
         if not gone:
             return None
         more = f" and {len(gone) - _SHOWN} more" if len(gone) > _SHOWN else ""
         return f"the package removed files of its own while it ran: {', '.join(gone[:_SHOWN])}{more}"
+
+
+def _is_file(path: Path) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 - Path.is_file raises where nobody may look
