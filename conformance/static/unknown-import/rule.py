@@ -42,7 +42,7 @@ def unknown_import(source: Source) -> Iterator[Finding]:
     """
     for imported in live(source):
         if imported.parts[:1] == (SDK,) and imported.level == 0:
-            if not any((source.path / name).exists() for name in (SDK, f"{SDK}.py")):
+            if not {SDK, f"{SDK}.py"} & offered.listed(source.path):
                 yield from _of_the_sdk(source, imported)
         else:
             yield from _of_its_own(source, imported)
@@ -132,8 +132,8 @@ def _is_made_elsewhere(source: Source, name: str) -> bool:
 
 
 def _modules(folder: Path | None) -> set[str]:
-    entries = folder.iterdir() if folder is not None else ()
-    return {entry.stem for entry in entries if entry.suffix == ".py" and entry.stem != "__init__"}
+    names = offered.listed(folder) if folder is not None else ()
+    return {name.removesuffix(".py") for name in names if name.endswith(".py")} - {"__init__"}
 
 
 def _near(name: str, choices: Iterable[str]) -> str:

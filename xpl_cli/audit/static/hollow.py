@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit.static import script_flow
-from xpl_cli.audit.static.syntax import called, constant, dotted, last
+from xpl_cli.audit.static.offered import SDK
+from xpl_cli.audit.static.syntax import called, last
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -39,6 +40,9 @@ _SAYS: Final = frozenset(
     )
 )
 """Functions that only talk, end, or read arguments."""
+_FUNCTIONS: Final = (ast.FunctionDef, ast.AsyncFunctionDef)
+_LONGEST: Final = 300
+"""Characters of a value that may be a path; longer ones are not looked at."""
 _OWN_FOLDER: Final = re.compile(
     r"""["']?\$\((?:CDPATH='' )?(?:cd (?:-- )?)?["']?\$?\(?dirname [^/]*["')\]}]+(?: && pwd(?: -P)?)?\)?["']?"""
 )
@@ -130,6 +134,8 @@ def _target(program: str, words: Sequence[Word]) -> Word | None:
 
 def _text(raw: str, folders: dict[str, str]) -> str:
     """Return the value of a variable where it is the package's folder or lies below it; "?" for others."""
+    if len(raw) > _LONGEST:
+        return "?"
     if _OWN_FOLDER.fullmatch(raw) and ".." not in raw and ("BASH_SOURCE" in raw or "$0" in raw):
         return "."
     value = _resolved(raw, folders, None)
@@ -155,24 +161,24 @@ def _works(source: Source, file: str) -> bool:
     if not source.parses(file):
         return True  # the rule `parses` tells it
     tree = source.tree(file)
-    own = {node.name for node in tree.body if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))}
-    return not all(_is_idle(statement, own) for statement in tree.body)
+    own = {node.name for node in source.nodes(file) if isinstance(node, _FUNCTIONS)}
+    calls = {called(node) or "?" for node in source.nodes(file) if isinstance(node, ast.Call)}
+    return not (all(map(_is_idle, tree.body)) and all(map(_only_says, calls - own)))
 
 
-def _is_idle(node: ast.stmt, own: set[str]) -> bool:
-    """Tell whether a statement does nothing but define, talk, take arguments or raise."""
-    if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.If, ast.With)):
+def _only_says(function: str) -> bool:
+    """Tell whether a function outside of the file only talks, ends the program, or makes an exception."""
+    name = last(function)
+    return name in _SAYS or (name == function and name.endswith(("Error", "Exception", "Exit")))
+
+
+def _is_idle(node: ast.stmt) -> bool:
+    """Tell whether a statement does nothing but define, talk, take arguments or raise, whatever it calls."""
+    if isinstance(node, (*_FUNCTIONS, ast.ClassDef, ast.If)):
         blocks = [*node.body, *(node.orelse if isinstance(node, ast.If) else [])]
-        return not getattr(node, "decorator_list", []) and all(_is_idle(statement, own) for statement in blocks)
+        return not getattr(node, "decorator_list", []) and all(map(_is_idle, blocks))
     if isinstance(node, (ast.Import, ast.ImportFrom)):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or "."]
-        return all(name.partition(".")[0] in {*sys.stdlib_module_names, "xpl"} for name in names)
-    if isinstance(node, (ast.Pass, ast.Raise)):
-        return True
-    value = node.value if isinstance(node, (ast.Expr, ast.Return, ast.Assign, ast.AnnAssign)) else ...
-    if value is None or not isinstance(value, ast.expr):
-        return value is None
-    calls = {last(called(entry)) for entry in ast.walk(value) if isinstance(entry, ast.Call)}
-    if calls:
-        return calls <= _SAYS | own
-    return constant(value) is not ... or bool(dotted(value)) or isinstance(node, ast.Assign)
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+        is_own = isinstance(node, ast.ImportFrom) and node.level > 0
+        return not is_own and all(name.partition(".")[0] in {*sys.stdlib_module_names, SDK} for name in names)
+    return isinstance(node, (ast.Pass, ast.Raise, ast.Expr, ast.Return, ast.Assign, ast.AnnAssign))

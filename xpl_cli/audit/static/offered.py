@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -75,9 +76,9 @@ def located(folder: Path, parts: Iterable[str]) -> Module | Missing | None:
         here = module.folder
         if here is None:
             return Missing(part, None)
-        inner, names = here / part, _names(here)
-        if part in names and inner.is_dir():
-            if part in _FOREIGN_NAMES or _FOREIGN & _names(inner) or not any(inner.rglob("*.py")):
+        inner, names = here / part, listed(here)
+        if part in names and os.path.isdir(inner):  # noqa: PTH112 - Path.is_dir raises where nobody may look
+            if part in _FOREIGN_NAMES or _FOREIGN & listed(inner) or not any(inner.rglob("*.py")):
                 return None
             module = Module(_file(inner, "__init__.py"), inner)
         elif f"{part}.py" in names:
@@ -179,7 +180,8 @@ def sdk_homes() -> dict[str, str]:
     return found
 
 
-def _names(folder: Path) -> frozenset[str]:
+def listed(folder: Path) -> frozenset[str]:
+    """Return the names in a folder; none where nobody may look."""
     try:
         return frozenset(entry.name for entry in folder.iterdir())
     except OSError:
@@ -187,4 +189,4 @@ def _names(folder: Path) -> frozenset[str]:
 
 
 def _file(folder: Path, name: str) -> Path | None:
-    return folder / name if name in _names(folder) else None
+    return folder / name if name in listed(folder) else None
