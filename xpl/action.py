@@ -78,8 +78,11 @@ def unpack(flat: Any, embodiment: Embodiment, action_type: str) -> dict[str, np.
     return step
 
 
-def check_step(step: Any, embodiment: Embodiment, action_type: str) -> None:
-    """Check one action step: exact keys, dimensions, finiteness, unit quaternions, gripper range.
+def check_form(step: Any, embodiment: Embodiment, action_type: str) -> np.ndarray:
+    """Check that a step is one of this robot at all: exact keys, dimensions, numbers; any values.
+
+    Returns:
+        the flat vector, as `pack` does.
 
     Raises:
         ActionError: with the first difference found.
@@ -93,7 +96,16 @@ def check_step(step: Any, embodiment: Embodiment, action_type: str) -> None:
             f"action step has {', '.join(extra)}, which {action_type} control of {embodiment.name} does not know: "
             f"expected exactly {', '.join(dims)}"
         )
-    flat = pack(step, embodiment, action_type, what="action step")
+    return pack(step, embodiment, action_type, what="action step")
+
+
+def check_step(step: Any, embodiment: Embodiment, action_type: str) -> None:
+    """Check one action step: exact keys, dimensions, finiteness, unit quaternions, gripper range.
+
+    Raises:
+        ActionError: with the first difference found.
+    """
+    flat = check_form(step, embodiment, action_type)
     if not np.isfinite(flat).all():
         bad = [key for key, values in unpack(flat, embodiment, action_type).items() if not np.isfinite(values).all()]
         raise ActionError(f"action step holds NaN or infinity in {', '.join(bad)}: every value must be finite")

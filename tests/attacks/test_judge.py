@@ -340,6 +340,48 @@ def test_a_loop_that_ends_itself_where_it_loses_gains_nothing(room: Path, end: s
     assert [line["attempt"] for line in finals.values() if line["failure"]] == [3, 3]
 
 
+_NONSENSE = """
+            for ask in (
+                lambda: env.take_action(None),
+                lambda: env.take_action({}),
+                lambda: env.take_action("arm_joint_state"),
+                lambda: env.take_action({"arm_joint_state": [[]] * 7, "ee_joint_state": [0.0]}),
+                lambda: env.take_action({"arm_joint_state": [10**400] * 7, "ee_joint_state": [0.0]}),
+                lambda: env.take_action({"arm_joint_state": [0.0] * 7, "ee_joint_state": [0.0], "x": None}),
+                lambda: env.take_action_batch(None, [0]),
+                lambda: env.take_action_batch([None], [0]),
+                lambda: env.get_obs_batch([0] * 1000),
+                lambda: env.render({}, []),
+                lambda: env.render(0, {}),
+                env.finish_episode,
+            ):
+                try:
+                    ask()
+                except Exception as error:
+                    print(type(error).__name__, error)
+            policy.call(func_name="update_obs", obs=env.get_obs())
+"""
+
+
+def test_a_loop_that_makes_its_environment_raise_where_it_loses_gains_nothing(room: Path) -> None:
+    """Nothing but actions of the robot reaches the environment, so no episode is spoilt, and played again for that."""
+    client = room / "envs" / "drill" / "client.py"
+    code = client.read_text()
+    assert "def render(self, env_idx=0, camera=None):" in code
+    code = code.replace(
+        "def render(self, env_idx=0, camera=None):",
+        "def finish_episode(self):\n        raise RuntimeError('it goes on')\n\n"
+        "    def render(self, env_idx=0, camera=None):\n        hash(camera)",
+    )
+    client.write_text(code)
+    _deploy(room, _FAILS.replace("END", _NONSENSE.strip()))
+    done = _eval(room, "--out", "run", "--episodes", "6", "--film", "0", "--json")
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    finals = records.read(room / "run").finals
+    assert [line["failure"] for line in finals.values()] == [None, None, "task"] * 2
+    assert {line["attempt"] for line in finals.values()} == {1}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [1, 9], ids=["once", "always"])
 def test_a_model_that_kills_itself_where_it_loses_gains_nothing(tmp_path: Path, times: int) -> None:

@@ -24,6 +24,7 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.film import Reel
 from xpl_cli.evaluation.lanes import blame
 from xpl_cli.evaluation.lanes.backend import Job, Outcome
+from xpl_cli.evaluation.lanes.fitting import Fitting
 from xpl_cli.evaluation.lanes.watch import Watch
 from xpl_cli.evaluation.loop.desk import LoopError
 from xpl_cli.evaluation.loop.process import Loop, LoopLostError
@@ -223,7 +224,8 @@ class Lane:
         try:
             scene = self._ready(jobs[0])
             reel = Reel(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
-            watch = Watch(scene.env, self._robot, scene.frequency, traced=jobs[0].trace, reel=reel)
+            env = Fitting(scene.env, self._robot, self._orders.settings[sdk.Deploy.ACTION_TYPE])
+            watch = Watch(env, self._robot, scene.frequency, traced=jobs[0].trace, reel=reel)
             _reset(scene.env, jobs, self._orders.num_envs)
             try:
                 client = self._connected(scene, url)

@@ -23,6 +23,7 @@ _AFTER_THE_END = 100
 _WITHOUT_A_STEP = 10_000
 """Operations between two control steps, after which a loop is taken to go on for ever."""
 _STEPS = ("take_action", "take_action_batch")
+_FINISH, _RENDER = "finish_episode", "render"
 _OF_SEVERAL = ("get_obs_batch", "take_action_batch")
 
 
@@ -131,21 +132,29 @@ class Desk:
 def _checked(env: Any, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
     """Run an operation of the environment, if its arguments are of the right form.
 
+    What an environment raises is held against the environment, so a loop must not be able to make it raise: nothing of
+    another form reaches it, nothing ends an episode that goes on, and a picture that it cannot draw is only refused.
+
     Raises:
-        TypeError: they are not.
+        TypeError, ValueError: they are not.
     """
     function: Callable[..., Any] | None = getattr(env, operation, None)
     if function is None:
-        if operation == "finish_episode":  # which few environments want to hear of
+        if operation == _FINISH:  # which few environments want to hear of
             return None
         raise AttributeError(f"this environment has no {operation}")
     if options:
         raise TypeError(f"{operation} was given {', '.join(map(str, options))} by name")
     if operation in _OF_SEVERAL:
-        indices = arguments[1 if operation in _STEPS else 0] if len(arguments) == 2 else ()
-        if indices is not None and not (isinstance(indices, list) and all(type(index) is int for index in indices)):
-            raise TypeError(f"{operation} takes a list of indices of environments, got {indices!r:.80}")
-    return function(*arguments)
+        _check_lists(operation, arguments)
+    if operation == _FINISH and env.get_running_env_idx_list():
+        return None
+    try:
+        return function(*arguments)
+    except EnvRaisedError as error:
+        if operation == _RENDER:  # which changes nothing: the environment goes on
+            raise ValueError(str(error)) from None
+        raise
 
 
 def _told(error: Exception) -> dict[str, Any]:
@@ -156,3 +165,18 @@ def _told(error: Exception) -> dict[str, Any]:
     kinds = (ActionError, ClientError, AttributeError, TypeError, ValueError)
     name = next(kind.__name__ for kind in kinds if isinstance(error, kind))
     return {"type": name, "message": str(error)}
+
+
+def _check_lists(operation: str, arguments: list[Any]) -> None:
+    """Check the lists that an operation of several environments takes.
+
+    Raises:
+        TypeError, ValueError: they are none, or name an environment twice.
+    """
+    indices = arguments[1 if operation in _STEPS else 0] if len(arguments) == 2 else ()
+    if indices is not None and not (isinstance(indices, list) and all(type(index) is int for index in indices)):
+        raise TypeError(f"{operation} takes a list of indices of environments, got {indices!r:.80}")
+    if indices is not None and len(set(indices)) != len(indices):
+        raise ValueError(f"{operation} takes each environment once, got {indices!r:.80}")
+    if operation in _STEPS and not isinstance(arguments[0], list):
+        raise TypeError(f"{operation} takes a list of actions, got {type(arguments[0]).__name__}")
