@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
 import shutil
 import socket
+import stat
 import subprocess
 import sys
 import tempfile
@@ -20,12 +22,14 @@ import pytest
 from tests.support import breakout
 from tests.support.peer import DEADLINE_S
 from xpl import Client
+from xpl_cli.basics.errors import UserError
 from xpl_cli.isolation import plan, sandbox, seccomp
 
 if TYPE_CHECKING:
     from xpl_cli.serving.launch import RunningServer
 
 _NOBODY = 65534
+_LANDLOCK_CREATE, _ITS_VERSION = 444, 1  # landlock_create_ruleset(2): asked like this, it tells its version
 _SHARED = Path("/dev/shm")  # noqa: S108 - what is tried
 
 
@@ -70,12 +74,29 @@ def _left_outside(mark: str) -> Iterator[dict[str, Any]]:
             listener.listen()
             listeners.append(address.replace("\0", "@"))
         stack.callback(lambda: Path(f"/tmp/{mark}.socket").unlink())  # noqa: S108
+        mailboxes = []
+        for address in (f"\0{mark}.mail", str(elsewhere / "mail")):
+            mailbox = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            mailbox.bind(address)
+            mailboxes.append(address.replace("\0", "@"))
+        pipe = elsewhere / "pipe"
+        os.mkfifo(pipe)
+        stack.callback(os.close, os.open(pipe, os.O_RDONLY | os.O_NONBLOCK))
+        device = elsewhere / "zero"
+        with contextlib.suppress(OSError):
+            os.mknod(device, 0o666 | stat.S_IFCHR, os.makedev(1, 5))
+        for path in elsewhere.iterdir():
+            path.chmod(0o777)
         port = stack.enter_context(socket.create_server(("::", 0), family=socket.AF_INET6, dualstack_ipv6=True))
         victim = stack.enter_context(subprocess.Popen([sys.executable, "-c", "input()", mark], stdin=subprocess.PIPE))
         stack.callback(victim.kill)
         yield {
             "hidden": hidden,
             "sockets": listeners,
+            "mailboxes": mailboxes,
+            "pipe": str(pipe),
+            "device": str(device) if device.exists() else None,
+            "landlock": ctypes.CDLL(None).syscall(_LANDLOCK_CREATE, None, 0, _ITS_VERSION) > 0,
             "port": port.getsockname()[1],
             "victim": mark,
             "pid": victim.pid,
@@ -192,3 +213,21 @@ def test_numpy_and_mujoco_work_inside(
         height, norm = client.infer({})
     assert height < 0
     assert norm == 64 * 8
+
+
+def test_what_an_adapter_leaves_in_its_folder_is_out_of_the_reach_of_others(tmp_path: Path) -> None:
+    """It may open its own folder to all and put a set-uid program there: nobody else can enter the one above."""
+    program = (
+        "import os, sys; top = sys.argv[1]; os.chmod(top, 0o777); open(top + '/left', 'w').close();"
+        "os.chmod(top + '/left', 0o4777)\n"
+        "try: os.chmod(os.path.dirname(top), 0o777)\nexcept OSError: pass"
+    )
+    with contextlib.ExitStack() as stack:
+        try:
+            way = stack.enter_context(sandbox.isolated(tmp_path))
+        except UserError as error:
+            pytest.skip(str(error))
+        assert way.folder is not None
+        subprocess.run([*way.prefix, sys.executable, "-I", "-S", "-c", program, str(way.folder)], check=True)
+        assert (way.folder / "left").exists()
+        assert way.folder.parent.stat().st_mode & 0o777 == 0o700

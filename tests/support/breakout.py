@@ -60,6 +60,43 @@ def _write(path: str) -> str | None:
     return _fails(lambda: Path(path).write_text("left", encoding="ascii"))
 
 
+@attack
+def _write_into_a_named_pipe() -> str | None:
+    if not _KNOWN["landlock"]:
+        return None
+    return _fails(lambda: os.write(os.open(_KNOWN["pipe"], os.O_WRONLY | os.O_NONBLOCK), b"left"))
+
+
+@attack
+def _open_a_device_that_lies_elsewhere() -> str | None:
+    return None if _KNOWN["device"] is None else _fails(lambda: os.open(_KNOWN["device"], os.O_RDONLY))
+
+
+@attack
+def _send_from_one_end_of_a_pair() -> str | None:
+    for kind in (socket.SOCK_DGRAM, socket.SOCK_RAW, socket.SOCK_STREAM, socket.SOCK_SEQPACKET):
+        for address in _KNOWN["mailboxes"]:
+            for way in ("sendto", "connect", "sendmsg"):
+                with contextlib.suppress(OSError):
+                    one, other = socket.socketpair(socket.AF_UNIX, kind)
+                    with one, other:
+                        _address(one, way, address.replace("@", "\0"))
+                        other.setblocking(False)
+                        if kind == socket.SOCK_SEQPACKET and other.recv(8) == b"left":
+                            continue  # these ignore an address: it went to the other end
+                        return f"a pair of kind {int(kind)} reached {address}"
+    return None
+
+
+def _address(one: socket.socket, way: str, address: str) -> None:
+    if way == "connect":
+        one.connect(address)
+    elif way == "sendto":
+        one.sendto(b"left", address)
+    else:
+        one.sendmsg([b"left"], [], 0, address)
+
+
 # -- files -------------------------------------------------------------------------------------------------------------
 
 

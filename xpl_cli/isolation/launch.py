@@ -7,7 +7,8 @@ It runs by itself, with the standard library and nothing of the tool, so that it
 started waits: below it is the first process of a PID namespace, which reaps orphans, and below that the command. If any
 of the two ends, the kernel ends everything in the namespace.
 
-Sources: namespaces(7), user_namespaces(7), pid_namespaces(7), mount_setattr(2), capabilities(7), seccomp(2), keyctl(2).
+Sources: namespaces(7), user_namespaces(7), pid_namespaces(7), mount_setattr(2), capabilities(7), seccomp(2), keyctl(2),
+landlock(7).
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ _SET_PDEATHSIG, _SET_DUMPABLE, _SET_SECCOMP, _CAPBSET_DROP, _SET_NO_NEW_PRIVS, _
 _FILTER, _CLEAR_ALL = 2, 4
 _CAPABILITY_VERSION = 0x20080522
 _JOIN_SESSION_KEYRING = 1
+_LANDLOCK_CREATE, _LANDLOCK_ADD, _LANDLOCK_RESTRICT, _WRITE_FILE = 444, 445, 446, 1 << 1  # on every architecture
 _PROCESSES = 8192
 _PIDS = range(300, 30_000)
 _DESCRIPTORS = 1 << 16
@@ -54,6 +56,9 @@ def main(arguments: Sequence[str]) -> NoReturn:
     split = arguments.index("--")
     plan, command = json.loads(arguments[0]), list(arguments[split + 1 :])
     try:
+        if "writable" in plan:  # the last step, inside of bubblewrap
+            _write_only_below(plan["writable"])
+            os.execvp(command[0], command)  # noqa: S606 - it is what this file is for
         _prctl(_SET_PDEATHSIG, signal.SIGKILL, "die with parent")
         if plan["isolate"]:
             _bound(plan["keyctl"])
@@ -75,7 +80,12 @@ def _give_up(error: OSError) -> NoReturn:
 
 def _by_bubblewrap(plan: Mapping[str, Any], command: Sequence[str]) -> NoReturn:
     program, *options = plan["bubblewrap"]
-    for path in _needed(plan, command):
+    needed = _needed(plan, command)
+    if plan["isolate"]:
+        last_step = [sys.executable, "-I", "-S", __file__, json.dumps({"writable": _writable(plan)}), "--"]
+        needed = sorted({*needed, *_needed(plan, last_step)})
+        command = [*last_step, *command]
+    for path in needed:
         options += ["--ro-bind", path, path]
     options += plan["last"]
     if plan["filter"]:
@@ -135,6 +145,8 @@ def _first_process(plan: Mapping[str, Any], command: Sequence[str], alive: int) 
         _drop_privileges()
     if started == 0:
         os.setsid()
+        if plan["isolate"]:
+            _write_only_below(_writable(plan))
         if plan["filter"]:
             _filter(bytes.fromhex(plan["filter"]))
         os.execvp(command[0], list(command))  # noqa: S606 - it is what this file is for
@@ -169,7 +181,7 @@ def _private_view(plan: Mapping[str, Any], needed: Sequence[str]) -> None:
     checkout, folder, masked = plan["checkout"], plan["folder"], plan["masked"]
     _mount("none", "/", _REC | _PRIVATE)
     _mount(folder, folder, _BIND | _REC)
-    _set_read_only("/", on=True, whole=True)
+    _set_attributes("/", _READ_ONLY | _NOSUID | _NODEV, whole=True)
     _set_read_only(folder, on=False)
     # Held open, because they may lie below what is masked.
     again = {path: os.open(path, os.O_PATH | os.O_CLOEXEC) for path in (*needed, folder, checkout)}
@@ -179,6 +191,7 @@ def _private_view(plan: Mapping[str, Any], needed: Sequence[str]) -> None:
     _temporary("/dev", "mode=755,size=1m")
     for path, file in devices.items():
         _show(path, file)
+        _set_attributes(path, without=_NODEV)
     for name, target in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
         Path(f"/dev/{name}").symlink_to(f"/proc/self/fd{target}")
     Path("/dev/shm").mkdir()  # noqa: S108 - the place that programs expect, private here
@@ -262,6 +275,28 @@ def _drop_privileges() -> None:
     _check(_libc.capset(header, none), "capset")
 
 
+def _writable(plan: Mapping[str, Any]) -> list[str]:
+    """Return below which folders something may be written to at all."""
+    return [plan["folder"], "/dev", "/proc"]
+
+
+def _write_only_below(folders: Sequence[str]) -> None:
+    """Refuse to open anything elsewhere for writing (Landlock): named pipes, which a read-only mount leaves open."""
+    _prctl(_SET_NO_NEW_PRIVS, 1, "no_new_privs")
+    handled = struct.pack("=Q", _WRITE_FILE)
+    rules = _libc.syscall(ctypes.c_long(_LANDLOCK_CREATE), handled, ctypes.c_size_t(len(handled)), ctypes.c_uint(0))
+    if rules < 0:  # a kernel without Landlock; docs/serving.md says what is not promised then
+        return
+    for folder in folders:
+        file = os.open(folder, os.O_PATH | os.O_CLOEXEC)
+        rule = struct.pack("=Qi", _WRITE_FILE, file)
+        told = _libc.syscall(ctypes.c_long(_LANDLOCK_ADD), ctypes.c_int(rules), ctypes.c_int(1), rule, ctypes.c_uint(0))
+        os.close(file)
+        _check(told, f"landlock {folder}")
+    _check(_libc.syscall(ctypes.c_long(_LANDLOCK_RESTRICT), ctypes.c_int(rules), ctypes.c_uint(0)), "landlock")
+    os.close(rules)
+
+
 def _filter(program: bytes) -> None:
     lines = ctypes.create_string_buffer(program, len(program))
     whole = struct.pack("@HP", len(program) // 8, ctypes.addressof(lines))
@@ -285,15 +320,20 @@ def _mount(source: str, target: str, flags: int, kind: str | None = None, option
     _check(_libc.mount(*given, ctypes.c_ulong(flags), data), f"mount {target}")
 
 
-def _set_read_only(path: str, *, on: bool, whole: bool = False) -> None:
-    attributes = struct.pack("=4Q", _READ_ONLY * on, _READ_ONLY * (not on), 0, 0)
+def _set_read_only(path: str, *, on: bool) -> None:
+    _set_attributes(path, _READ_ONLY * on, without=_READ_ONLY * (not on))
+
+
+def _set_attributes(path: str, attributes: int = 0, *, without: int = 0, whole: bool = False) -> None:
+    """Set and clear attributes of a mount, of all below it too if it is whole; MOUNT_ATTR_* are MS_* for these."""
+    asked = struct.pack("=4Q", attributes, without, 0, 0)
     result = _libc.syscall(
         ctypes.c_long(_MOUNT_SETATTR),
         ctypes.c_int(_HERE),
         os.fsencode(path),
         ctypes.c_uint(_RECURSIVE * whole),
-        attributes,
-        ctypes.c_size_t(len(attributes)),
+        asked,
+        ctypes.c_size_t(len(asked)),
     )
     _check(result, f"mount_setattr {path}")
 

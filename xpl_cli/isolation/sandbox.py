@@ -161,7 +161,10 @@ def isolated(checkout: Path, proven: str | None = None) -> Iterator[Isolation]:
         UserError: if none works here, with the reason of each; exit code 4.
     """
     with tempfile.TemporaryDirectory(prefix="xpl-isolated-") as name:
-        folder = Path(name).resolve()
+        # One deeper than what only this user may enter: what the adapter makes of its folder's rights, and a set-uid
+        # program in it, is then nothing that another user of the machine could get at.
+        folder = Path(name).resolve() / "own"
+        folder.mkdir()
         refused = []
         for way, prefix in _WAYS.items():
             found = prefix(checkout=checkout.resolve(), folder=folder)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import platform
 import struct
+from collections.abc import Sequence
 
 SYSCALLS: dict[str, tuple[int | None, int | None]] = {
     # what others keep: keys, memory and descriptors of other processes
@@ -88,7 +89,7 @@ _NEW_NAMESPACES = 0x7E020000  # CLONE_NEW*: cgroup, UTS, IPC, user, PID, network
 _UNIX, _INET, _INET6, _NETLINK = 1, 2, 10, 16
 _TERMINAL_INPUT = (0x5412, 0x541C)  # TIOCSTI, TIOCLINUX: typing into somebody's terminal
 
-_SEQUENCED, _KIND = 5, 0xF  # SOCK_SEQPACKET, and the bits of a socket's kind
+_STREAM, _SEQUENCED, _KIND = 1, 5, 0xF  # SOCK_STREAM, SOCK_SEQPACKET, and the bits of a socket's kind
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _AND, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x54, 0x06
 _ALLOW, _ERROR = 0x7FFF0000, 0x00050000
 _NUMBER, _ARCHITECTURE, _FIRST, _SECOND = 0, 4, 16, 24  # offsets in struct seccomp_data, little endian
@@ -127,7 +128,7 @@ def program(*, cuda: bool = False) -> bytes | None:
     # A socket with a name could reach one of the host that lies anywhere in the file system; pairs have no name.
     sockets = _only(_INET, _INET6, _NETLINK)
     lines += _looked_at("socket", place, _FIRST, [*(_CUDA_SOCKET if cuda else ()), *sockets])
-    lines += _looked_at("socketpair", place, _FIRST, _only(_UNIX))
+    lines += _looked_at("socketpair", place, _FIRST, _PAIRS)
     refused = [line for code in _TERMINAL_INPUT for line in ((_EQUAL, 0, 1, code), _refuse(errno.EPERM))]
     lines += _looked_at("ioctl", place, _SECOND, refused)
     lines.append((_RETURN, 0, 0, _ALLOW))
@@ -145,6 +146,17 @@ _CUDA_SOCKET: tuple[_Line, ...] = (
     (_RETURN, 0, 0, _ALLOW),
     (_RETURN, 0, 0, _ERROR | errno.EAFNOSUPPORT),
 )
+# Pairs that stay connected to each other. One of datagrams could be pointed at any named socket of the host afterwards,
+# by an address in memory, where a filter cannot read it.
+_PAIRS: tuple[_Line, ...] = (
+    (_EQUAL, 0, 4, _UNIX),
+    (_LOAD, 0, 0, _SECOND),
+    (_AND, 0, 0, _KIND),
+    (_EQUAL, 2, 0, _STREAM),
+    (_EQUAL, 1, 0, _SEQUENCED),
+    (_RETURN, 0, 0, _ERROR | errno.EAFNOSUPPORT),
+    (_RETURN, 0, 0, _ALLOW),
+)
 
 
 def _refuse(code: int) -> _Line:
@@ -157,7 +169,7 @@ def _only(*families: int) -> list[_Line]:
     return [*allowed, _refuse(errno.EAFNOSUPPORT)]
 
 
-def _looked_at(name: str, place: int, argument: int, lines: list[_Line]) -> list[_Line]:
+def _looked_at(name: str, place: int, argument: int, lines: Sequence[_Line]) -> list[_Line]:
     """Load an argument of one call and go through lines; what they do not decide is allowed."""
     inside = [(_LOAD, 0, 0, argument), *lines, (_RETURN, 0, 0, _ALLOW)]
     return [(_EQUAL, 0, len(inside), SYSCALLS[name][place]), *inside]
