@@ -240,6 +240,32 @@ def test_what_the_caller_set_for_its_own_git_does_not_lead_elsewhere(
     assert changed(repository) == ["Foo"]
 
 
+def test_nothing_in_a_repository_moves_the_place_where_a_branch_began(repository: Path) -> None:
+    """Grafts give a commit other parents, and replacements another content: what came before would be nobody's."""
+    start = git(repository, "rev-parse", "main")
+    (repository / "policy/Foo/model.py").write_text("VALUE = 2\n")
+    git(repository, "commit", "--quiet", "-am", "evil")
+    git(repository, "commit", "--quiet", "--allow-empty", "-m", "harmless")
+    top = git(repository, "rev-parse", "HEAD")
+    (repository / ".git/info").mkdir(exist_ok=True)
+    (repository / ".git/info/grafts").write_text(f"{start} {top}\n")
+    git(repository, "replace", f"{start}^{{tree}}", f"{top}^{{tree}}")
+    assert git(repository, "merge-base", "main", "HEAD") == top, "the attack is one"
+    assert changed(repository) == ["Foo"]
+    assert [touched.place for touched in change_since("main", Repository.of(repository)).packages] == ["policy/Foo"]
+
+
+@pytest.mark.parametrize("place", ["vendor/lib", "policy/Bar", "envs/bar"])
+def test_a_package_that_is_run_has_changed_with_any_of_its_files(repository: Path, place: str) -> None:
+    """The static gate reads its boundary only, but the model imports what it likes."""
+    hidden = repository / "policy/Foo" / place / "model.py"
+    hidden.parent.mkdir(parents=True)
+    hidden.write_text("VALUE = 2\n")
+    target = find_target(repository / "policy/Foo")
+    assert select_changed("main", [target], is_run=True) == [target]
+    assert select_changed("main", [target]) == []
+
+
 def test_git_is_asked_for_nothing_that_writes_or_compares(repository: Path) -> None:
     """Whoever wants `git diff` has to argue with this test."""
     asked = Git(repository / ".git", repository)

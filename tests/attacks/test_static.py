@@ -95,6 +95,9 @@ REFUSED = {
         b"a0: &a0 {x: 1}\n" + b"".join(b"a%d: &a%d {<<: *a%d}\n" % (n, n, n - 1) for n in range(1, 500)),
         "nested more than 100 levels deep",
     ),
+    "digits.yml": (b"a: " + b"9" * NESTED, "a number of 5000 characters"),
+    "hexadecimal.yml": (b"a: 0x" + b"f" * NESTED, "a number of 5002 characters"),
+    "binary.yml": (b"a: 0b" + b"1" * NESTED, "a number of 5002 characters"),
     "deep.yml": (b"a: " + b"[" * NESTED + b"]" * NESTED, "nested more than 100 levels deep"),
 }
 DOUBLED = b"a0=x\n" + b"".join(b"a%d=$a%d$a%d\n" % (n, n - 1, n - 1) for n in range(1, 60)) + b"sh $a59.py\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,6 +11,7 @@ from xpl_cli.agents.status.steps import State, Step, steps
 from xpl_cli.audit.engine import cache
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.static.source import Source
+from xpl_cli.basics.strangers import command, one_line
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
@@ -66,8 +66,8 @@ class Standing:
             return _evaluations(self.target, self.runs)
         gates = [step for step in unsettled if step.name in _GATE_NAMES]
         chosen = [step for step in unsettled if step not in gates[1:]]
-        commands = list(dict.fromkeys(command for step in chosen for command in step.commands))
-        return commands or [shlex.join(["xpl", "audit", self.target.shown])]
+        commands = list(dict.fromkeys(each for step in chosen for each in step.commands))
+        return commands or [command(["xpl", "audit", self.target.shown])]
 
     def as_json(self) -> dict[str, Any]:
         """Return it as one of `packages` of the answer."""
@@ -101,9 +101,9 @@ def memory_folder() -> Path | None:
 
 def document(standings: Sequence[Standing]) -> dict[str, Any]:
     """Return the answer `xpl.status/1`."""
-    following = dict.fromkeys(command for one in standings for command in one.following)
+    following = dict.fromkeys(each for one in standings for each in one.following)
     if len(standings) > 1:
-        following = dict.fromkeys(shlex.join(["xpl", "status", one.target.shown]) for one in _unsettled(standings))
+        following = dict.fromkeys(command(["xpl", "status", one.target.shown]) for one in _unsettled(standings))
     return {"schema": SCHEMA, "packages": [one.as_json() for one in standings], "next": list(following)}
 
 
@@ -111,31 +111,33 @@ def text(standings: Sequence[Standing]) -> str:
     """Return the answer for people: a package by its steps, several by a line each."""
     if len(standings) == 1:
         return "\n".join(_detailed(standings[0]))
-    width = max(len(one.target.shown) for one in standings)
+    names = {id(one): one_line(one.target.shown) for one in standings}
+    width = max(map(len, names.values()))
     lines = [
-        f"{one.verdict.upper():<10}  {one.target.shown:<{width}}  {one.stage or ''}".rstrip()
+        f"{one.verdict.upper():<10}  {names[id(one)]:<{width}}  {one.stage or ''}".rstrip()
         for one in sorted(standings, key=lambda one: one.stage is None)[:_MOST_LINES]
     ]
     if len(standings) > _MOST_LINES:
         lines.append(f"and {len(standings) - _MOST_LINES} more: --json has all")
     following = document(standings)["next"][:3]
-    return "\n".join([*lines, *(["next", *(f"  {command}" for command in following)] if following else [])])
+    return "\n".join([*lines, *(["next", *(f"  {each}" for each in following)] if following else [])])
 
 
 def _detailed(one: Standing) -> list[str]:
     shown = [step for step in one.steps if step.name != "update" or not step.is_settled]
-    lines = [f"{one.target.path.name}  {one.target.shown}  {one.version}"]
+    lines = ["  ".join(map(one_line, (one.target.path.name, one.target.shown, str(one.version))))]
     for step in shown:
         when = f" ({step.when})" if step.when else ""
-        lines.append(f"  {_MARKS[step.state]:<7}  {step.name:<12}  {step.detail}{when}")
+        lines.append(f"  {_MARKS[step.state]:<7}  {step.name:<12}  {one_line(step.detail)}{when}")
     for run in one.runs[:_MOST_RUNS]:
         told = f", {run.unplayed} still to play" if run.unplayed else ""
         lines.append(
-            f"  run      {run.path}: {_COURSES[run.state]}, {run.episodes} episodes in {run.environment}{told}"
+            f"  run      {one_line(run.path)}: {_COURSES[run.state]}, {run.episodes} episodes in "
+            f"{one_line(run.environment)}{told}"
         )
     stage = f" at {one.stage}" if one.stage else ""
     lines.append(f"stands  {one.verdict.upper()}{stage}")
-    return [*lines, *(["next", *(f"  {command}" for command in one.following)] if one.following else [])]
+    return [*lines, *(["next", *(f"  {each}" for each in one.following)] if one.following else [])]
 
 
 def _unsettled(standings: Sequence[Standing]) -> list[Standing]:
@@ -148,11 +150,11 @@ def _evaluations(target: Target, runs: Sequence[Recorded]) -> list[str]:
         return []
     broken = [run for run in runs if run.state is Course.INTERRUPTED]
     if broken:
-        return [shlex.join(["xpl", "eval", target.shown, "--out", run.path, "--resume"]) for run in broken]
+        return [command(["xpl", "eval", target.shown, "--out", run.path, "--resume"]) for run in broken]
     complete = [run.path for run in runs if run.state is Course.COMPLETE]
     if complete:
-        return [shlex.join(["xpl", "report", *complete[:1]])]
-    return [shlex.join(["xpl", "eval", target.shown, "--env", "mujoco", "--episodes", str(_EPISODES)])]
+        return [command(["xpl", "report", *complete[:1]])]
+    return [command(["xpl", "eval", target.shown, "--env", "mujoco", "--episodes", str(_EPISODES)])]
 
 
 def _step_json(step: Step) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -15,6 +14,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import NotRun, Outcome
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.errors import UserError
+from xpl_cli.basics.strangers import command
 from xpl_cli.packages import package
 from xpl_cli.standard import spec
 
@@ -88,7 +88,7 @@ def steps(target: Target, source: Source, remembered: Mapping[str, Remembered]) 
         source: its files.
         remembered: what the last audits found, by gate.
     """
-    shown = shlex.quote(target.shown)
+    shown = command((target.shown,))
     try:
         yield _update(target.path, shown)
         loaded, manifest = _read(target)
@@ -128,7 +128,7 @@ def _broken(error: UserError, shown: str) -> Step:
 
     text = " ".join(str(error).split())
     if isinstance(error, ManifestError):
-        return Step("manifest", State.FAILED, text, (f"xpl spec validate {shlex.quote(str(error.path))}",))
+        return Step("manifest", State.FAILED, text, (f"xpl spec validate {command((str(error.path),))}",))
     return Step("manifest", State.FAILED, text, (f"xpl audit {shown} --gate {Gate.STATIC}",))
 
 
@@ -182,8 +182,8 @@ def _checkpoint(loaded: Package, shown: str) -> Step:
         return Step("checkpoint", State.FAILED, str(error))
     if path is not None:
         return Step("checkpoint", State.DONE, f"{wanted.name}: {path}")
-    command = f"xpl checkpoint fetch {shown} {shlex.quote(wanted.name)}"
-    return Step("checkpoint", State.OPEN, f"{wanted.name} was not fetched", (command,))
+    next_step = f"xpl checkpoint fetch {shown} {command((wanted.name,))}"
+    return Step("checkpoint", State.OPEN, f"{wanted.name} was not fetched", (next_step,))
 
 
 def _gate(gate: Gate, last: Remembered | None, now: str, shown: str) -> Step:
@@ -191,7 +191,7 @@ def _gate(gate: Gate, last: Remembered | None, now: str, shown: str) -> Step:
     name = gate.value
     if last is None:
         return Step(name, State.OPEN, "not audited yet", (f"xpl audit {shown}",))
-    again = shlex.join(["xpl", "audit", *shlex.split(shown), *last.options])
+    again = " ".join(["xpl", "audit", shown, command(last.options)]).rstrip()
     if last.source != now or last.tool != __version__:
         why = "files changed since" if last.source != now else f"by xpl {last.tool}, and this is {__version__}"
         return Step(name, State.STALE, f"{_word(last.outcome)} once: {why}", (again,), last.when)

@@ -1,4 +1,4 @@
-"""Which packages changed since a commit, judged by the files that an audit reads."""
+"""Which packages changed since a commit, judged by the files that an audit reads or runs."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from xpl_cli.packages.targets import Target
 
 
-def select_changed(ref: str, targets: Iterable[Target]) -> list[Target]:
-    """Return the packages with a boundary file that differs from where the working tree left a commit's history.
+def select_changed(ref: str, targets: Iterable[Target], *, is_run: bool = False) -> list[Target]:
+    """Return the packages with a file that differs from where the working tree left a commit's history.
 
     That is the merge base of the commit and HEAD: what others changed there meanwhile does not count. Files that are
     not committed, or not even added, do. Of files that are gone nobody can say whether they were read: each counts.
@@ -23,6 +23,8 @@ def select_changed(ref: str, targets: Iterable[Target]) -> list[Target]:
     Args:
         ref: a branch, tag or commit.
         targets: packages.
+        is_run: whether the audit runs them, so that each of their files counts; else those of the boundary, which are
+            all that it reads.
 
     Raises:
         UserError: if a package lies in no git repository, or in one inside another one, if there is no such commit
@@ -32,14 +34,16 @@ def select_changed(ref: str, targets: Iterable[Target]) -> list[Target]:
     held: dict[Repository, list[Target]] = {}
     for target in targets:
         held.setdefault(Repository.of_package(target.path, here), []).append(target)
-    changed = {target for repository, inside in held.items() for target in _changed_in(repository, ref, inside)}
+    changed = {
+        target for repository, inside in held.items() for target in _changed_in(repository, ref, inside, is_run=is_run)
+    }
     return [target for target in targets if target in changed]
 
 
-def _changed_in(repository: Repository, ref: str, targets: list[Target]) -> Iterator[Target]:
+def _changed_in(repository: Repository, ref: str, targets: list[Target], *, is_run: bool) -> Iterator[Target]:
     paths = repository.changed(repository.base(ref), [target.path for target in targets])
     for target in targets:
         names = {path.relative_to(target.path).as_posix() for path in paths if path.is_relative_to(target.path)}
         present = {name for name in names if (target.path / name).is_file()}
-        if names - present or present.intersection(Source(target.path).files):
+        if names - present or (is_run and names) or present.intersection(Source(target.path).files):
             yield target

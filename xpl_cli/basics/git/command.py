@@ -34,6 +34,7 @@ _OVERRULED: Final = {
 }
 _ENVIRONMENT: Final = {
     "GIT_ALLOW_PROTOCOL": "none",  # stronger than `protocol.NAME.allow`; a missing object is not fetched
+    "GIT_GRAFT_FILE": os.devnull,  # else .git/info/grafts says where a branch began
     "GIT_NO_LAZY_FETCH": "1",
     "GIT_NO_REPLACE_OBJECTS": "1",
     "GIT_OPTIONAL_LOCKS": "0",

@@ -20,6 +20,9 @@ _MOST_LEVELS: Final = 100
 _MOST_VALUES: Final = 100_000
 _MOST_DIGITS: Final = 400
 
+_LONG_NUMBER: Final = re.compile(rf"[\da-fA-FxX_:.,]{{{_MOST_DIGITS}}}")
+"""What may be one, hexadecimal ones included: Python reads those of any length, and writes none of them out."""
+
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 # What YAML allows as a character (YAML 1.1, 5.1), without the byte-order mark's meaning.
 _FORBIDDEN: Final = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -125,7 +128,7 @@ def _survey(text: str) -> bool:
         if depth > _MOST_LEVELS:
             raise _at(f"nested more than {_MOST_LEVELS} levels deep", event)
         aliases = aliases or isinstance(event, yaml.AliasEvent)
-    return aliases or re.search(rf"[\d_:.,]{{{_MOST_DIGITS}}}", text) is not None
+    return aliases or _LONG_NUMBER.search(text) is not None
 
 
 def _composed(text: str) -> yaml.Node | None:

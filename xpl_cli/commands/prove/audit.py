@@ -106,7 +106,7 @@ def audit(
         from xpl_cli.audit.physics.simulation import check_tasks
 
         check_tasks(task)
-    targets = _targets(paths or (), changed_since, every=every)
+    targets = _targets(paths or (), changed_since, every=every, is_run=set(gate or ()) != {Gate.STATIC})
     sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
     with progress() as say, _new_folder(trace):
         options = Options(
@@ -171,7 +171,7 @@ def audit(
     raise typer.Exit(int(forgiving if exit_zero else exit_code(reports, Outcome(fail_on))))
 
 
-def _targets(paths: Iterable[Path], changed_since: str | None, *, every: bool) -> list[Target]:
+def _targets(paths: Iterable[Path], changed_since: str | None, *, every: bool, is_run: bool) -> list[Target]:
     """Return the packages that are audited: all that were asked for, or those of them that changed since a commit."""
     from xpl_cli.packages.targets import asked
 
@@ -180,7 +180,7 @@ def _targets(paths: Iterable[Path], changed_since: str | None, *, every: bool) -
         return targets
     from xpl_cli.audit.engine.changed import select_changed
 
-    return select_changed(changed_since, targets)
+    return select_changed(changed_since, targets, is_run=is_run)
 
 
 def _remember(targets: list[Target], reports: list[TargetReport], context: Context) -> None:
