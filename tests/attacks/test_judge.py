@@ -164,6 +164,9 @@ class _World:
         self.left -= 1
         return {"step": 3 - self.left}
 
+    def results(self) -> list[dict[str, Any]]:
+        return [{"env_idx": 0, "seed": 4, "success": False, "layout": {"cube": [0.1, 0.2]}, "digest": "ab", "steps": 0}]
+
     def reset(self) -> None:
         self.asked.append("reset")
 
@@ -213,6 +216,11 @@ def test_a_loop_plays_through_stand_ins_and_images_travel_once(stage: _Stage) ->
     changed = "obs = env.get_obs()\nobs['vision']['cam_head']['color'] = obs['vision']['cam_head']['color'] + 1\n"
     world = stage.play(f"{changed}policy.call(func_name='update_obs', obs=obs)")
     np.testing.assert_array_equal(world.shown["vision"]["cam_head"]["color"], world.image + 1)
+
+
+def test_a_loop_is_not_told_where_things_are(stage: _Stage) -> None:
+    """Nor which seed it plays: an oracle would win where a policy has to look."""
+    stage.play("told = env.results()\nassert told == [{'env_idx': 0, 'success': False, 'steps': 0}], told")
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,9 @@ _AFTER_THE_END = 100
 _WITHOUT_A_STEP = 10_000
 """Operations between two control steps, after which a loop is taken to go on for ever."""
 _STEPS = ("take_action", "take_action_batch")
-_FINISH, _RENDER = "finish_episode", "render"
+_FINISH, _RENDER, _RESULTS = "finish_episode", "render", "results"
+_WITHHELD = ("layout", "seed", "digest")
+"""Of an outcome: where things are, or what tells it. A loop sees what cameras and robot show: an oracle would win."""
 _OF_SEVERAL = ("get_obs_batch", "take_action_batch")
 
 
@@ -89,7 +91,8 @@ class Desk:
         """Run an operation and return what it returns; what refuses it is kept for the loop."""
         try:
             if whom == TASK_ENV:
-                return _checked(self._env, operation, arguments, options)
+                value = _checked(self._env, operation, arguments, options)
+                return [_without_secrets(told) for told in value] if operation == _RESULTS else value
             return getattr(self._client, operation)(*arguments, **options)
         except (ActionError, ClientError, ValueError, TypeError, AttributeError) as error:
             if isinstance(error, ClientError) and error.spoils_trial:
@@ -127,6 +130,11 @@ class Desk:
                 if running
                 else "its evaluation loop does not notice that the episode has ended, and goes on for ever"
             )
+
+
+def _without_secrets(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a loop is told of the outcome of an episode."""
+    return {key: value for key, value in told.items() if key not in _WITHHELD}
 
 
 def _checked(env: Any, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
