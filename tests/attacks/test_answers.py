@@ -47,6 +47,35 @@ MODEL = """
     class Endless(dict):
         def items(self): raise Stops
 
+    class Hidden(type):
+        def __getattribute__(self, name):
+            if name in ("__name__", "__qualname__", "__module__"): raise ValueError("no name")
+            return type.__getattribute__(self, name)
+
+    class Nameless(Exception, metaclass=Hidden): pass
+
+    class Crowd(Exception):
+        def __init__(self, members): self.exceptions = members
+
+    def crowd():
+        error = ValueError("the last")
+        for _ in range(40): error = Group("crowd", [error, error])
+        return error
+
+    Group = getattr(__builtins__, "ExceptionGroup", None) or (
+        __builtins__.get("ExceptionGroup") if isinstance(__builtins__, dict) else None) or (lambda _, all: Crowd(all))
+
+    def chain():
+        error = None
+        for number in range(20_000):
+            error, before = ValueError(number), error
+            error.__cause__ = before
+        return error
+
+    def from_nowhere():
+        try: exec(compile("raise ValueError('from nowhere')", "/dev/zero", "exec"))
+        except ValueError as error: return error
+
     def loop():
         error = ValueError("a circle")
         error.__cause__ = ValueError("again")
@@ -74,6 +103,10 @@ MODEL = """
         "loop": loop,
         "escapes": lambda: ValueError("\\x1b[31mred\\n[server] all is well\\nerror: forged"),
         "unicode": lambda: "\\ud800".encode(),
+        "nameless": Nameless,
+        "crowd": crowd,
+        "chain": chain,
+        "from nowhere": from_nowhere,
     }
     RETURNED = {
         "surrogate": lambda: "\\udc80",
@@ -111,6 +144,7 @@ MODEL = """
 RAISED = [
     "surrogate", "surrogate in a key", "surrogate in a name", "unspeakable", "wordless", "stops", "long", "interrupt",
     "generator", "cancelled", "base", "exit", "loop", "escapes", "unicode",
+    "nameless", "crowd", "chain", "from nowhere",
 ]  # fmt: skip
 RETURNED = [
     "surrogate", "surrogate key", "rows with one", "many rows", "many numbers", "many lists", "large", "itself",

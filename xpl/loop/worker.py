@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
@@ -29,6 +28,7 @@ from typing import Any, NoReturn
 from xpl.loop.stand_ins import Client, Judge, TaskEnv
 from xpl.process import child, link
 from xpl.process.modules import load_module
+from xpl.wire import telling
 
 _LONGEST = 2000
 """Characters of a message."""
@@ -55,10 +55,12 @@ class LoopWorker:
             getattr(self._module, head["play"])(TaskEnv(self._judge), Client(self._judge))
         except BaseException as error:  # noqa: BLE001 - whatever the adapter's code raises, SystemExit too
             is_told = error is self._judge.told
+            about = telling.describe(error)
             if not is_told:
-                with contextlib.suppress(Exception):  # of an exception that cannot even be printed
-                    traceback.print_exc(file=sys.stderr)
-            return {"raised": {"type": type(error).__name__, "message": _text(error), "told": is_told}}
+                with contextlib.suppress(Exception):  # where the adapter closed it
+                    sys.stderr.write(about["traceback"])
+            message = about["message"][:_LONGEST] if about["message"] != about["type"] else ""
+            return {"raised": {"type": about["type"], "message": message, "told": is_told}}
         return {"returned": None}
 
 
@@ -71,10 +73,3 @@ def main(descriptor: int) -> NoReturn:
         if message is None:
             child.end()
         channel.send(worker.answer(link.decode(message)[0]))
-
-
-def _text(error: BaseException) -> str:
-    try:
-        return str(error)[:_LONGEST]
-    except BaseException:  # noqa: BLE001 - an exception that cannot say what is wrong
-        return ""

@@ -13,7 +13,6 @@ Whatever raises is answered by `{"error": {"type", "message"}}`, and what follow
 from __future__ import annotations
 
 import sys
-import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, NoReturn
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Callable, NoReturn
 from xpl import _spec as spec
 from xpl.process import child
 from xpl.process.modules import load_module
-from xpl.wire import packed
+from xpl.wire import packed, telling
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data
@@ -43,9 +42,10 @@ class EnvWorker:
             result = operations[head["op"]](packed.decode(buffers[0]))
             return {"ok": True}, [b"".join(packed.encode(result))]
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a simulator may end the process over anything
+            about = telling.describe(error)
             if not isinstance(error, ValueError):  # which is the caller's: it is told what is wrong
-                traceback.print_exc(file=sys.stderr)
-            return {"error": {"type": type(error).__name__, "message": str(error) or type(error).__name__}}, []
+                sys.stderr.write(about["traceback"])
+            return {"error": {"type": about["type"], "message": about["message"]}}, []
 
     def _make(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         self._env = load_module(Path(asked["client"])).make(asked["config"])

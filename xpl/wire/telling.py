@@ -6,8 +6,12 @@ code of the adapter, which may raise. Everything that tells somebody of an error
 
 from __future__ import annotations
 
+import linecache
+import os
+import stat
 import traceback
 from collections.abc import Mapping
+from types import TracebackType
 from typing import Any
 
 SENTENCE = 4096
@@ -16,6 +20,10 @@ TRACEBACK = 1 << 16
 """Characters of a traceback in the log."""
 _LEVELS = 8
 _ENTRIES = 64
+_CAUSES = 64
+"""Exceptions of which a traceback tells: causes, contexts and members of groups together."""
+_SOURCE = 1 << 22
+"""Bytes of the largest file that lines of a traceback are read from."""
 
 
 def sendable(text: str, longest: int = SENTENCE) -> str:
@@ -31,7 +39,13 @@ def text_of(value: Any) -> str:
     try:
         return sendable(str(value))
     except BaseException as error:  # noqa: BLE001 - code of an adapter, which may raise anything
-        return f"<a {sendable(type(value).__name__, 80)} whose text cannot be had: {type(error).__name__}>"
+        return f"<a {sendable(name_of(value), 80)} whose text cannot be had: {name_of(error)}>"
+
+
+def name_of(value: Any) -> str:
+    """Return the name of an object's class, also of one that hides it."""
+    name: str = type.__dict__["__name__"].__get__(type(value))
+    return sendable(name, 200)
 
 
 def describe(error: BaseException, frames: Any = None) -> dict[str, str]:
@@ -41,15 +55,62 @@ def describe(error: BaseException, frames: Any = None) -> dict[str, str]:
         error: the exception.
         frames: where its traceback begins; all of it by default.
     """
-    kind = sendable(type(error).__name__, 200)
+    kind = name_of(error)
     message = text_of(error)
     if isinstance(error, SystemExit):
         message = f"the adapter called sys.exit({_shown(error.code)})"
     try:
-        told = "".join(traceback.format_exception(type(error), error, frames or error.__traceback__))
+        told = _traceback(error, frames or error.__traceback__, f"{kind}: {message}\n")
     except BaseException as problem:  # noqa: BLE001 - as above
-        told = f"{kind}: {message}\n(its traceback cannot be had: {type(problem).__name__})\n"
+        told = f"{kind}: {message}\n(its traceback cannot be had: {name_of(problem)})\n"
     return {"type": kind, "message": message or kind, "traceback": sendable(told, TRACEBACK)}
+
+
+def _traceback(error: BaseException, frames: Any, last: str) -> str:
+    """Return a traceback: with all causes if these are few, else of the exception alone, which ends with a given line.
+
+    The standard library goes through all of them before it tells of one, and reads each source to its end.
+    """
+    told = _related(error)
+    for one in told:
+        _hide_odd_sources(one.__traceback__)
+    _hide_odd_sources(frames)
+    if len(told) <= _CAUSES:
+        return "".join(traceback.format_exception(type(error), error, frames))
+    head = "Traceback (most recent call last; its causes and members are more than can be told):\n"
+    return head + "".join(traceback.format_tb(frames)) + last
+
+
+def _related(error: BaseException) -> list[BaseException]:
+    """Return an exception, its causes and contexts once, and members of groups as often as they are met; bounded.
+
+    The standard library follows a cause that it has met no further, and a member again each time.
+    """
+    found: list[BaseException] = []
+    seen, new = {id(error)}, [error]
+    while new and len(found) <= _CAUSES:
+        one = new.pop()
+        found.append(one)
+        new += [member for member in getattr(one, "exceptions", ())[: _CAUSES + 1] if isinstance(member, BaseException)]
+        for other in (one.__cause__, one.__context__):
+            if other is not None and id(other) not in seen:
+                seen.add(id(other))
+                new.append(other)
+    return found
+
+
+def _hide_odd_sources(frames: TracebackType | None) -> None:
+    """Keep lines from being read from what is no plain file, or a very large one."""
+    while frames is not None:
+        name = frames.tb_frame.f_code.co_filename
+        try:
+            found = os.stat(name)  # noqa: PTH116 - a name that no path may have raises here too
+            is_odd = not stat.S_ISREG(found.st_mode) or found.st_size > _SOURCE
+        except (OSError, ValueError):
+            is_odd = False
+        if is_odd:
+            linecache.cache[name] = (0, None, [], name)
+        frames = frames.tb_next
 
 
 def sendable_tree(value: Any, level: int = 0) -> Any:
@@ -69,4 +130,4 @@ def _shown(value: Any) -> str:
     try:
         return sendable(repr(value))
     except BaseException as error:  # noqa: BLE001 - as above
-        return f"<its text cannot be had: {type(error).__name__}>"
+        return f"<its text cannot be had: {name_of(error)}>"
