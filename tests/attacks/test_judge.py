@@ -390,6 +390,14 @@ def test_a_loop_that_makes_its_environment_raise_where_it_loses_gains_nothing(ro
     assert {line["attempt"] for line in finals.values()} == {1}
 
 
+def test_a_success_after_a_spoilt_attempt_is_told(room: Path) -> None:
+    """The infrastructure was to blame as far as anybody saw; whoever reads the figures knows how many rest on that."""
+    drill.mark(room / "envs" / "drill", "env-dies-0", 1)
+    done = _eval(room, "--out", "run", "--episodes", "2", "--film", "0")
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    assert "1 episode succeeded in an attempt that followed one that the infrastructure had spoilt" in done.stdout
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [1, 9], ids=["once", "always"])
 def test_a_model_that_kills_itself_where_it_loses_gains_nothing(tmp_path: Path, times: int) -> None:

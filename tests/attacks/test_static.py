@@ -121,6 +121,20 @@ def test_what_is_too_much_is_a_finding_of_its_own_file(adapter: Path) -> None:
         assert message in found[name], name
 
 
+def test_a_text_is_split_into_lines_once_however_much_is_found_in_it(
+    adapter: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a file of ten thousand findings takes the square of that."""
+    with (adapter / "model.py").open("a") as model:
+        model.write("".join(f"import missing_{number}\n" for number in range(300)))
+    read = []
+    text = Source.text
+    monkeypatch.setattr(Source, "text", lambda self, name: read.append(name) or text(self, name))
+    result = next(found for found in static(adapter).results if found.code == "XPL108")
+    assert len(result.findings) == 300
+    assert read.count("model.py") < 50
+
+
 @pytest.mark.parametrize(
     ("name", "added"),
     [

@@ -331,7 +331,9 @@ class Source:
 
     def _column(self, name: str, line: int, offset: int) -> int:
         """Turn an offset in UTF-8 bytes, as syntax trees have it, into a column."""
-        lines = self._lines.setdefault(name, self.text(name).split("\n"))
+        if name not in self._lines:  # once for each file, not for each finding
+            self._lines[name] = self.text(name).split("\n")
+        lines = self._lines[name]
         text = lines[line - 1] if line <= len(lines) else ""
         return len(text.encode()[:offset].decode(errors="ignore")) + 1
 

@@ -31,14 +31,20 @@ def of_summary(summary: Mapping[str, Any], found: Sequence[Cell]) -> list[str]:
     ]
 
 
-def of_course(beyond: int, machines: int) -> list[str]:
+def of_course(beyond: int, machines: int, revived: int) -> list[str]:
     """Return what should be known of how a run went, which may differ from one playing to the next.
 
     Args:
         beyond: number of episodes that were played although their cell had ended.
         machines: number of machines, or sets of library versions.
+        revived: number of episodes that succeeded after the infrastructure had spoilt an attempt at them.
     """
     notes = []
+    if revived:
+        notes.append(
+            f"{many(revived, 'episode')} succeeded in an attempt that followed one that the infrastructure had spoilt: "
+            "more than a few of these may mean that a policy spoils attempts that it is about to lose."
+        )
     if beyond:
         notes.append(
             f"{were(beyond, 'episode')} played at the same time as the one that ended a task, and not counted, so that "

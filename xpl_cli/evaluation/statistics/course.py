@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.statistics import cautions
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ def course(run: Run, beyond: int) -> dict[str, Any]:
     """
     machines = len({line["machine"] for line in run.attempts})
     retried = [line for line in run.attempts if not line["final"]]
+    spoilt = {line["index"] for line in retried if line["failure"] == INFRASTRUCTURE}
+    revived = sum(bool(line["success"]) and line["index"] in spoilt for line in run.finals.values())
     errors = Counter((line["failure"], line["error"]) for line in run.attempts if line.get("error"))
     return {
         "attempts": len(run.attempts),
@@ -36,7 +39,7 @@ def course(run: Run, beyond: int) -> dict[str, Any]:
         "errors": [
             {"failure": failure, "error": error, "count": count} for (failure, error), count in errors.most_common()
         ],
-        "notes": cautions.of_course(beyond, machines),
+        "notes": cautions.of_course(beyond, machines, revived),
     }
 
 
