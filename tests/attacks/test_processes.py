@@ -118,6 +118,16 @@ def test_a_worker_that_is_killed_takes_all_of_its_own_along(write_adapter: Calla
         wait_until(lambda: len(json.loads(page(url, "/healthz")[1])["workers"]) == 1, "the other one goes on")
 
 
+def test_an_adapter_that_kills_its_keeper_ends(write_adapter: Callable[..., Path]) -> None:
+    """And so does the server, with all that was started, though the adapter still holds the pipes."""
+    folder = write_adapter("")
+    killing = AWAY + "import os, signal; os.kill(os.getppid(), signal.SIGKILL)\n"
+    (folder / "model.py").write_text(killing + MODEL.format(thinking="pass"), encoding="utf-8")
+    with started(folder) as (process, mark):
+        assert process.wait(DEADLINE_S) == 4
+        wait_until(lambda: not processes(mark), "nothing is left")
+
+
 def test_a_pipeline_keeps_its_other_commands(write_adapter: Callable[..., Path], tmp_path: Path) -> None:
     """A shell puts all of them into one group, which the server may lead; its end ends no command of the user."""
     folder = write_adapter(MODEL.format(thinking="pass").replace("\n", "\n    "))

@@ -17,6 +17,7 @@ import xpl
 from xpl.process import link
 from xpl.process.child import KEPT_START, SDK_START
 from xpl.process.link import Inbox
+from xpl_cli.basics import exits
 from xpl_cli.isolation import family
 
 if TYPE_CHECKING:
@@ -168,16 +169,16 @@ class WorkerProcess:
         """End the worker and all its children: close the link, wait `grace` seconds, then kill the group."""
         self._break("the worker was stopped")
         with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(self._process.wait(), grace)
+            await asyncio.wait_for(exits.exit_code(self._process), grace)
         family.end(self.pid)
-        await self._process.wait()
+        await exits.exit_code(self._process)
         # What has left the group and still holds the pipe would keep it open for ever.
         with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(self._output, grace)
 
     async def ended(self) -> str:
         """Wait for the process to end and return how it did."""
-        code = await self._process.wait()
+        code = await exits.exit_code(self._process)
         if self._wrapped and code > _SIGNALLED:
             code = _SIGNALLED - code
         if code >= 0:
@@ -257,6 +258,7 @@ class WorkerProcess:
         if self._channel.fileno() >= 0:
             self._read()  # it may have answered before it ended
         self._break(reason)
+        family.end(self.pid)  # an adapter may have ended its keeper, and goes on without one
         if not self.died.done():
             self.died.set_result(reason)
 

@@ -1,0 +1,44 @@
+"""The end of a process that asyncio started, noticed although others still hold its pipes.
+
+`asyncio.subprocess.Process.wait` returns, in some releases of Python 3.11 and 3.12, only when nobody holds the pipes of
+the process any more (cpython#119710). A child that outlives it would hide its end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+
+_SOON_S = 0.005
+
+
+async def exit_code(process: asyncio.subprocess.Process) -> int:
+    """Wait for a process to end, and return its exit code, or the negative number of the signal that ended it."""
+    if process.returncode is None and hasattr(os, "pidfd_open"):
+        with contextlib.suppress(ProcessLookupError):  # it has ended, and asyncio is about to say so
+            try:
+                handle = os.pidfd_open(process.pid)
+            except PermissionError:  # refused by the filter of a container
+                return await process.wait()
+            await _readable(handle)
+        while process.returncode is None:  # noqa: ASYNC110 - asyncio tells nobody when it has noticed
+            await asyncio.sleep(_SOON_S)
+    return process.returncode if process.returncode is not None else await process.wait()
+
+
+async def _readable(handle: int) -> None:
+    """Wait until a descriptor can be read from, and close it."""
+    loop = asyncio.get_running_loop()
+    ready: asyncio.Future[None] = loop.create_future()
+    loop.add_reader(handle, _tell, ready)
+    try:
+        await ready
+    finally:
+        loop.remove_reader(handle)
+        os.close(handle)
+
+
+def _tell(ready: asyncio.Future[None]) -> None:
+    if not ready.done():
+        ready.set_result(None)
