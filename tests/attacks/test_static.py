@@ -177,11 +177,30 @@ def test_a_rule_that_takes_too_long_is_not_run(adapter: Path, tmp_path: Path, mo
     """A bound that is no bound of time is a bug of ours; the audit ends all the same, and says which rule it was."""
     room = made_room(tmp_path / "room", monkeypatch)
     room.rule("endless", "while True:\n    pass\nyield", code="XPL199")
-    monkeypatch.setattr("xpl_cli.audit.engine.checks.deadline", lambda: limits.deadline(0.05))
+    monkeypatch.setattr("xpl_cli.audit.engine.checks.deadline", lambda _: limits.deadline(0.05))
     (result,) = static(adapter).results
     assert result.outcome is Outcome.NOT_RUN
     assert "not done within" in str(result.reason)
     assert signal.getsignal(signal.SIGVTALRM) is signal.SIG_DFL
+
+
+def test_rules_share_the_time_that_a_package_has(
+    adapter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files without number, none of them too large, cost every rule its time; a hundred rules shall not add that up."""
+    room = made_room(tmp_path / "room", monkeypatch)
+    for number in range(3):
+        room.rule(f"endless-{number}", "while True:\n    pass\nyield", code=f"XPL19{number}")
+    given = list[float]()
+    monkeypatch.setattr("xpl_cli.audit.engine.checks.LONGEST_S", 0.05)
+    monkeypatch.setattr(
+        "xpl_cli.audit.engine.checks.deadline", lambda seconds: given.append(seconds) or limits.deadline(seconds)
+    )
+    results = static(adapter).results
+    assert [result.outcome for result in results] == [Outcome.NOT_RUN] * 3
+    assert given[0] == 0.05
+    assert given == sorted(given, reverse=True)
+    assert len(set(given)) == 3
 
 
 def test_what_goes_wrong_with_one_package_costs_no_other_its_verdict(

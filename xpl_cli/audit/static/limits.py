@@ -18,7 +18,7 @@ MOST_NODES: Final = 250_000
 MOST_LEVELS: Final = 200
 """Levels of a syntax tree: what takes more overflows the stack of whoever reads it."""
 LONGEST_S: Final = 120.0
-"""Processor time that one rule may take on one package. The bounds above keep rules far below it."""
+"""Processor time, in seconds, that all rules of the gate may take on one package: a hundred times what they do take."""
 
 
 class TooMuchError(ValueError):
@@ -53,9 +53,14 @@ def measured(tree: ast.Module) -> tuple[ast.AST, ...]:
 def deadline(seconds: float = LONGEST_S) -> Iterator[None]:
     """End what takes more processor time, where the system can: in the main thread of a POSIX process.
 
+    Args:
+        seconds: how much there is; 0 or less ends at once.
+
     Raises:
         TooLong: in what takes longer.
     """
+    if seconds <= 0:
+        raise TooLong
     can = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     if not can or signal.getsignal(signal.SIGVTALRM) is not signal.SIG_DFL:
         yield
