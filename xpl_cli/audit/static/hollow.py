@@ -157,7 +157,10 @@ def _works(source: Source, file: str) -> bool:
     """Tell whether a Python file may do something; one below a folder that is not there may be brought later."""
     if not source.has(file):
         folder = (source.path / file).parent
-        return folder != source.path and not any(folder.glob("*.py"))
+        try:
+            return folder != source.path and not any(folder.glob("*.py"))
+        except (OSError, ValueError):  # a name that no folder can have
+            return True
     if not source.parses(file):
         return True  # the rule `parses` tells it
     tree = source.tree(file)
