@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import sys
 import threading
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
@@ -14,65 +15,85 @@ from xpl_cli import __version__
 from xpl_cli.basics import console, failures
 from xpl_cli.basics.endings import endings
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.commands.agents import answers, mcp, skills, status
 from xpl_cli.commands.command import equip
 from xpl_cli.commands.headings import HeadedGroup
-from xpl_cli.commands.maintain import sdk, spec
-from xpl_cli.commands.prove import audit, hook, metrics, replay, review
-from xpl_cli.commands.report import compare, leaderboard, report, submit
-from xpl_cli.commands.run import checkpoint, container, demo, doctor, env, evaluate, lifecycle, serve
-from xpl_cli.commands.scaffold import adopt, new_env, new_policy, update
 
 _UsageError: Any = typer.BadParameter.__base__
 """What the parser raises for a command line that it does not understand."""
 
-app = typer.Typer(
-    name="xpl",
-    cls=HeadedGroup,
-    help="Scaffold, serve, audit and evaluate robot policies against one standard.",
-    no_args_is_help=True,
-    add_completion=False,
-    epilog=endings(),
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.command("new-policy")(new_policy.new_policy)
-app.command("new-env")(new_env.new_env)
-app.command("update")(update.update)
-app.command("adopt")(adopt.adopt)
-app.command("audit")(audit.audit)
-app.command("review")(review.review)
-app.command("explain")(audit.explain)
-app.command("rules")(audit.rules)
-app.command("replay")(replay.replay)
-app.command("status")(status.status)
-app.command("metrics")(metrics.metrics)
-app.command("hook", hidden=True)(hook.hook)
-app.command("serve")(serve.serve)
-app.command("eval")(evaluate.evaluate)
-app.command("compare")(compare.compare)
-app.command("report")(report.report)
-app.command("leaderboard")(leaderboard.leaderboard)
-app.command("submit")(submit.submit)
-app.command("verify")(submit.verify)
-app.command("install")(lifecycle.install)
-app.command("prepare")(lifecycle.prepare)
-app.command("train")(lifecycle.train)
-app.command("container")(container.container)
-app.command("doctor")(doctor.doctor)
-app.command("demo")(demo.demo)
-app.command("answers")(answers.answers)
-app.command("mcp")(mcp.mcp)
-app.add_typer(env.app, name="env")
-app.add_typer(checkpoint.app, name="checkpoint")
-app.add_typer(spec.app, name="spec")
-app.add_typer(sdk.app, name="sdk")
-app.add_typer(skills.app, name="skills")
-equip(app)
+_ROOMS: Final = "xpl_cli.commands"
+_COMMANDS: Final = {
+    "new-policy": "scaffold.new_policy",
+    "new-env": "scaffold.new_env",
+    "update": "scaffold.update",
+    "adopt": "scaffold.adopt",
+    "audit": "prove.audit",
+    "review": "prove.review",
+    "explain": "prove.audit",
+    "rules": "prove.audit",
+    "replay": "prove.replay",
+    "status": "agents.status",
+    "metrics": "prove.metrics",
+    "hook": "prove.hook",
+    "serve": "run.serve",
+    "eval": "run.evaluate",
+    "compare": "report.compare",
+    "report": "report.report",
+    "leaderboard": "report.leaderboard",
+    "submit": "report.submit",
+    "verify": "report.submit",
+    "install": "run.lifecycle",
+    "prepare": "run.lifecycle",
+    "train": "run.lifecycle",
+    "container": "run.container",
+    "doctor": "run.doctor",
+    "demo": "run.demo",
+    "answers": "agents.answers",
+    "mcp": "agents.mcp",
+}
+"""Each command with its module; its function has its name, with the exceptions below."""
+_GROUPS: Final = {
+    "env": "run.env",
+    "checkpoint": "run.checkpoint",
+    "spec": "maintain.spec",
+    "sdk": "maintain.sdk",
+    "skills": "agents.skills",
+}
+_FUNCTIONS: Final = {"eval": "evaluate"}
+_HIDDEN: Final = frozenset({"hook"})
+_NEED_ALL: Final = frozenset({"hook", "mcp", "spec"})
+"""Commands that look at the whole command line."""
 
 
-@app.callback(invoke_without_command=True)
+def _made(only: str | None = None) -> typer.Typer:
+    """Return the command line, with one command only where that is named: importing all takes longer than most run."""
+    made = typer.Typer(
+        name="xpl",
+        cls=HeadedGroup,
+        help="Scaffold, serve, audit and evaluate robot policies against one standard.",
+        no_args_is_help=True,
+        add_completion=False,
+        epilog=endings(),
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    made.callback(invoke_without_command=True)(_root)
+    for name, home in _COMMANDS.items():
+        if only in {None, name}:
+            function = _FUNCTIONS.get(name, name.replace("-", "_"))
+            made.command(name, hidden=name in _HIDDEN)(getattr(_module(home), function))
+    for name, home in _GROUPS.items():
+        if only in {None, name}:
+            made.add_typer(_module(home).app, name=name)
+    equip(made)
+    return made
+
+
+def _module(home: str) -> Any:
+    return importlib.import_module(f"{_ROOMS}.{home}")
+
+
 def _root(
     *,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
@@ -80,6 +101,23 @@ def _root(
     if version:
         typer.echo(f"xpl {__version__}")
         raise typer.Exit
+
+
+def __getattr__(name: str) -> Any:
+    """Make `app`, the whole command line, for whoever looks at all of it."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    whole = _made()
+    globals()[name] = whole
+    return whole
+
+
+def _named(arguments: list[str]) -> str | None:
+    """Return the command that is asked for, "" for none, if it is enough to know that one; else None."""
+    if arguments == ["--version"]:
+        return ""
+    first = arguments[0] if arguments else ""
+    return first if first in {*_COMMANDS, *_GROUPS} - _NEED_ALL else None
 
 
 def run() -> NoReturn:
@@ -99,7 +137,7 @@ def main(arguments: list[str]) -> int:
         arguments: the command line after `xpl`.
     """
     try:
-        ended = app(args=arguments, prog_name="xpl", standalone_mode=False)
+        ended = _made(_named(arguments))(args=arguments, prog_name="xpl", standalone_mode=False)
     except UserError as error:
         return _told(error, arguments)
     except _UsageError as error:

@@ -37,6 +37,7 @@ import xpl_cli
 
 _PRELOADED: Final = (
     "xpl_cli.main",
+    "xpl_cli.commands.run.serve",
     "xpl_cli.serving.run",
     "xpl_cli.serving.server",
     "jsonschema",
