@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.script_flow import INSTALLERS, PYTHONS, STEPS, place, program, runs, scripts, shown
+from xpl_cli.audit.static.scripts.flow import INSTALLERS, PYTHONS, STEPS, place, program, runs, scripts, shown
 from xpl_cli.audit.static.shell import Command, Script
 from xpl_cli.audit.static.source import Source
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static import hollow
-from xpl_cli.audit.static.hollow import RUN_BY_XPL
-from xpl_cli.audit.static.script_flow import place
+from xpl_cli.audit.static.scripts import hollow
+from xpl_cli.audit.static.scripts.flow import place
+from xpl_cli.audit.static.scripts.hollow import RUN_BY_XPL
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from xpl._spec import Deploy, File
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.script_flow import place, script, talks
+from xpl_cli.audit.static.scripts.flow import place, script, talks
 from xpl_cli.audit.static.shell import Word
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.script_flow import place, scripts
+from xpl_cli.audit.static.scripts.flow import place, scripts
 from xpl_cli.audit.static.shell import Command, Script, Word
 from xpl_cli.audit.static.source import Source
 

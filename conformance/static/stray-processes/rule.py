@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.script_flow import PYTHONS, place, runs, script, scripts, shown
+from xpl_cli.audit.static.scripts.flow import PYTHONS, place, runs, script, scripts, shown
 from xpl_cli.audit.static.shell import Command, Script
 from xpl_cli.audit.static.source import Source
 

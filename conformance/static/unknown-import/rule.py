@@ -11,9 +11,9 @@ from pathlib import Path
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static import offered
-from xpl_cli.audit.static.imports import Imported, live
-from xpl_cli.audit.static.offered import SDK, Missing, Module, Offer
+from xpl_cli.audit.static.names import offered
+from xpl_cli.audit.static.names.imports import Imported, live
+from xpl_cli.audit.static.names.offered import SDK, Missing, Module, Offer
 from xpl_cli.audit.static.source import Source
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.static.manifests import key_line
-from xpl_cli.audit.static.script_flow import place, runs, script
+from xpl_cli.audit.static.scripts.flow import place, runs, script
 from xpl_cli.audit.static.shell import Command, Word
 from xpl_cli.audit.static.source import Source
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.script_flow import SHELLS, place, program, runs, scripts
+from xpl_cli.audit.static.scripts.flow import SHELLS, place, program, runs, scripts
 from xpl_cli.audit.static.shell import Command, Word
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec

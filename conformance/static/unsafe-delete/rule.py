@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.script_flow import may_be_empty, place, scripts
+from xpl_cli.audit.static.scripts.flow import may_be_empty, place, scripts
 from xpl_cli.audit.static.shell import Command, Script, Word
 from xpl_cli.audit.static.source import Source
 

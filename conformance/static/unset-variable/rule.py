@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.script_flow import SHELLS, place, scripts
+from xpl_cli.audit.static.scripts.flow import SHELLS, place, scripts
 from xpl_cli.audit.static.shell import Command, Script, Word
 from xpl_cli.audit.static.source import Source
 

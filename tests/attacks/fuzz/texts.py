@@ -94,7 +94,11 @@ def main() -> None:
 
     sys.path.insert(0, str(ROOT))
     with atheris.instrument_imports(include=["xpl_cli"]):
-        from xpl_cli.audit.static import reading, shell, source  # noqa: F401 - instrumented as they are imported
+        from xpl_cli.audit.static import (  # noqa: F401 - instrumented as they are imported
+            reading,
+            shell,
+            source,
+        )
         from xpl_cli.basics.yaml import text  # noqa: F401
     atheris.Setup(sys.argv, one_input)
     atheris.Fuzz()

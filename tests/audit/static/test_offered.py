@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from xpl_cli.audit.static import offered
-from xpl_cli.audit.static.offered import Missing, Module
+from xpl_cli.audit.static.names import offered
+from xpl_cli.audit.static.names.offered import Missing, Module
 
 MODULES = offered.sdk_modules()
 

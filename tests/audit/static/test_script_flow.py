@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from xpl_cli.audit.static.script_flow import may_be_empty, program, runs
+from xpl_cli.audit.static.scripts.flow import may_be_empty, program, runs
 from xpl_cli.audit.static.shell import parse
 
 

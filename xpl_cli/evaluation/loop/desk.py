@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl.action import ActionError
 from xpl.client.errors import ClientError, PolicyServerError
 from xpl.loop.stand_ins import CLIENT, CLIENT_OPERATIONS, ENV_OPERATIONS, TASK_ENV
@@ -24,7 +25,7 @@ _WITHOUT_A_STEP = 10_000
 """Operations between two control steps, after which a loop is taken to go on for ever."""
 _STEPS = ("take_action", "take_action_batch")
 _FINISH, _RENDER, _RESULTS = "finish_episode", "render", "results"
-_WITHHELD = ("layout", "seed", "digest")
+_WITHHELD = ("layout", sdk.Deploy.SEED, "digest")
 """Of an outcome: where things are, or what tells it. A loop sees what cameras and robot show: an oracle would win."""
 _OF_SEVERAL = ("get_obs_batch", "take_action_batch")
 

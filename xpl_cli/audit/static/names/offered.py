@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 import xpl
+from xpl import _spec as sdk
 from xpl_cli.audit.static.syntax import SCOPES, called, dotted, last, texts
 
 SDK: Final = "xpl"
@@ -71,7 +72,7 @@ def located(folder: Path, parts: Iterable[str]) -> Module | Missing | None:
         the module; what is missing; or None where nobody can know: compiled modules, and folders that are somebody
         else's package or have not been fetched.
     """
-    module = Module(_file(folder, "__init__.py"), folder)
+    module = Module(_file(folder, sdk.File.INIT_PY), folder)
     for part in parts:
         here = module.folder
         if here is None:
@@ -80,7 +81,7 @@ def located(folder: Path, parts: Iterable[str]) -> Module | Missing | None:
         if part in names and os.path.isdir(inner):  # noqa: PTH112 - Path.is_dir raises where nobody may look
             if part in _FOREIGN_NAMES or _FOREIGN & listed(inner) or not any(inner.rglob("*.py")):
                 return None
-            module = Module(_file(inner, "__init__.py"), inner)
+            module = Module(_file(inner, sdk.File.INIT_PY), inner)
         elif f"{part}.py" in names:
             module = Module(here / f"{part}.py", None)
         elif any(name.startswith(f"{part}.") for name in names):

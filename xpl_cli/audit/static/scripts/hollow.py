@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.static import script_flow
-from xpl_cli.audit.static.offered import SDK
+from xpl_cli.audit.static.names.offered import SDK
+from xpl_cli.audit.static.scripts import flow as script_flow
 from xpl_cli.audit.static.syntax import called, last
 from xpl_cli.standard import spec
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.static.offered import is_type_checking
+from xpl_cli.audit.static.names.offered import is_type_checking
 from xpl_cli.audit.static.syntax import called, constant, dotted, is_broad, last, names, texts
 
 if TYPE_CHECKING:
