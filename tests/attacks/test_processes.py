@@ -20,7 +20,8 @@ from xpl_cli.isolation import family
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes through /proc")
 
-IDLE = f'{sys.executable} -c "import signal; signal.pause()"'
+WAITING = "-c import signal; signal.pause()"
+"""How the command of what an adapter starts ends."""
 AWAY = f"""
 import os, subprocess, sys
 pid = os.fork()
@@ -65,7 +66,7 @@ def started(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[byte
 
 def strays(mark: str) -> list[int]:
     """Return the processes that an adapter has started."""
-    return [pid for pid, command in processes(mark).items() if "signal.pause()" in command and "xpl" not in command]
+    return [pid for pid, command in processes(mark).items() if command.strip().endswith(WAITING)]
 
 
 def states(mark: str) -> list[str]:
