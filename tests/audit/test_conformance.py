@@ -36,11 +36,15 @@ OPEN = {"placeholders"}
 
 
 def _cases() -> Iterator[Any]:
-    """Yield every subject with its rule. Of those that are served, the quick run has one of each kind for each rule."""
-    for rule in RULES:
+    """Yield every subject with its rule.
+
+    Of those that are served, the quick run has a bad one for each rule, and a good one for every second rule.
+    """
+    for number, rule in enumerate(RULES):
         seen = set()
         for subject in subjects(rule):
-            is_slow = rule.gate is not Gate.STATIC and subject.good in seen
+            is_spared = subject.good in seen or (subject.good and number % 2 == 1)
+            is_slow = rule.gate is not Gate.STATIC and is_spared
             seen.add(subject.good)
             marks = [pytest.mark.slow] if is_slow else []
             yield pytest.param(rule, subject, id=f"{rule.slug}-{subject.name}", marks=marks)

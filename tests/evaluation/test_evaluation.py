@@ -267,6 +267,7 @@ def frail(tmp_path: Path) -> Path:
 HOLD = ["--env", "frail", "--set", "env_cfg_type=franka_single", "--json"]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("loop", "deaths", "attempts"), [([], 1, 2), (["--horizon", "1"], 9, 3)], ids=["deploy.py", "ours"]
 )
@@ -307,6 +308,7 @@ WILD = """
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("loop", "far", "reason", "kind"),
     [
@@ -461,6 +463,7 @@ SEES = """
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("environment", ["offline", "mujoco"])
 def test_an_environment_renders_what_the_policy_declares(
     write_adapter: Callable[..., Path], tmp_path: Path, environment: str

@@ -291,6 +291,7 @@ def _servers(mark: str) -> list[int]:
     return [pid for pid in found if parents[pid] in found]
 
 
+@pytest.mark.slow
 def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
     """Two lanes share a server: one of the lanes is killed, then the server; their attempts are played again."""
     drill.environment(tmp_path)

@@ -80,7 +80,7 @@ def _state(robot: str) -> dict[str, Any]:
     return {"state": values}
 
 
-@pytest.mark.sampled(16)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("eval_only", [False, True])
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 @pytest.mark.parametrize("robot", embodiment_names())

@@ -164,7 +164,7 @@ SURVIVED = [
 ]
 
 
-@pytest.mark.sampled(36)
+@pytest.mark.sampled(12)
 @variants
 @pytest.mark.parametrize(("kind", "direction"), SURVIVED)
 @pytest.mark.parametrize("name", ["update_obs", "infer"])
@@ -218,7 +218,7 @@ LOUD = [
 ]
 
 
-@pytest.mark.sampled(10)
+@pytest.mark.sampled(4)
 @variants
 @pytest.mark.parametrize(
     ("fault", "error", "message"),
@@ -398,7 +398,7 @@ def test_a_message_in_countless_fragments_holds_up_nobody(server: Server, proxy:
 # -- kill -9 -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @variants
 @pytest.mark.parametrize("thinking", [True, False], ids=["thinking", "idle"])
 @pytest.mark.parametrize("kind", KILLS)
@@ -480,6 +480,7 @@ def run_chaos(server: Server, steps: int, options: dict[str, Any], every: int) -
     assert ends["whole"] > 0.1 * ends.total(), f"{figures}: hardly a trial was whole"
 
 
+@pytest.mark.slow
 @main_variants
 def test_every_step_is_applied_once_or_the_trial_ends_loudly(adapter: Path, options: dict[str, Any]) -> None:
     """Some hundred steps under every kind of fault; the seed is in the message of a failure."""
@@ -519,7 +520,7 @@ def test_a_second_client_never_gets_between(server: Server, proxy: Proxy, option
         play(second, rng, 5)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @variants
 def test_two_clients_at_once_share_nothing(adapter: Path, options: dict[str, Any]) -> None:
     """Each has a worker; both play under faults."""
