@@ -4,8 +4,9 @@ Half of what it takes to start a policy server is imports, and an audit starts d
 process without threads that is asked over a private socket: with each order come the descriptors of the new server's
 standard streams. It is started with the first order and ends with the process that started it.
 
-    -> {"arguments": [...], "cwd": "/...", "environment": {...}, "limits": [...]} and four descriptors: streams, and one
-       to hold open
+    -> {"arguments": [...], "cwd": "/...", "environment": {...}, "limits": [...]}
+    <- {"wants": 4}
+    -> one byte, with four descriptors: streams, and one to hold open
     <- {"pid": 123}
     -> {"status": 123}      once the process has let go of the fourth descriptor
     <- {"code": 0}
@@ -18,7 +19,6 @@ import contextlib
 import functools
 import gc
 import importlib
-import json
 import os
 import resource
 import runpy
@@ -34,6 +34,7 @@ from pathlib import Path
 from typing import IO, Any, Final, NoReturn
 
 import xpl_cli
+from xpl.process.link import Channel, decode
 
 _PRELOADED: Final = (
     "xpl_cli.main",
@@ -48,7 +49,6 @@ _START: Final = (
     "import sys; sys.path.insert(0, sys.argv[1]); from xpl_cli.serving.nursery import main; main(int(sys.argv[2]))"
 )
 _LIMITS: Final = frozenset(number for name, number in vars(resource).items() if name.startswith("RLIMIT_"))
-_HEAD: Final = 4
 _STREAMS: Final = 3
 _UNKNOWN: Final = -signal.SIGKILL
 """Exit code of a server whose nursery is gone."""
@@ -110,6 +110,7 @@ class Nursery:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._channel, theirs = socket.socketpair()
+        self._link = Channel(self._channel)
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # only a process without threads can be forked
         with theirs:
             self._process = subprocess.Popen(
@@ -163,12 +164,11 @@ class Nursery:
 
     def _ask(self, order: Mapping[str, Any], descriptors: Sequence[int] = ()) -> dict[str, Any]:
         with self._lock:
-            body = json.dumps(order).encode()
-            self._channel.sendall(len(body).to_bytes(_HEAD, "big") + body)
+            self._link.send(order)
             if descriptors:
+                _received(self._link)  # nobody reads on meanwhile: descriptors are lost to who reads their byte alone
                 socket.send_fds(self._channel, [b"\0"], list(descriptors))
-            answer: dict[str, Any] = json.loads(_read(self._channel))
-            return answer
+            return _received(self._link)
 
 
 _LOCK = threading.Lock()
@@ -212,13 +212,15 @@ def main(descriptor: int) -> None:
     gc.collect()
     gc.freeze()
     channel = socket.socket(fileno=descriptor)
+    tool = Channel(channel)
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            order = json.loads(_read(channel))
+            order = _received(tool)
             if "status" in order:
                 _, status = os.waitpid(order["status"], 0)
                 answer = {"code": os.waitstatus_to_exitcode(status)}
             else:
+                tool.send({"wants": _STREAMS + 1})
                 _, descriptors, _, _ = socket.recv_fds(channel, 1, _STREAMS + 1)
                 pid = os.fork()
                 if pid == 0:
@@ -226,8 +228,7 @@ def main(descriptor: int) -> None:
                 for received in descriptors:
                     os.close(received)
                 answer = {"pid": pid}
-            body = json.dumps(answer).encode()
-            channel.sendall(len(body).to_bytes(_HEAD, "big") + body)
+            tool.send(answer)
 
 
 def _become(channel: socket.socket, order: Mapping[str, Any], descriptors: Sequence[int]) -> NoReturn:
@@ -251,23 +252,17 @@ def _become(channel: socket.socket, order: Mapping[str, Any], descriptors: Seque
     raise SystemExit(0)
 
 
-def _read(channel: socket.socket) -> bytes:
-    """Read one message.
+def _received(channel: Channel) -> dict[str, Any]:
+    """Return the next message.
 
     Raises:
         EOFError: if the other end is gone.
     """
-    return _exactly(channel, int.from_bytes(_exactly(channel, _HEAD), "big"))
-
-
-def _exactly(channel: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        piece = channel.recv(size - len(data))
-        if not piece:
-            raise EOFError("the other end is gone")
-        data += piece
-    return data
+    message = channel.receive()
+    if message is None:
+        raise EOFError("the other end is gone")
+    head: dict[str, Any] = decode(message)[0]
+    return head
 
 
 def _is_readable(descriptor: int, timeout: float | None) -> bool:
