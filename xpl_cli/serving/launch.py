@@ -119,35 +119,41 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
     for option, value in (("--python", python), ("--policy-env", env), ("--gpu", gpu)):
         command += [option, value] if value is not None else []
     command += options
-    secret_file = None if token is None else _private(token)
-    command += [] if secret_file is None else ["--token-file", str(secret_file)]
-    process = nursery.start(command)
-    server = RunningServer(url="", pid=process.pid, process=process, token=token)
-    reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
-    reader.start()
-    try:
-        ready = _wait_ready(process, process.stdout, load_timeout, reader, server.log)
-        server.url, server.stubbed = ready["url"], tuple(ready.get("stubbed", ()))
-        server.also = dict(ready.get("also", {}))
-        yield server
-    finally:
-        if secret_file is not None:
-            secret_file.unlink()
-        started = time.monotonic()
-        _stop(process)
-        server.stop_seconds = time.monotonic() - started
-        reader.join()
-        process.stdin.close()
-        process.stdout.close()
-        process.stderr.close()
+    with contextlib.ExitStack() as starting:
+        command += starting.enter_context(_told(token))
+        process = nursery.start(command)
+        server = RunningServer(url="", pid=process.pid, process=process, token=token)
+        reader = threading.Thread(target=_collect, args=(process.stderr, server.log, echo), daemon=True)
+        reader.start()
+        try:
+            ready = _wait_ready(process, process.stdout, load_timeout, reader, server.log)
+            starting.close()  # it has read its token
+            server.url, server.stubbed = ready["url"], tuple(ready.get("stubbed", ()))
+            server.also = dict(ready.get("also", {}))
+            yield server
+        finally:
+            started = time.monotonic()
+            _stop(process)
+            server.stop_seconds = time.monotonic() - started
+            reader.join()
+            process.stdin.close()
+            process.stdout.close()
+            process.stderr.close()
 
 
-def _private(text: str) -> Path:
-    """Return a new file that nobody else may read."""
+@contextlib.contextmanager
+def _told(token: str | None) -> Iterator[tuple[str, ...]]:
+    """Yield the options that tell a server its token: it lies in a file that nobody else may read."""
+    if token is None:
+        yield ()
+        return
     descriptor, name = tempfile.mkstemp(prefix="xpl-token-")
-    with open(descriptor, "w", encoding="ascii") as file:  # noqa: PTH123 - a descriptor
-        file.write(text)
-    return Path(name)
+    try:
+        with open(descriptor, "w", encoding="ascii") as file:  # noqa: PTH123 - a descriptor
+            file.write(token)
+        yield "--token-file", name
+    finally:
+        Path(name).unlink()
 
 
 def _wait_ready(

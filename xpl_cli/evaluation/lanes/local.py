@@ -10,7 +10,6 @@ import contextlib
 import os
 import platform
 import queue
-import secrets
 import signal
 import socket
 import subprocess
@@ -42,7 +41,7 @@ class LocalBackend:
 
     def __init__(self, orders: Orders, server_orders: ServerOrders, lanes: int, servers: int) -> None:
         shares = [lanes * (number + 1) // servers - lanes * number // servers for number in range(servers)]
-        self._servers = [Server(server_orders, share, token=secrets.token_urlsafe(32)) for share in shares]
+        self._servers = [Server(server_orders, share) for share in shares]
         self._done: _Done = queue.SimpleQueue()
         owners = [server for server, share in zip(self._servers, shares, strict=True) for _ in range(share)]
         self._lanes = [_LaneThread(orders, number, server, self._done) for number, server in enumerate(owners)]

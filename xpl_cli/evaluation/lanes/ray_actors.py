@@ -5,11 +5,7 @@ They refuse by an answer and not by an exception: what an actor raises reaches t
 
 from __future__ import annotations
 
-import contextlib
-import os
 import platform
-import secrets
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +18,7 @@ from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from xpl_cli.evaluation.lanes.backend import Job, Outcome
 
@@ -74,24 +70,24 @@ class PolicyServer:
         version: of xpl on the machine that leads the run.
         orders: how it is started.
         clients: lanes that use it.
-        token: what it asks of lanes on other machines; None keeps it to this machine.
+        token: what it asks of lanes on other machines; None keeps it to this machine, with a token of its own.
+
+    Attributes:
+        token: what it asks for.
     """
 
     def __init__(self, version: str, orders: ServerOrders, clients: int, token: str | None) -> None:
         self._version = version
         self._orders = orders
-        self._token = token
-        self._secret = Path(tempfile.gettempdir()) / f"xpl-{secrets.token_hex(16)}"
-        options = () if token is None else ("--host", _address(), "--token-file", str(self._secret))
-        self._server = Server(orders, clients, options)
+        self._server = Server(orders, clients, () if token is None else ("--host", _address()), token)
+        self.token = self._server.token
         self._is_checked = False
 
     def url(self) -> str | Refusal | Unfit:
         """Return where it answers; starts it where it does not run (any more)."""
         try:
             self._check()
-            with self._told():
-                return self._server.url()
+            return self._server.url()
         except UserError as error:
             return Refusal.of(error)
         except ServerLostError as error:
@@ -114,20 +110,6 @@ class PolicyServer:
             _check_checkpoint(self._orders)
             self._is_checked = True
 
-    @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
-        """Have the token in a file for as long as a server may read it, which is while it starts."""
-        if self._token is None:
-            yield
-            return
-        descriptor = os.open(self._secret, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode=0o600)
-        try:
-            with os.fdopen(descriptor, "w", encoding="ascii") as stream:
-                stream.write(self._token)
-            yield
-        finally:
-            self._secret.unlink()
-
 
 class Player:
     """A lane and, where it has one of its own, the policy server that it talks to.
@@ -146,8 +128,8 @@ class Player:
         self._version = version
         self._orders = orders
         self._worker = f"{platform.node()}/{number}"
-        self._token = token
         self._server = None if own_server is None else PolicyServer(version, own_server, 1, None)
+        self._token = token if self._server is None else self._server.token
         self._lane: Lane | None = None
 
     def ready(self) -> Post | Refusal | Unfit:

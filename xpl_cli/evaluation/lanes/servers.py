@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import secrets
 import socket
 import threading
 from dataclasses import dataclass, field
@@ -72,14 +73,14 @@ class Server:
         orders: how the policy is served.
         clients: lanes that use it; each has its own model, or session of one that may be shared.
         options: further ones of `xpl serve`.
-        token: what it asks its lanes for, so that no other process of this machine drives what they drive.
+        token: what it asks its lanes for, so that no other process drives what they drive; a new one by default.
     """
 
     def __init__(
         self, orders: ServerOrders, clients: int, options: Sequence[str] = (), token: str | None = None
     ) -> None:
         self._orders = orders
-        self.token = token
+        self.token = token or secrets.token_urlsafe(32)
         self._options = (*options, *(("--workers", str(clients)) if clients > 1 else ()))
         self._is_shared = clients > 1
         self._turn = threading.Lock()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -194,15 +193,6 @@ def _backend(
         env_workers=request.workers,
         bounds=bounds,
     )
-    token = request.token if request.connect is not None else secrets.token_urlsafe(32)
-    access = Access(
-        token=token,
-        ssl_context=request.ssl_context,
-        is_patient=True,
-        on_loading=lambda told: progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s"),
-    )
-    if request.connect is not None:
-        return HereBackend(orders, Elsewhere(request.connect), access)
     ours = ServerOrders(
         policy,
         "",
@@ -212,4 +202,11 @@ def _backend(
         gpu=request.gpu,
         bounds=bounds,
     )
-    return HereBackend(orders, Server(ours, 1, token=token), access)
+    server = Server(ours, 1) if request.connect is None else Elsewhere(request.connect, request.token)
+    access = Access(
+        token=server.token,
+        ssl_context=request.ssl_context,
+        is_patient=True,
+        on_loading=lambda told: progress.step(f"the model is loading: {told.get('seconds', 0):.0f} s"),
+    )
+    return HereBackend(orders, server, access)
