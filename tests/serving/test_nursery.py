@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import uuid
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -18,8 +19,6 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.serving import nursery
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from xpl_cli.serving.nursery import Hosted
 
 WAITS = "mcp"
@@ -76,6 +75,14 @@ def test_a_signal_ends_it_and_is_told() -> None:
     assert hosted.wait(DEADLINE_S) == -signal.SIGKILL
     assert hosted.poll() == -signal.SIGKILL
     _close(hosted)
+
+
+def test_lists_of_processes_show_which_command_it_is() -> None:
+    """Although its command line is that of the process it was forked from."""
+    hosted = nursery.start([WAITS])
+    name = Path(f"/proc/{hosted.pid}/comm")
+    wait_until(lambda: name.read_text(encoding="utf-8") == f"xpl {WAITS}\n", "it has its name")
+    _told(hosted)
 
 
 def test_a_nursery_that_was_killed_is_replaced() -> None:

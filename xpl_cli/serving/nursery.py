@@ -248,6 +248,8 @@ def _become(channel: socket.socket, order: Mapping[str, Any], descriptors: Seque
     signal.signal(signal.SIGINT, signal.default_int_handler)
     gc.unfreeze()
     sys.argv = ["xpl", *order["arguments"]]
+    with contextlib.suppress(OSError):  # its command line is still the nursery's; this is what `ps` and `top` show
+        Path("/proc/self/comm").write_text(" ".join(sys.argv[:2]), encoding="utf-8")
     runpy.run_module("xpl_cli", run_name="__main__")
     raise SystemExit(0)
 
