@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import json
+import operator
 import os
 import shutil
 import subprocess
@@ -289,12 +291,21 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
         sdk_wheel.build(tmp_path / "dist")
 
 
-def test_the_lock_fits_the_declared_dependencies() -> None:
-    """`requirements-dev.txt` pins every direct dependency inside its declared range, and names no index."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    groups = project["dependency-groups"]
-    declared = [Requirement(text) for text in [*project["project"]["dependencies"], *groups["dev"], *groups["docs"]]]
-    lines = (ROOT / "requirements-dev.txt").read_text(encoding="utf-8").splitlines()
+@pytest.mark.parametrize(
+    ("lock", "further"),
+    [
+        ("requirements-dev.txt", [("dependency-groups", "dev"), ("dependency-groups", "docs")]),
+        ("tests/evaluation/cluster/ray.lock.txt", [("project", "optional-dependencies", "ray")]),
+    ],
+)
+def test_a_lock_fits_the_declared_dependencies(lock: str, further: list[tuple[str, ...]]) -> None:
+    """It pins every direct dependency inside its declared range, and names no index."""
+    document = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    texts = [*document["project"]["dependencies"]]
+    for path in further:
+        texts += functools.reduce(operator.getitem, path, document)
+    declared = [Requirement(text) for text in texts]
+    lines = (ROOT / lock).read_text(encoding="utf-8").splitlines()
     pins = [Requirement(line) for line in lines if not line.startswith("#")]
     locked = {pin.name: pin for pin in pins if pin.marker is None or pin.marker.evaluate()}
     for needed in declared:
