@@ -61,7 +61,7 @@ def _severities(rule: Rule) -> Sequence[str]:
 
 def _entry(rule: Rule) -> Iterator[str]:
     """Yield the lines of one rule: what it proves, then its documentation with headings that are no anchors."""
-    requirement = spec.requirements()[rule.requirement]
+    requirement = spec.requirement(rule.requirement)
     levels = ", ".join(f"{version} {told}" for version, told in zip(spec.published(), _severities(rule), strict=True))
     summary, *sections = rule.documentation.split("\n## ")
     yield from ("", f"## {rule.code} {rule.slug}", "", prose(summary), "")

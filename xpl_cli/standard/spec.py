@@ -160,6 +160,16 @@ def requirements(version: str = CURRENT) -> dict[str, Requirement]:
     }
 
 
+def requirement(name: str) -> Requirement:
+    """Return a requirement as the newest version says it; one that no frozen version has, as it is being written.
+
+    Raises:
+        KeyError: if no version has it.
+    """
+    known = next((one for one in (CURRENT, *reversed(versions())) if name in requirements(one)), CURRENT)
+    return requirements(known)[name]
+
+
 @cache
 def embodiments(version: str = CURRENT) -> dict[str, dict[str, Any]]:
     """Return every embodiment's data by name, each whole: what it has from the one it is `like` is filled in."""

@@ -30,11 +30,16 @@ HARMS: Final = (
         "leaks, deletes or runs what it must not",
         ("XPL-PKG-3", "XPL-PKG-11", "XPL-PKG-12", "XPL-SRV-4", "XPL-SRV-9", "XPL-ENV-12"),
     ),
-    Harm("moves-wrongly", "sends a robot the wrong commands", ("XPL-ACT", "XPL-SIM", "XPL-BAT")),
+    Harm(
+        "moves-wrongly", "sends a robot the wrong commands", ("XPL-ACT", "XPL-SIM", "XPL-BAT", "XPL-NAT-1", "XPL-NAT-3")
+    ),
     Harm(
         "deceives",
         "seems to work, and its results are wrong",
-        ("XPL-IMG", "XPL-OBS", "XPL-EPI", "XPL-CKP", "XPL-LOOP", "XPL-DAT", "XPL-CON-6", "XPL-CFG", "XPL-ENV"),
+        (
+            *("XPL-IMG", "XPL-OBS", "XPL-EPI", "XPL-CKP", "XPL-LOOP", "XPL-DAT", "XPL-CON-6", "XPL-CFG", "XPL-ENV"),
+            "XPL-NAT",
+        ),
     ),
     Harm(
         "breaks",

@@ -4,6 +4,7 @@ A subject is a folder `conformance/<gate>/<slug>/{bad,good}/<case>/`. Its files 
 scaffolded adapter or, for rules about environments, environment; an optional `overlay.yml`, not copied, says more:
 
     scaffold: {embodiment: franka_single, action_type: ee}   # its options; `false`: start from nothing
+    spec: v1.2                                               # version of the scaffold; the newest that is frozen
     remove: [install.sh]                                     # files of the scaffold that are left out
     edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold
     append: {deploy.yml: "horizon: null"}                    # text added at the end of a file
@@ -47,6 +48,7 @@ class Subject:
     good: bool
     target: str = package.POLICY
     scaffold: dict[str, Any] | None = field(default_factory=dict)
+    spec: str = spec.CURRENT
     remove: tuple[str, ...] = ()
     edit: dict[str, dict[str, str]] = field(default_factory=dict)
     append: dict[str, str] = field(default_factory=dict)
@@ -77,7 +79,8 @@ def build(subject: Subject, target: Path) -> Path:
     else:
         from xpl_cli.scaffold import adapter as scaffold
 
-        scaffold.write(_rendered(subject.target, tuple(sorted(subject.scaffold.items())), target.name), target)
+        options = tuple(sorted(subject.scaffold.items()))
+        scaffold.write(_rendered(subject.target, subject.spec, options, target.name), target)
     for name in subject.remove:
         (target / name).unlink()
     for name, replacements in subject.edit.items():
@@ -102,16 +105,18 @@ def build(subject: Subject, target: Path) -> Path:
 
 
 @cache
-def _rendered(kind: str, options: tuple[tuple[str, Any], ...], name: str) -> dict[str, bytes]:
+def _rendered(kind: str, version: str, options: tuple[tuple[str, Any], ...], name: str) -> dict[str, bytes]:
     """Return a scaffold; many subjects share one."""
     from xpl_cli.scaffold import adapter as scaffold
     from xpl_cli.scaffold import environment
     from xpl_cli.scaffold.answers import Answers
 
     if kind == package.ENV:
-        given = {**environment.env_defaults(), **dict(options), "name": name}
-        return environment.render_env(environment.EnvAnswers(**given))
-    return scaffold.render(Answers(**{**scaffold.defaults(), **dict(options), "name": name}))
+        template = f"{package.ENV}/{version}"
+        given = {**environment.env_defaults(template), **dict(options), "name": name}
+        return environment.render_env(environment.EnvAnswers(**given), template)
+    template = scaffold.policy_template(version)
+    return scaffold.render(Answers(**{**scaffold.defaults(template), **dict(options), "name": name}), template)
 
 
 def _read(folder: Path, *, good: bool, target: str) -> Subject:
@@ -123,6 +128,7 @@ def _read(folder: Path, *, good: bool, target: str) -> Subject:
         good=good,
         target=target,
         scaffold=None if scaffold is False else scaffold,
+        spec=told.get("spec", spec.CURRENT),
         remove=tuple(told.get("remove", ())),
         edit=told.get("edit", {}),
         append=told.get("append", {}),

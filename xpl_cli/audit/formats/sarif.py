@@ -77,7 +77,7 @@ def _rule(code: str, slug: str, context: Context) -> dict[str, Any]:
 
 def _documented(rule: Rule) -> dict[str, Any]:
     level = _LEVELS[rule.severity]
-    requirement = spec.requirements()[rule.requirement]
+    requirement = spec.requirement(rule.requirement)
     proves = f"Proves {requirement.id} ({requirement.level}): {requirement.text}"
     return {
         "id": rule.code,

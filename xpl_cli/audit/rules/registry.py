@@ -54,12 +54,13 @@ class Rule:
     @property
     def severity(self) -> str:
         """`must` or `should`, from the requirement of the newest version."""
-        return self.severity_in(spec.CURRENT)
+        return spec.requirement(self.requirement).level.lower()
 
     def severity_in(self, version: str) -> str:
         """Return `must` or `should`, from the requirement as a version of the standard has it."""
-        known = spec.requirements(version if self.is_in(version) else spec.CURRENT)
-        return known[self.requirement].level.lower()
+        if not self.is_in(version):
+            return self.severity
+        return spec.requirements(version)[self.requirement].level.lower()
 
     def is_in(self, version: str) -> bool:
         """Tell whether a version of the standard has the requirement."""

@@ -229,7 +229,7 @@ def explain(
     from xpl_cli.standard import spec
 
     rule = find(name)
-    requirement = spec.requirements()[rule.requirement]
+    requirement = spec.requirement(rule.requirement)
     if as_json:
         console.answer(
             "xpl.explain/1",
