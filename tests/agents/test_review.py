@@ -209,6 +209,19 @@ def test_without_weights_the_shadow_is_audited(repository: Path) -> None:
     assert done.returncode == ExitCode.CLEAN
 
 
+@pytest.mark.slow
+def test_a_model_that_never_loads_is_waited_for_as_long_as_is_asked(repository: Path) -> None:
+    """`--patience` is that of the audit; at its default this would take half a minute."""
+    package = repository / "policy/Foo/model.py"
+    head = "def load(self, config: Mapping[str, Any]) -> None:\n"
+    waiting = f"{head}        import threading\n\n        threading.Event().wait()\n"
+    package.write_text(package.read_text(encoding="utf-8").replace(head, waiting), encoding="utf-8")
+    options = ("--base", "main", "--gate", "offline", "--select", "serves", "--patience", "0.3")
+    done = xpl("review", *options, cwd=repository)
+    assert done.returncode == ExitCode.FINDINGS, done.stdout + done.stderr
+    assert "0.3 s" in done.stdout
+
+
 def test_every_requirement_has_a_place_in_the_order_of_harm() -> None:
     """A requirement that is new has to be judged; what leaks or sends wrong commands comes first."""
     names = [name for kind in HARMS for name in kind.requirements]

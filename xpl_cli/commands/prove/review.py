@@ -8,7 +8,7 @@ import typer
 
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.prove.audit import TIME_HELP
-from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP
+from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP, PATIENCE_HELP
 
 _LONGEST = 1 << 20
 """Bytes of a description; GitHub takes 65,536 characters."""
@@ -43,6 +43,7 @@ def review(
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
     time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP),
+    patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Audit what a change touches. Prints one comment with the ten worst findings.
@@ -94,6 +95,7 @@ def review(
             memory_limit=memory_limit,
             isolate=isolate,
             clock=clock,
+            patience=patience,
             cache=None if no_cache else cache.default_folder(),
             progress=say,
         )
