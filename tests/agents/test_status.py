@@ -88,8 +88,9 @@ def _one(*words: str) -> dict[str, Any]:
 
 def _audited(path: Path, *gates: GateReport, options: tuple[str, ...] = ()) -> None:
     """Remember gates as an audit of the files that are there now."""
-    now = Source(path).record()
-    report = TargetReport(str(path), path.name, "policy", [replace(gate, source=now) for gate in gates])
+    read = Source(path)
+    found = [replace(gate, source=read.whole() if gate.name is Gate.STATIC else read.record()) for gate in gates]
+    report = TargetReport(str(path), path.name, "policy", found)
     folder = standing.memory_folder()
     assert folder is not None
     memory.remember(folder, path, report, options)
@@ -127,6 +128,13 @@ def test_an_audit_is_remembered_as_long_as_the_files_are_the_same(filled: Path) 
     assert (package["stage"], package["steps"]["static"]["state"]) == ("static", "stale")
     model.write_text(text)
     assert _one("Foo")["steps"]["static"]["state"] == "done"
+
+
+def test_another_readme_is_judged_by_the_static_gate_alone(filled: Path) -> None:
+    """What an adapter does is as it was."""
+    _audited(filled, *(_gate(gate, Outcome.PASS) for gate in Gate))
+    (filled / "README.md").write_text("# Another text\n")
+    assert [_one("Foo")["steps"][gate]["state"] for gate in Gate] == ["stale", "done", "done"]
 
 
 @pytest.mark.parametrize("options", [("--select", "parses"), ("--ignore", "parses"), ("--no-cache",)])

@@ -60,6 +60,29 @@ def outcomes(path: Path, options: Options = STATIC) -> dict[str, Outcome]:
     return {result.slug: result.outcome for result in engine.audit(path, "policy", options).results}
 
 
+# -- digests -----------------------------------------------------------------------------------------------------------
+
+
+def _digests(adapter: Path) -> list[str | None]:
+    """Return the digest of the static and of the offline gate."""
+    gates = (Gate.STATIC, Gate.OFFLINE)
+    return [gate.digest for gate in engine.audit(adapter, "policy", Options(gates=gates)).gates]
+
+
+def test_documents_are_no_part_of_what_an_adapter_does(room: Room, adapter: Path) -> None:
+    """README and licence change the digest of the gate that reads, and none of a gate that runs; code changes both."""
+    room.rule("reads", "yield from ()", code="XPL101")
+    room.rule("runs", "yield from ()", code="XPL201", folder="offline")
+    first = _digests(adapter)
+    (adapter / "README.md").write_text("# Another text\n")
+    (adapter / "LICENSE.txt").write_text("another\n")
+    second = _digests(adapter)
+    assert (second[0] != first[0], second[1]) == (True, first[1])
+    with (adapter / "model.py").open("a") as model:
+        model.write("# another line\n")
+    assert all(before != after for before, after in zip(second, _digests(adapter), strict=True))
+
+
 # -- where a rule lies -------------------------------------------------------------------------------------------------
 
 

@@ -100,8 +100,8 @@ def steps(target: Target, source: Source, remembered: Mapping[str, Remembered]) 
         yield _environment(target.path, manifest, shown)
         if loaded is not None:
             yield _checkpoint(loaded, shown)
-    now = source.record()
     for gate in GATES[target.kind]:
+        now = source.whole() if gate is Gate.STATIC else source.record()
         yield _gate(gate, remembered.get(gate.value), now, shown)
 
 

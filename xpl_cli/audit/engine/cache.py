@@ -63,7 +63,7 @@ class Shelf:
     """The passes that are known for one state of one package.
 
     Attributes:
-        record: hash of the boundary, as `Source.record` returns it; empty if it is not known.
+        record: hash of the boundary, as `Source.whole` returns it; empty if it is not known.
     """
 
     package: Path
@@ -114,7 +114,7 @@ class Shelf:
         with suppress(OSError, ValueError, NotRun):
             names = {name for name in (*source.files, *source.seen) if "/" in name}
             self._files = {name: _digest(self.package / name) for name in sorted(names)}
-            self.record = source.record()
+            self.record = source.whole()
             if self.file.name != f"{_state(self.package)}.json":
                 return
             others = Shelf(self.package, self.file)

@@ -28,10 +28,14 @@ from xpl_cli.audit.rules.registry import Entry, RegistryError, find, select
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.packages.targets import Target
+
+_ALL_COUNT_UP_TO = "v1.1"
+"""Up to this version what it brought counts in digests of older adapters, too: those that were told shall repeat."""
 
 
 def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) -> TargetReport:
@@ -134,8 +138,9 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
         simulation = facts.known("simulation")
         report.figures = tuple(simulation.figures) if simulation is not None else ()
         if gate is Gate.STATIC:  # which reads the files anyway, unless it knows that they are as they were
-            report.source = (shelf.record if shelf is not None else "") or facts.get("source").record()
-        report.digest = _digest(report, [f"source {report.source}"] if gate is Gate.STATIC else facts.records())
+            report.source = (shelf.record if shelf is not None else "") or facts.get("source").whole()
+        records = [f"source {report.source}"] if gate is Gate.STATIC else facts.records()
+        report.digest = _digest(report, target.spec, records)
         if shelf is not None:
             shelf.save(facts.get("source"))
     report.results.sort(key=lambda result: result.code)
@@ -175,9 +180,15 @@ def _note_contents(target: TargetReport, report: GateReport, source: Source) -> 
                 target.contents[edit.path] = source.text(edit.path)
 
 
-def _digest(report: GateReport, records: list[str]) -> str:
-    """Return a hash of the outcomes and of what the adapter did, as far as the gate's facts recorded it."""
-    lines = [f"{result.code} {result.outcome} {len(result.findings)}" for result in report.results]
+def _digest(report: GateReport, version: str, records: list[str]) -> str:
+    """Return a hash of the outcomes and of what the adapter did, as far as the gate's facts recorded it.
+
+    What a later version of the standard asks for is left out, so that its rules change no digest of an older adapter.
+    """
+    known = spec.requirements(max(version, _ALL_COUNT_UP_TO, key=spec.order))
+    newer = spec.requirements(spec.versions()[-1]).keys() - known.keys()
+    counted = [result for result in report.results if result.requirement not in newer]
+    lines = [f"{result.code} {result.outcome} {len(result.findings)}" for result in counted]
     return hashlib.sha256("\n".join([*lines, *records]).encode()).hexdigest()[:16]
 
 

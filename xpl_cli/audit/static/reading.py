@@ -18,6 +18,14 @@ _ASCII: Final = bytes(range(0x20, 0x7F)).replace(b"\\", b"") + b"\t\n\r\\x41~{+A
 SIZE_LIMIT: Final = 2 * 1024 * 1024
 """Files beyond this many bytes are data, not source."""
 
+_DOCUMENTS: Final = frozenset(("authors", "changelog", "citation", "contributing", "license", "notice", "readme"))
+
+
+def is_document(name: str) -> bool:
+    """Tell whether a file is for readers only; of a package that acts by one all the same, the answers show it."""
+    stem, _, suffix = name.rpartition("/")[2].lower().rpartition(".")
+    return suffix == "md" or (suffix == "txt" and stem in _DOCUMENTS)
+
 
 def read(package: Path, name: str) -> bytes:
     """Return what a file of a package holds.

@@ -25,6 +25,8 @@ from xpl_cli.packages.package import ENV
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from yaml import Node
 
     from xpl_cli.audit.static.syntax import FunctionNode
@@ -184,15 +186,20 @@ class Source:
             )
         return self._defined[name]
 
+    def whole(self) -> str:
+        """Return a hash of the boundary's files: what the static gate judges, documents too."""
+        return self._hashed(lambda _: True)
+
     def record(self) -> str:
-        """Return a hash of the boundary's files, for the gate's digest."""
+        """Return a hash of those files that a package may act by: what gates that run it judge."""
+        return self._hashed(lambda name: not reading.is_document(name))
+
+    def _hashed(self, counts: Callable[[str], bool]) -> str:
         state = hashlib.sha256()
-        names: tuple[str, ...] = ()
         with suppress(NotRun):
-            names = self.text_files
-        for name in names:
-            with suppress(NotRun):
-                state.update(f"{name}\0{self.text(name)}\0".encode(errors="replace"))
+            for name in filter(counts, self.text_files):
+                with suppress(NotRun):
+                    state.update(f"{name}\0{self.text(name)}\0".encode(errors="replace"))
         return state.hexdigest()[:16]
 
     def yaml(self, name: str) -> Any:
