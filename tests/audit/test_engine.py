@@ -12,6 +12,8 @@ import pytest
 from tests.support.peer import xpl
 from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import engine
+from xpl_cli.audit.formats import document
+from xpl_cli.audit.formats.listing import Context
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome
@@ -155,6 +157,17 @@ def test_a_rule_whose_ground_does_not_hold_is_not_run(room: Room, adapter: Path,
     alone = engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,), names=("upper",))).results
     assert [(result.slug, result.outcome) for result in alone] == [("upper", found["upper"])]
     assert holds or "XPL101 ground" in str(alone[0].reason)
+
+
+def test_a_rule_may_say_what_it_proved(room: Room, adapter: Path) -> None:
+    """In numbers, which reports hand on; one that found something proved nothing."""
+    proof = "from xpl_cli.audit import Proof\nyield Proof({'pairs': 3})"
+    room.rule("proves", proof, code="XPL101")
+    room.rule("finds", f"{proof}\nyield Finding('wrong')", code="XPL102")
+    report = engine.audit(adapter, "policy", STATIC)
+    assert [(result.proof, len(result.findings)) for result in report.results] == [({"pairs": 3}, 0), (None, 1)]
+    told = document.as_json([report], Context(fail_on=Outcome.FAIL))["targets"][0]["gates"][0]["results"]
+    assert [result.get("proof") for result in told] == [{"pairs": 3}, None]
 
 
 def test_a_crash_says_what_and_where(room: Room, adapter: Path) -> None:

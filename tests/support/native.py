@@ -95,7 +95,7 @@ def words(schema: Mapping[str, Any], value: Any, root: Mapping[str, Any], place:
 
 
 def vocabulary(schema: Mapping[str, Any]) -> set[tuple[str, Any]]:
-    """Return every word of the schema, as `words` tells them."""
+    """Return every word of the schema that a block may hold, as `words` tells them."""
     found: set[tuple[str, Any]] = set()
 
     def walk(node: Mapping[str, Any], place: str) -> None:
@@ -109,7 +109,8 @@ def vocabulary(schema: Mapping[str, Any]) -> set[tuple[str, Any]]:
 
     walk(schema, "")
     for name, node in schema["$defs"].items():
-        walk(node, name)
+        if name != "convention":  # those are of native.py
+            walk(node, name)
     return found
 
 

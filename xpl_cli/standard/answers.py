@@ -67,7 +67,7 @@ def schema(name: str) -> dict[str, Any]:
     if _STANDARD in entry:
         from xpl_cli.standard import spec
 
-        return spec.schema(entry[_STANDARD])
+        return spec.schema(entry[_STANDARD], spec.NEWEST)
     properties = {"schema": {"const": name}, **entry["properties"], "next": _NEXT}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -85,9 +85,10 @@ def problems(document: Mapping[str, Any]) -> list[str]:
     """
     name = find(str(document.get("schema"))).name
     if standard := _entries()[name].get(_STANDARD):
+        from xpl_cli.standard import spec
         from xpl_cli.standard.validate import validate
 
-        return list(map(str, validate(document, standard)))
+        return list(map(str, validate(document, standard, spec.NEWEST)))
     from jsonschema import Draft202012Validator
 
     return [f"{error.json_path}: {error.message}" for error in Draft202012Validator(schema(name)).iter_errors(document)]

@@ -71,6 +71,10 @@ def _newest() -> str:
 CURRENT = _newest()
 """The spec version that this release scaffolds by, and that the SDK's constants are compiled from."""
 
+NEWEST = versions()[-1]
+"""The newest version, which may still be being written: by it this release writes its own documents, to which a version
+only adds, and it knows every requirement that a rule proves."""
+
 
 def declared(manifest: Mapping[str, Any]) -> str:
     """Return the version that an adapter is held to: the one its manifest names.

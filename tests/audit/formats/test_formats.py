@@ -29,6 +29,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, TargetReport, exit_code
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
@@ -96,13 +97,13 @@ def test_a_format_that_is_not_there_is_an_error() -> None:
 
 def test_json_is_what_its_schema_says(context: Context) -> None:
     """`xpl.audit/1`, spec/v1/audit.schema.json."""
-    assert validate(json.loads(render("json", sample.reports(), context)), "audit") == []
+    assert validate(json.loads(render("json", sample.reports(), context)), "audit", spec.NEWEST) == []
 
 
 def test_jsonl_has_a_line_for_every_finding_and_for_what_was_not_proved(context: Context) -> None:
     """Each line is valid by itself, and names target, gate and rule."""
     lines = [json.loads(line) for line in render("jsonl", sample.reports(), context).splitlines()]
-    assert [problem for line in lines for problem in validate(line, "audit#/$defs/record")] == []
+    assert [problem for line in lines for problem in validate(line, "audit#/$defs/record", spec.NEWEST)] == []
     assert [line["code"] for line in lines if line["outcome"] in {"error", "not_run"}] == [
         "XPL121",
         "XPL203",
@@ -301,9 +302,9 @@ def test_a_rule_that_cannot_be_imported_is_a_crash_in_every_format(
     texts = {name: render(name, [report], context) for name in FORMATS}
     assert exit_code([report]) is ExitCode.INTERNAL
     assert all("XPL101" in text and "something" in text for text in texts.values())
-    assert validate(json.loads(texts["json"]), "audit") == []
+    assert validate(json.loads(texts["json"]), "audit", spec.NEWEST) == []
     for line in texts["jsonl"].splitlines():
-        assert validate(json.loads(line), "audit#/$defs/record") == []
+        assert validate(json.loads(line), "audit#/$defs/record", spec.NEWEST) == []
     for name in ("sarif", "gitlab", "rdjson"):
         assert sample.problems(json.loads(texts[name]), name) == []
     (run,) = json.loads(texts["sarif"])["runs"]

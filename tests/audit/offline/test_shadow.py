@@ -24,6 +24,7 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
 from xpl_cli.serving.launch import ServerStartError, serving
+from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
@@ -159,7 +160,7 @@ def test_a_missing_part_makes_a_shadow_that_is_told_and_can_be_green(package: Pa
     for name in ("human", "markdown", "concise", "github", "sarif", "junit"):
         assert "shadow mode" in render(name, [report]), name
     document = as_json([report])
-    assert validate(document, "audit") == []
+    assert validate(document, "audit", spec.NEWEST) == []
     assert (document["targets"][0]["gates"][0]["profile"], document["exit_code"]) == ("shadow", 0)
 
 

@@ -101,7 +101,7 @@ class Shelf:
         """Note what a rule found, if it is a pass that follows from the files alone."""
         reason = result.reason or ""
         is_sound = result.outcome is Outcome.PASS or (result.outcome is Outcome.NOT_APPLICABLE and reason)
-        if is_sound and _FACTS.issuperset(facts):
+        if is_sound and result.proof is None and _FACTS.issuperset(facts):
             self._passes[entry.code] = [_version(entry), result.requirement, result.severity, reason]
             self._news = True
 

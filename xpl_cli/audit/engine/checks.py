@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import time
 from contextlib import contextmanager, nullcontext
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.rules.facts import wanted
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import NotApplicable, NotRun, Outcome, Result
+from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Proof, Result
 from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import RegistryError, needed
 from xpl_cli.audit.static.limits import LONGEST_S, TooLong, deadline
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from xpl_cli.audit.engine.cache import Shelf
     from xpl_cli.audit.rules.facts import Facts
-    from xpl_cli.audit.rules.model import Finding
     from xpl_cli.audit.rules.registry import Entry, Rule
 
 _HOLDS = frozenset((Outcome.PASS, Outcome.WARN, Outcome.NOT_APPLICABLE))
@@ -84,7 +83,7 @@ class Checks:
             self._facts.get("options").clock.check()
             self._require(rule)
             with self._hurried() if rule.gate is Gate.STATIC else nullcontext():
-                findings: tuple[Finding, ...] = tuple(self._facts.call(rule.check))
+                told = tuple(self._facts.call(rule.check))
         except NotApplicable as why:
             return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
         except NotRun as why:
@@ -93,7 +92,9 @@ class Checks:
             files = "the files are more, larger or more tangled than any adapter's"
             reason = f"the gate was not done within {LONGEST_S:.0f} s: {files}"
             return self._result(rule, Outcome.NOT_RUN, reason=reason)
-        return self._result(rule, outcome_of(findings, rule.severity_in(self._version)), findings)
+        findings = tuple(item for item in told if isinstance(item, Finding))
+        proof = None if findings else next((item.numbers for item in told if isinstance(item, Proof)), None)
+        return self._result(rule, outcome_of(findings, rule.severity_in(self._version)), findings, proof=proof)
 
     @contextmanager
     def _hurried(self) -> Iterator[None]:
@@ -119,10 +120,15 @@ class Checks:
             raise NotApplicable("only the real model can satisfy or break it, and in shadow mode there is none")
 
     def _result(
-        self, rule: Rule, outcome: Outcome, findings: tuple[Finding, ...] = (), reason: str | None = None
+        self,
+        rule: Rule,
+        outcome: Outcome,
+        findings: tuple[Finding, ...] = (),
+        reason: str | None = None,
+        proof: Mapping[str, Any] | None = None,
     ) -> Result:
         severity = rule.severity_in(self._version)
-        return Result(rule.code, rule.slug, rule.requirement, severity, outcome, findings, reason)
+        return Result(rule.code, rule.slug, rule.requirement, severity, outcome, findings, reason, proof=proof)
 
 
 def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:

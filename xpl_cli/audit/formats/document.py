@@ -102,6 +102,7 @@ def _result(result: Result, entries: Iterator[Listed], folder: str) -> dict[str,
             {**described(item.finding, result, folder, _identity(item.finding, result, folder)), "reason": item.reason}
             for item in result.waived
         ],
+        **({} if result.proof is None else {"proof": dict(result.proof)}),
     }
 
 

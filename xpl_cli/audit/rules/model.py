@@ -117,6 +117,17 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Proof:
+    """What a rule proved, in numbers; a rule that has some to tell yields it besides its findings.
+
+    Args:
+        numbers: by name, JSON values; what a verdict may print.
+    """
+
+    numbers: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class Waived:
     """A finding that the adapter's manifest declares accepted, and why."""
 
@@ -133,6 +144,7 @@ class Result:
         findings: what is wrong and counts.
         reason: why there is nothing to say, for `not_applicable` and `not_run`, or how the rule crashed.
         waived: what is wrong and was accepted; it changes no outcome.
+        proof: what was proved, in numbers, where the rule says so and found nothing.
     """
 
     code: str
@@ -143,6 +155,7 @@ class Result:
     findings: tuple[Finding, ...] = ()
     reason: str | None = None
     waived: tuple[Waived, ...] = ()
+    proof: Mapping[str, Any] | None = None
 
     @property
     def explain(self) -> str:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, Self
 
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding
+from xpl_cli.audit.rules.model import Finding, Proof
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import no_such
 from xpl_cli.standard import spec
 
-Check = Callable[..., Iterator[Finding]]
+Check = Callable[..., Iterator[Finding | Proof]]
 
 
 class RegistryError(Exception):
@@ -101,6 +101,7 @@ def rule(
 ) -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
+    It may yield a `Proof` of what it found right.
     Its docstring is what `xpl explain` prints: a summary line, then the headings What it does, Why it matters, Example,
     Use instead, Fix safety. Its folder `conformance/GATE/SLUG` says what it is called and where it runs; a rule of
     `environments/` or `audit/` says by `gate` in which one first. `after` names rules of the same gate without which
