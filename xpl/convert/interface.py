@@ -12,6 +12,7 @@ from xpl import _spec as spec
 from xpl.convert.actions import ActionOutput, Memory
 from xpl.convert.assembly import assembled
 from xpl.convert.errors import NativeError
+from xpl.convert.gaps import refuse
 from xpl.convert.images import ImageInput
 from xpl.convert.parts import Rotation
 from xpl.convert.vectors import Vector
@@ -42,8 +43,9 @@ def compile_interface(
         chunk: action steps that the manifest declares.
 
     Raises:
-        NativeError: if the block does not fit the robot, or its numbers cannot be had.
+        NativeError: if the block leaves a value open, does not fit the robot, or its numbers cannot be had.
     """
+    refuse(native)
     return Interface(native, embodiment, action_type, folders, chunk)
 
 

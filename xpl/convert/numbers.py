@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import struct
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -47,8 +49,6 @@ class Normalization:
         self._to, self._back = _Line(width), _Line(width)
         if entry is None:
             return
-        if "unknown" in entry:
-            raise NativeError(f"normalize is open ({entry['unknown']}); say the rule and its numbers, or null for none")
         rule, epsilon = entry["rule"], entry.get("epsilon", 0.0)
         one, two = (_numbers(entry, name, folders, width, padded) for name in _NAMES[rule])
         only = np.asarray(entry.get("only", [True] * width), bool)
@@ -136,7 +136,7 @@ def _read(file: str, folders: Sequence[Path], words: Sequence[str]) -> Any:
         raise NativeError(f"{path} is larger than statistics are: {path.stat().st_size} bytes")
     words = [word for word in words if word]
     if path.suffix in (".npz", ".safetensors"):
-        table = _safetensors(path) if path.suffix == ".safetensors" else dict(np.load(path, allow_pickle=False))
+        table = _safetensors(path) if path.suffix == ".safetensors" else _npz(path)
         for joint in ("/", "."):
             if joint.join(words) in table:
                 return table[joint.join(words)]
@@ -148,7 +148,7 @@ def _document(path: Path) -> Any:
     text = path.read_text(encoding="utf-8")
     try:
         return json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise NativeError(f"{path} is not JSON: {error}") from None
 
 
@@ -159,6 +159,20 @@ def _entry(document: Any, words: Sequence[str], path: Path) -> Any:
             raise NativeError(f"{path} has no {'/'.join(words)}: at {word!r} there is {there[:400]}")
         document = document[word]
     return document
+
+
+def _npz(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > _SIZE_LIMIT:
+            raise NativeError(f"{path} is larger than statistics are: {size} bytes unpacked")
+        with np.load(path, allow_pickle=False) as table:
+            return dict(table)
+    except (ValueError, EOFError, OSError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
+        if isinstance(error, NativeError):
+            raise
+        raise NativeError(f"{path} is not a file of numpy arrays: {error}") from None
 
 
 def _safetensors(path: Path) -> dict[str, np.ndarray]:
@@ -174,5 +188,5 @@ def _safetensors(path: Path) -> dict[str, np.ndarray]:
             for name, entry in header.items()
             if name != "__metadata__" and entry["dtype"] in kinds
         }
-    except (ValueError, KeyError, TypeError, struct.error) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, struct.error) as error:
         raise NativeError(f"{path} is not a safetensors file: {error}") from None

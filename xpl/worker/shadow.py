@@ -19,15 +19,19 @@ import dataclasses
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from typing import Any, Callable
+from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl.action import action_dim
+from xpl.decoding import decode_rows
 from xpl.policy import Observation, Policy
 from xpl.wire.arrays import ArrayError, as_array, data_of
 from xpl.worker.lacking import StandInError
+
+if TYPE_CHECKING:
+    from xpl.convert import Interface
 
 _STEPS = 4  # of a chunk, where nothing declares how many
 _PARTS = 12  # of an array that are averaged; a multiple of the channels that images have, 3 and 4
@@ -64,8 +68,8 @@ def shadow_of(model_class: type) -> type[Policy]:
             f"shadow mode needs an adapter that derives from xpl.Policy; {model_class.__name__} does not, and its "
             "model cannot be told from what is around it"
         )
-    if model_class.encode is Policy.encode or model_class.predict is Policy.predict:
-        raise UndividedError(f"shadow mode needs an adapter with encode and predict; {model_class.__name__} lacks them")
+    if model_class.predict is Policy.predict:
+        raise UndividedError(f"shadow mode needs an adapter with predict; {model_class.__name__} lacks it")
     kind: Any = type(model_class)  # a metaclass of the adapter's, if it has one
     shadow: type[Policy] = kind(model_class.__name__, (_Shadow, model_class), {"__module__": model_class.__module__})
     return shadow
@@ -75,11 +79,17 @@ class _Shadow(Policy):
     """What stands before the adapter's class in the order of resolution."""
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        declared = (config.get("manifest") or {}).get("shadow") or {}
+        manifest = config.get("manifest") or {}
+        declared = manifest.get("shadow") or {}
+        if not self._encodes and manifest.get("native") is None:
+            name = type(self).__name__
+            raise UndividedError(f"shadow mode needs an adapter with encode, or a block native; {name} has neither")
         self._shadow_weights: tuple[Any, np.ndarray] = ((), np.empty(0))
         super().__init__(config)
         width = action_dim(self.embodiment, self.action_type)
-        self._shadow_shape: tuple[int, int] = tuple(declared.get("shape") or (self.chunk or _STEPS, width))
+        steps = self.chunk if self.interface is None else self.interface.action.steps
+        self._shadow_shape: tuple[int, int] = tuple(declared.get("shape") or (steps or _STEPS, width))
+        self._shadow_converts = "shape" not in declared
         self._shadow_range = _ranges(self, self._shadow_shape[1], declared.get("range"))
 
     def load(self, config: Mapping[str, Any]) -> None:
@@ -105,9 +115,14 @@ class _Shadow(Policy):
                 )
         return inputs
 
-    def predict(self, inputs: list[Any], envs: list[int]) -> Any:  # noqa: ARG002 - of the interface
+    def predict(self, inputs: Any, envs: list[int]) -> Any:
         """Return a chunk for each environment, (H, D) float32, that depends on its inputs alone."""
-        return [self._answer(value) for value in inputs]
+        if isinstance(inputs, Mapping):  # a block native batches them by name
+            inputs = [{name: values[row] for name, values in inputs.items()} for row in range(len(envs))]
+        answers = [self._answer(value) for value in inputs]
+        if self.interface is None or not self._shadow_converts:
+            return answers
+        return [self._in_native_words(self.interface, answer, env) for answer, env in zip(answers, envs)]
 
     def reset_env(self, env: int) -> None:
         """Let the adapter forget native state, as far as there is any."""
@@ -120,6 +135,25 @@ class _Shadow(Policy):
         if inherited is not None:
             return inherited(name)
         raise NotLoadedError(f"{type(self).__name__} has no {name!r}: shadow mode skips load, which may set it")
+
+    @property
+    def _encodes(self) -> bool:
+        return super(_Shadow, type(self)).encode is not Policy.encode
+
+    def _compiled(self, native: Mapping[str, Any] | None) -> Interface | None:
+        """Compile a block native with plain values where it is open, or where statistics are not there."""
+        if native is None:
+            return None
+        from xpl.convert.gaps import filled
+
+        return super()._compiled(filled(native, self.embodiment, self.action_type, [self.policy_dir]))
+
+    def _in_native_words(self, interface: Interface, answer: np.ndarray, env: int) -> np.ndarray:
+        """Return the chunk that a model would answer for these absolute actions (H, D) of the standard."""
+        known = self._environments[env]
+        steps = decode_rows(answer, self.embodiment, self.action_type)
+        state = known.frames[-1].obs[spec.Obs.STATE]
+        return interface.action.encode(steps, state, dict(known.commands.value or {}))
 
     def _answer(self, inputs: Any) -> np.ndarray:
         digest, layout, features = hashlib.sha256(), [], []

@@ -259,6 +259,9 @@ def test_only_files_of_the_checkpoint_are_a_missing_checkpoint(package: Path) ->
 # -- the function ------------------------------------------------------------------------------------------------------
 
 
+KEYS = {"arm_joint_state": 6, "ee_joint_state": 1}
+
+
 class _Adapter(Policy):
     def encode(self, obs: Any, env: int) -> Any:
         return obs["inputs"]
@@ -326,6 +329,39 @@ def test_the_shadow_reads_tensors_and_refuses_what_it_cannot_read() -> None:
         shadow.predict([object()], [0])
     with pytest.raises(UndividedError):
         shadow_of(object)
+
+
+class _Native(Policy):
+    def predict(self, inputs: Any, envs: Any) -> Any:
+        raise AssertionError
+
+
+def test_the_shadow_of_an_adapter_with_a_native_block_answers_in_the_models_words(tmp_path: Path) -> None:
+    """Also where the block is open, and where its statistics are not there: commands that the robot can follow."""
+    parts = [
+        {"joints": {"arm": "left", "unit": "deg"}},
+        {"gripper": {"arm": "left", "closed": {"unknown": "-"}, "open": 0.08}},
+        {"joints": {"arm": "right"}},
+        {"gripper": {"arm": "right", "closed": 0.0, "open": 0.08}},
+    ]
+    normalize = {"rule": "mean_std", "file": "stats.json"}
+    native = {
+        "state": [{"input": "s", "parts": parts[2:], "normalize": normalize}],
+        "action": {"reference": "delta_state", "parts": parts, "normalize": normalize, "pad": 32},
+    }
+    config = {"env_cfg_type": "arx_x5", "action_type": "joint"}
+    with pytest.raises(UndividedError):
+        shadow_of(_Native)(config)
+    policy = shadow_of(_Native)({**config, "manifest": {"temporal": {"chunk": 6}, "native": native}})
+    rng = np.random.default_rng(0)
+    state = {f"{side}_{key}": rng.uniform(0, 1, width) for side in ("left", "right") for key, width in KEYS.items()}
+    policy.update_obs_batch([{"state": state, "env_idx": env} for env in range(2)])
+    one, two = policy.get_action_batch()
+    assert len(one) == len(two) == 6
+    for step in one:
+        assert 0 <= step["left_ee_joint_state"][0] <= 1
+        assert np.abs(step["left_arm_joint_state"]).max() < 3
+    assert all(np.array_equal(a[key], b[key]) for a, b in zip(one, two, strict=True) for key in a)
 
 
 # -- stubs -------------------------------------------------------------------------------------------------------------

@@ -169,7 +169,10 @@ UNFIT: list[tuple[dict[str, Any], str]] = [
     ),
     (_changed(pad=7), "native.action.pad is 7, but its parts have 8 numbers"),
     (_changed(steps=4), "native.action.steps is 4, and temporal.chunk 8"),
-    (_changed(normalize={"unknown": "ask the authors"}), r"native.action.normalize is open \(ask the authors\); say"),
+    (
+        _changed(normalize={"unknown": "ask the authors"}),
+        r"open that conversions need: action.normalize \(ask the authors\); find",
+    ),
     (_changed(normalize={"rule": "mean_std", "file": "gone.json"}), "native.action.normalize names the file gone.json"),
     (
         _state({"joints": {"arm": "single", "sign": [1, -1]}}),

@@ -1,0 +1,119 @@
+"""What a native block leaves open is told whole, and what does not depend on it can be tried."""
+
+from __future__ import annotations
+
+import copy
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from tests.support.native import CASES, observation, steps
+from xpl import get_embodiment
+from xpl.convert import NativeError, compile_interface
+from xpl.convert.gaps import absent, filled, gaps
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+PARTS = [
+    {"joints": {"arm": "single", "names": {"unknown": "14 numbers without names"}}},
+    {"gripper": {"arm": "single", "closed": {"unknown": "not in the config"}, "open": 0.0}},
+]
+ROBOT = get_embodiment("franka_single")
+OPEN: dict[str, Any] = {
+    "images": [
+        {
+            "input": "image",
+            "cameras": {"unknown": "the config has one camera of another name"},
+            "channels": {"unknown": "read with cv2"},
+            "layout": "hwc",
+            "dtype": {"unknown": "-"},
+            "mean": [0.5, 0.5, 0.5],
+            "steps": [{"resize": {"to": [8, 8], "filter": {"unknown": "-"}}}, {"crop": {"to": {"unknown": "-"}}}],
+        }
+    ],
+    "state": [{"input": "s", "parts": PARTS, "normalize": {"rule": "mean_std", "file": "stats.json"}, "pad": 32}],
+    "action": {"reference": {"unknown": "-"}, "parts": {"unknown": "-"}, "normalize": {"unknown": "-"}},
+    "sampling": {"unknown": "the paper does not say"},
+}
+
+
+def test_all_that_is_open_is_named_in_one_sentence() -> None:
+    """With its place and its reason; what no conversion reads does not stop it."""
+    assert len(gaps(OPEN)) == 11
+    with pytest.raises(NativeError) as raised:
+        compile_interface(OPEN, ROBOT, "joint")
+    told = str(raised.value)
+    assert "native leaves 10 values open" in told
+    assert "\n" not in told
+    for gap in gaps(OPEN):
+        assert (f"{gap.where} ({gap.reason})" in told) == (gap.path != ("sampling",))
+    alone = {"action": CASES["hands, absolute"].native["action"], "sampling": {"unknown": "-"}}
+    compile_interface(alone, get_embodiment("tianji_marvin_wuji"), "joint")
+
+
+def test_the_rest_of_an_open_block_converts() -> None:
+    """An observation goes in, and commands come out as they were given."""
+    interface = compile_interface(filled(OPEN, ROBOT, "joint"), ROBOT, "joint")
+    obs = observation("franka_single")
+    inputs = interface.encode(obs)
+    assert inputs["image"].shape == (8, 8, 3)
+    assert inputs["s"].shape == (8,)
+    steps = [{key: obs["state"][key] for key in ROBOT.dims("joint")}]
+    (step,) = interface.decode(interface.action.encode(steps, obs["state"]), obs)
+    assert step["arm_joint_state"] == pytest.approx(obs["state"]["arm_joint_state"], abs=1e-6)
+
+
+NAMES = {"input", "arm", "width", "value", "mask", "file", "of", "normalize"}
+"""Keys whose values are names, or that lead to values that are open as a whole."""
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the places of a block that may be open."""
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        if key not in NAMES:
+            yield from places(item, (*path, key))
+        is_word = isinstance(key, str) and key not in NAMES and not isinstance(item, dict)
+        if key == "normalize" or (is_word and not (path == () and isinstance(item, list))):
+            yield (*path, key)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_block_converts_with_any_one_value_open(name: str) -> None:
+    """Each is refused, told with its place, and can be tried without."""
+    case = CASES[name]
+    obs = observation(case.robot)
+    turns = np.random.default_rng(0)
+    for path in places(case.native):
+        block = copy.deepcopy(case.native)
+        inner: Any = block
+        for part in path[:-1]:
+            inner = inner[part]
+        inner[path[-1]] = {"unknown": "why"}
+        assert [gap.path for gap in gaps(block)] == [path]
+        interface = compile_interface(
+            filled(block, case.embodiment, case.action_type), case.embodiment, case.action_type
+        )
+        if path[0] in ("images", "state"):
+            interface.encode(obs, {})
+        wanted = steps(case, turns, 1)
+        answer = interface.action.encode(wanted, obs["state"])
+        assert len(interface.decode(answer, obs)) == len(wanted)
+
+
+def test_statistics_that_are_not_there_are_told_once(tmp_path: Path) -> None:
+    """And left out of what is tried."""
+    normalize = {"rule": "mean_std", "file": "stats.json"}
+    vector = {"parts": [{"joints": {"arm": "single"}}, {"gripper": {"arm": "single", "closed": 0.0, "open": 1.0}}]}
+    native = {
+        "state": [{"input": "s", **vector, "normalize": normalize}],
+        "action": {"reference": "absolute", **vector, "normalize": normalize},
+    }
+    assert absent(native, [tmp_path]) == ["stats.json"]
+    made = filled(native, ROBOT, "joint", [tmp_path])
+    assert "normalize" not in made["action"]
+    (tmp_path / "stats.json").write_text("{}")
+    assert absent(native, [tmp_path]) == []
+    assert filled(native, ROBOT, "joint", [tmp_path]) == native
