@@ -75,7 +75,7 @@ def test_imports_wherever_they_stand() -> None:
         ("from robomimic.model import base", False),
     ],
 )
-def test_which_imports_take_the_adapter(line: str, taken: bool) -> None:  # noqa: FBT001 - of a table
+def test_which_imports_take_the_adapter(line: str, taken: bool) -> None:
     """The authors may have a model.py of their own."""
     (found,) = reading.read(line).imports
     assert found.takes_adapter("Foo") is taken
