@@ -55,15 +55,29 @@ def live(source: Source) -> Iterator[Imported]:
     is_path_known = not any("PYTHONPATH" in script for script in scripts) and not any(
         _changes_path(node) for name in files for node in source.nodes(name)
     )
+    for name, nodes in certain(source):
+        for node in nodes:
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                for level, module, taken in _modules(node):
+                    yield Imported(name, node, level, tuple(filter(None, module.split("."))), taken, is_path_known)
+
+
+def certain(source: Source, *failures: str) -> Iterator[tuple[str, Iterator[ast.AST]]]:
+    """Yield the boundary's Python files, each with the nodes at which an import that fails is not dealt with.
+
+    Args:
+        source: the adapter.
+        failures: further errors that may be dealt with.
+    """
+    files = [name for name in source.python_files if source.parses(name)]
+    ends = _FAILURES | {*failures}
     guarded = {word for name in files for word in _guarded_modules(source.tree(name))}
     roots = {sdk.File.MODEL_PY, sdk.File.DEPLOY_PY, *(name for name in source.conversion_files)}
     for name in files:
         if name in roots or Path(name).stem not in guarded:
             tree = source.tree(name)
             body = [node for node in tree.body if name in source.conversion_files or not _is_for_scripts(node)]
-            for node in _unguarded(body, _guarded_calls(tree)):
-                for level, module, taken in _modules(node):
-                    yield Imported(name, node, level, tuple(filter(None, module.split("."))), taken, is_path_known)
+            yield name, _unguarded(body, _guarded_calls(tree, ends), ends)
 
 
 def _modules(node: ast.Import | ast.ImportFrom) -> Iterator[tuple[int, str, tuple[str, ...]]]:
@@ -74,36 +88,36 @@ def _modules(node: ast.Import | ast.ImportFrom) -> Iterator[tuple[int, str, tupl
             yield 0, alias.name, ()
 
 
-def _unguarded(nodes: Iterable[ast.AST], guarded: set[str]) -> Iterator[ast.Import | ast.ImportFrom]:
+def _unguarded(nodes: Iterable[ast.AST], guarded: set[str], failures: frozenset[str]) -> Iterator[ast.AST]:
     for node in nodes:
-        if isinstance(node, (ast.Import, ast.ImportFrom)):
+        if isinstance(node, (ast.If, ast.IfExp)) and (is_type_checking(node.test) or _asks(node.test)):
+            otherwise = node.orelse if isinstance(node.orelse, list) else [node.orelse]
+            yield from _unguarded(otherwise if is_type_checking(node.test) else (), guarded, failures)
+        elif not _is_guard(node, failures) and getattr(node, "name", None) not in guarded:
             yield node
-        elif isinstance(node, ast.If) and (is_type_checking(node.test) or _asks(node.test)):
-            yield from _unguarded(node.orelse if is_type_checking(node.test) else (), guarded)
-        elif not _is_guard(node) and getattr(node, "name", None) not in guarded:
-            yield from _unguarded(ast.iter_child_nodes(node), guarded)
+            yield from _unguarded(ast.iter_child_nodes(node), guarded, failures)
 
 
-def _is_guard(node: ast.AST) -> bool:
+def _is_guard(node: ast.AST, failures: frozenset[str]) -> bool:
     """Tell whether an import that fails inside is dealt with."""
     if isinstance(node, (ast.Try, ast.TryStar)):
         caught = {last(dotted(name)) for handler in node.handlers for name in ast.walk(handler.type or handler)}
-        return bool(caught & _FAILURES) or any(map(is_broad, node.handlers))
+        return bool(caught & failures) or any(map(is_broad, node.handlers))
     return isinstance(node, ast.With) and any(last(called(item.context_expr)) == "suppress" for item in node.items)
 
 
-def _guards(tree: ast.Module) -> Iterator[ast.AST]:
-    return (inner for node in ast.walk(tree) if _is_guard(node) for inner in ast.walk(node))
+def _guards(tree: ast.Module, failures: frozenset[str]) -> Iterator[ast.AST]:
+    return (inner for node in ast.walk(tree) if _is_guard(node, failures) for inner in ast.walk(node))
 
 
-def _guarded_calls(tree: ast.Module) -> set[str]:
+def _guarded_calls(tree: ast.Module, failures: frozenset[str]) -> set[str]:
     """Return the functions that are called where a failing import is dealt with."""
-    return {last(called(node)) for node in _guards(tree) if isinstance(node, ast.Call)} - {""}
+    return {last(called(node)) for node in _guards(tree, failures) if isinstance(node, ast.Call)} - {""}
 
 
 def _guarded_modules(tree: ast.Module) -> Iterator[str]:
     """Yield the modules that are imported where a failing import is dealt with."""
-    for node in _guards(tree):
+    for node in _guards(tree, _FAILURES):
         if isinstance(node, (ast.Import, ast.ImportFrom)):
             for _, module, taken in _modules(node):
                 yield from (*module.split("."), *taken)

@@ -12,7 +12,7 @@ from typing import Final
 
 import xpl
 from xpl import _spec as sdk
-from xpl_cli.audit.static.syntax import SCOPES, called, dotted, last, texts
+from xpl_cli.audit.static.syntax import SCOPES, bound, called, dotted, last, texts
 
 SDK: Final = "xpl"
 
@@ -93,33 +93,17 @@ def located(folder: Path, parts: Iterable[str]) -> Module | Missing | None:
 
 def offer(tree: ast.Module) -> Offer:
     """Return what a module offers, by its syntax tree; what is defined under a condition counts as there."""
-    bound = {name for node in run_at_import(tree.body) for name in _bound(node)}
-    is_open = bool(bound & {"*", "__getattr__"})
+    given = {name for node in run_at_import(tree.body) for name in bound(node)}
+    is_open = bool(given & {"*", "__getattr__"})
     for node in ast.walk(tree):
         if isinstance(node, ast.Global):
-            bound.update(node.names)
+            given.update(node.names)
         elif isinstance(node, ast.NamedExpr):
-            bound.add(node.target.id)
+            given.add(node.target.id)
         elif isinstance(node, ast.Call):
             is_open |= called(node) in _BINDS_ANYTHING or (called(node) in _OWN_NAMES and not node.args)
         is_open |= dotted(node) == "sys.modules"
-    return Offer(frozenset(bound), is_open)
-
-
-def _bound(node: ast.AST) -> list[str]:
-    """Return the names that one node gives a value."""
-    found: list[str] = []
-    if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-        found = [node.name]
-    elif isinstance(node, ast.Import):
-        found = [alias.asname or alias.name.partition(".")[0] for alias in node.names]
-    elif isinstance(node, ast.ImportFrom):
-        found = [alias.asname or alias.name for alias in node.names]
-    elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-        found = [node.id]
-    elif isinstance(node, (ast.MatchAs, ast.MatchStar)) and node.name:
-        found = [node.name]
-    return found
+    return Offer(frozenset(given), is_open)
 
 
 def run_at_import(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
