@@ -101,6 +101,32 @@ def get_embodiment(name: str) -> Embodiment:
     raise UnknownEmbodimentError(f"unknown embodiment {name!r}: known are {', '.join(embodiment_names())}{hint}")
 
 
+def undeclared(manifest: Mapping[str, Any], embodiment: str, action_type: str) -> str | None:
+    """Return why a manifest does not speak for a robot and a kind of action, None if it does or is silent about them.
+
+    Args:
+        manifest: policy.yml, or nothing.
+        embodiment: a robot, maybe by an alias.
+        action_type: "joint" or "ee".
+    """
+    robots = manifest.get("embodiments")
+    if robots and _canonical(embodiment) not in map(_canonical, robots):
+        named = f"the embodiments {', '.join(map(str, robots))}"
+        return f"policy.yml declares {named}, got {spec.Deploy.ENV_CFG_TYPE}: {embodiment}"
+    kinds = manifest.get("action_types")
+    if kinds and action_type not in kinds:
+        named = f"the action types {', '.join(map(str, kinds))}"
+        return f"policy.yml declares {named}, got {spec.Deploy.ACTION_TYPE}: {action_type}"
+    return None
+
+
+def _canonical(name: Any) -> Any:
+    try:
+        return get_embodiment(name).name
+    except UnknownEmbodimentError:
+        return name
+
+
 @cache
 def _build(name: str) -> Embodiment:
     """Return the one object of a robot, whatever alias it was asked for by."""

@@ -20,7 +20,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl.action import ActionError, check_chunk, pack
 from xpl.decoding import decode_rows, ensemble, quaternion_columns
-from xpl.embodiment import get_embodiment
+from xpl.embodiment import get_embodiment, undeclared
 from xpl.memory import Memory
 from xpl.observation import env_index, env_indices
 from xpl.wire.arrays import as_array
@@ -91,7 +91,8 @@ class Policy:
         policy_dir: folder of model.py; relative paths start there.
 
     Raises:
-        ConfigError: if a value is missing or has the wrong type.
+        ConfigError: if a value is missing or has the wrong type, or the manifest does not declare the robot or the
+            kind of action that is asked for.
         UnknownEmbodimentError: if `env_cfg_type` names no embodiment.
     """
 
@@ -109,6 +110,8 @@ class Policy:
         if not isinstance(name, str):
             raise ConfigError(f"env_cfg_type must name an embodiment, got {name!r}")
         self.embodiment = get_embodiment(name)
+        if refused := undeclared(manifest, name, self.action_type):
+            raise ConfigError(f"{refused}; ask for one of them, or declare it if the model drives it")
         self.seed: int = self.setting(spec.Deploy.SEED, spec.DEPLOY_DEFAULTS[spec.Deploy.SEED])
         file = getattr(sys.modules.get(type(self).__module__), "__file__", None)
         self.policy_dir = Path(file).resolve().parent if file else Path.cwd()

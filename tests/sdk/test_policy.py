@@ -488,6 +488,29 @@ def test_a_wrong_configuration_is_refused_at_construction(change: dict[str, Any]
         Tracing(config(**change))
 
 
+@pytest.mark.parametrize(
+    ("declared", "said"),
+    [
+        (
+            {"embodiments": ["arx_x5", "piper"]},
+            "declares the embodiments arx_x5, piper, got env_cfg_type: franka_single",
+        ),
+        ({"embodiments": ["franka_single"], "action_types": ["ee"]}, "the action types ee, got action_type: joint"),
+    ],
+)
+def test_what_the_manifest_does_not_declare_is_refused(declared: dict[str, Any], said: str) -> None:
+    """A model that was made for other robots would move this one somehow."""
+    with pytest.raises(ConfigError, match=said):
+        Tracing(config(manifest=declared))
+
+
+def test_a_declared_robot_may_go_by_another_name() -> None:
+    """On either side."""
+    for asked, declared in (("dual_x5", "arx_x5"), ("arx_x5", "dual_x5")):
+        manifest = {"embodiments": [declared], "action_types": ["joint"]}
+        assert Tracing(config(env_cfg_type=asked, manifest=manifest)).embodiment.name == "arx_x5"
+
+
 def test_null_means_the_default() -> None:
     """For everything that has one."""
     policy = Tracing(config(seed=None, action_type=None, manifest=None))

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.peer import Peer
+from tests.support.peer import Peer, xpl
 from tests.support.stand_in import standing_in
 from xpl import Client
 from xpl.client import AsyncClient, ClientError, EnvironmentMismatchError, PolicyServerError
+from xpl_cli.basics.errors import ExitCode
 from xpl_cli.serving.launch import RunningServer, serving
 
 if TYPE_CHECKING:
@@ -134,6 +135,24 @@ def test_what_is_no_environment_does_not_break_the_server(shared: RunningServer,
         answer = peer.ask("hello", {"environment": environment})
         assert answer.message_type == "hello_ack" or answer.payload["details"]["reason"] == "mismatch"
         peer.send("close")
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("env_cfg_type=arx_x5", "declares the embodiments franka_single, piper, got env_cfg_type: arx_x5"),
+        ("env_cfg_type=unicycle", "got env_cfg_type: unicycle"),
+        ("action_type=ee", "declares the action types joint, got action_type: ee"),
+    ],
+)
+def test_what_the_manifest_does_not_declare_is_not_served(
+    write_adapter: Callable[..., Path], tmp_path: Path, setting: str, said: str
+) -> None:
+    """Also by an adapter that would take it without a word: one error, and nothing is started."""
+    run = xpl("serve", str(write_adapter(SUBJECT, **MANIFEST)), "--port", "0", "--set", setting, cwd=tmp_path)
+    assert (run.returncode, run.stdout) == (ExitCode.USAGE, "")
+    assert said in run.stderr
+    assert "Traceback" not in run.stderr
 
 
 def test_what_the_manifest_leaves_open_is_not_compared(

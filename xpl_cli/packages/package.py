@@ -60,6 +60,22 @@ class Package:
             config[sdk.Deploy.SEED] = sdk.DEPLOY_DEFAULTS[sdk.Deploy.SEED]
         return config
 
+    def require_declared(self, config: Mapping[str, Any]) -> None:
+        """Refuse what the policy was never made for, also where its code would take it without a word.
+
+        Args:
+            config: the configuration of a run.
+
+        Raises:
+            UserError: if policy.yml declares other robots or kinds of actions.
+        """
+        from xpl.embodiment import undeclared  # which needs numpy
+
+        asked = (str(config[key]) for key in (sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE))
+        if (refused := undeclared(self.manifest, *asked)) is not None:
+            hint = "ask for one of them with --set, or declare it in policy.yml if the model drives it"
+            raise UserError(f"{self.name}: {refused}", hint=hint)
+
 
 def find_policy(path: Path | str) -> Path:
     """Return the folder of an adapter given its path, or its name below `policy/` of the working directory or ours.

@@ -111,9 +111,11 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     `{"event": "failed", "reason": ..., "lacks": ...}` if they cannot be.
 
     Raises:
-        UserError: if an option is wrong, the model cannot be loaded, the address cannot be bound, or no worker is left.
+        UserError: if an option is wrong, policy.yml declares other robots or kinds of actions, the model cannot be
+            loaded, the address cannot be bound, or no worker is left.
     """
     config = package.config(overrides)
+    package.require_declared(config)
     settings = _settings(package, config, options)
     entrances = openpi.entrances(options.also, config, package.manifest, settings.policy)
     try:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
-from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment
+from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment, undeclared
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun
 from xpl_cli.audit.served.checkpoints import Checkpoint
@@ -67,6 +67,9 @@ class Probe(Servers):
         except UnknownEmbodimentError as error:
             raise NotRun(f"{error}: name one with --set {sdk.Deploy.ENV_CFG_TYPE}=NAME") from None
         self.action_type: str = self.config[sdk.Deploy.ACTION_TYPE]
+        refused = undeclared(target.manifest, self.embodiment.name, self.action_type)
+        if refused is not None and {sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE} & options.overrides.keys():
+            raise NotRun(f"{refused}: --set asks for what the policy was not made for")
         self.checkpoint = Checkpoint.of(target, self.config)
         self.checkpoint_before = {} if self.checkpoint is None else self.checkpoint.state()
         self._answered: Any = None

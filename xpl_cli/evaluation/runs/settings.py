@@ -56,7 +56,7 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
 
     Raises:
         NotFoundError: if the environment has no such task or setting.
-        UserError: if it does not have the embodiment or action type.
+        UserError: if it does not have the embodiment or action type, or the adapter's manifest does not.
     """
     manifest = environments.manifest(environments.find(environment))
     tasks = manifest["tasks"]
@@ -68,6 +68,7 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
     if robot not in manifest["embodiments"]:
         raise UserError(f"{environment} has no {robot}; it has {', '.join(manifest['embodiments'])}")
+    package.require_declared(config)
     offered = settings_of(manifest)
     if setting is not None and setting not in offered:
         raise NotFoundError(f"{environment} has no setting {setting!r}; it has {', '.join(offered)}")
