@@ -1,21 +1,17 @@
 """Normalisation: a vector's numbers as the model gets them, and back.
 
-Source: spec/<version>/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file: JSON,
-NPZ without pickles, or safetensors, whose header is JSON.
+Source: spec/<version>/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file.
 """
 
 from __future__ import annotations
 
-import json
-import struct
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from xpl.convert import tables
 from xpl.convert.errors import NativeError
 
 _NAMES = {"mean_std": ("mean", "std"), "min_max": ("min", "max"), "quantiles": ("low", "high")}
@@ -25,8 +21,6 @@ _CONSTANT = {
     "shift": ((1.0, 1.0), (1.0, 1.0)),
 }
 """Dimensions that never moved, there and back: the scale, and whether min, low or mean is the shift."""
-_SIZE_LIMIT = 64 * 2**20
-"""Bytes that a file of statistics may have."""
 
 
 class Normalization:
@@ -126,67 +120,10 @@ def _numbers(
 
 
 def _read(file: str, folders: Sequence[Path], words: Sequence[str]) -> Any:
-    path = next((folder / file for folder in folders if (folder / file).is_file()), None)
+    path = tables.find(file, folders)
     if path is None:
         told = ", ".join(map(str, folders)) or "no folder"
         raise NativeError(
             f"normalize names the file {file}, which is in none of: {told}; copy it, or say where in one of these it is"
         )
-    if path.stat().st_size > _SIZE_LIMIT:
-        raise NativeError(f"{path} is larger than statistics are: {path.stat().st_size} bytes")
-    words = [word for word in words if word]
-    if path.suffix in (".npz", ".safetensors"):
-        table = _safetensors(path) if path.suffix == ".safetensors" else _npz(path)
-        for joint in ("/", "."):
-            if joint.join(words) in table:
-                return table[joint.join(words)]
-        raise NativeError(f"{path} has no {'/'.join(words)}; it has {', '.join(sorted(table))[:400]}")
-    return _entry(_document(path), words, path)
-
-
-def _document(path: Path) -> Any:
-    text = path.read_text(encoding="utf-8")
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise NativeError(f"{path} is not JSON: {error}") from None
-
-
-def _entry(document: Any, words: Sequence[str], path: Path) -> Any:
-    for word in words:
-        if not isinstance(document, Mapping) or word not in document:
-            there = ", ".join(map(str, document)) if isinstance(document, Mapping) else type(document).__name__
-            raise NativeError(f"{path} has no {'/'.join(words)}: at {word!r} there is {there[:400]}")
-        document = document[word]
-    return document
-
-
-def _npz(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-        if size > _SIZE_LIMIT:
-            raise NativeError(f"{path} is larger than statistics are: {size} bytes unpacked")
-        with np.load(path, allow_pickle=False) as table:
-            return dict(table)
-    except (ValueError, EOFError, OSError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-        if isinstance(error, NativeError):
-            raise
-        raise NativeError(f"{path} is not a file of numpy arrays: {error}") from None
-
-
-def _safetensors(path: Path) -> dict[str, np.ndarray]:
-    """Read a safetensors file: eight bytes with the length of a JSON header, the header, the numbers."""
-    kinds = {"F64": np.float64, "F32": np.float32, "F16": np.float16, "I64": np.int64, "I32": np.int32}
-    data = path.read_bytes()
-    try:
-        (size,) = struct.unpack_from("<Q", data)
-        header = json.loads(data[8 : 8 + size])
-        body = memoryview(data)[8 + size :]
-        return {
-            name: np.frombuffer(body[slice(*entry["data_offsets"])], kinds[entry["dtype"]]).reshape(entry["shape"])
-            for name, entry in header.items()
-            if name != "__metadata__" and entry["dtype"] in kinds
-        }
-    except (ValueError, KeyError, TypeError, RecursionError, struct.error) as error:
-        raise NativeError(f"{path} is not a safetensors file: {error}") from None
+    return tables.read(path, words)

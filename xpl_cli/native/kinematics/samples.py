@@ -1,0 +1,120 @@
+"""Joints and poses that the authors recorded together, as the block `native` says where they are and what they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl.convert import NativeError, tables
+from xpl.convert.parts import part
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from xpl import Embodiment
+
+_JUDGED = ("joints", "position", "rotation")
+_ABSOLUTE = "absolute"
+_MOST_ROWS = 256
+"""Rows that are looked at, evenly spread; more would tell no more."""
+_MOST_PARTS = 64
+
+
+@dataclass(frozen=True)
+class Columns:
+    """One part of a vector, with its rows.
+
+    Attributes:
+        where: how findings call it.
+        kind: joints, position or rotation.
+        entry: the part as the block writes it; `arm` says which arm.
+        rows: (N, width) numbers as the authors' data have them.
+        leads: whether they are commands, which the robot follows.
+    """
+
+    where: str
+    kind: str
+    entry: Mapping[str, Any]
+    rows: np.ndarray
+    leads: bool = False
+
+
+def collect(native: Mapping[str, Any], folders: Sequence[Path], embodiment: Embodiment) -> list[Columns]:
+    """Return the joints, positions and rotations of a block's samples; of each as many rows, of the same moments.
+
+    Args:
+        native: the block, valid by its schema.
+        folders: where files may lie: the package.
+        embodiment: the robot.
+
+    Raises:
+        NativeError: if samples cannot be read, or do not fit the block or the robot.
+    """
+    found = [
+        columns
+        for place, entry in enumerate(native.get("samples", ()))
+        for columns in _columns(native, entry, f"native.samples {place}", folders, embodiment)
+    ]
+    counts = sorted({len(columns.rows) for columns in found})
+    if len(counts) > 1:
+        raise NativeError(
+            f"native.samples have {' and '.join(map(str, counts))} rows; row i of each has to be the same moment"
+        )
+    if not counts:
+        return []
+    chosen = np.unique(np.linspace(0, counts[0] - 1, min(counts[0], _MOST_ROWS)).round().astype(int))
+    return [Columns(one.where, one.kind, one.entry, one.rows[chosen], one.leads) for one in found]
+
+
+def _columns(
+    native: Mapping[str, Any], entry: Mapping[str, Any], where: str, folders: Sequence[Path], embodiment: Embodiment
+) -> Iterator[Columns]:
+    vector, leads = _vector(native, entry, where)
+    parts = vector["parts"]
+    if len(parts) > _MOST_PARTS:
+        raise NativeError(f"{where} has {len(parts)} parts, at most {_MOST_PARTS} are read")
+    made = [part(item, embodiment) for item in parts]
+    width = sum(item.width for item in made)
+    rows = _rows(entry, where, folders, {width, vector.get("pad", width)})
+    start = 0
+    for item, one in zip(parts, made, strict=True):
+        ((kind, how),) = item.items()
+        told = how.get("reference") or vector.get("reference") or _ABSOLUTE
+        if kind in _JUDGED and told == _ABSOLUTE:
+            yield Columns(f"{where}, {one.label}", kind, how, rows[:, start : start + one.width], leads)
+        start += one.width
+
+
+def _vector(native: Mapping[str, Any], entry: Mapping[str, Any], where: str) -> tuple[Mapping[str, Any], bool]:
+    """Return the vector whose rows these are, and whether they are commands."""
+    if "parts" in entry:
+        return {"parts": entry["parts"]}, False
+    if entry["of"] == "action":
+        return native["action"], True
+    known = {state["input"]: state for state in native.get("state", ())}
+    if entry["of"] not in known:
+        raise NativeError(f"{where}: no vector {entry['of']!r}; say one of {', '.join([*known, 'action'])}, or parts")
+    return known[entry["of"]], False
+
+
+def _rows(entry: Mapping[str, Any], where: str, folders: Sequence[Path], widths: set[int]) -> np.ndarray:
+    """Return the rows of an entry, (N, width) float64."""
+    path = tables.find(entry["file"], folders)
+    if path is None:
+        told = ", ".join(map(str, folders))
+        raise NativeError(f"{where} names the file {entry['file']}, which is in none of: {told}; copy it there")
+    try:
+        rows = np.asarray(tables.read(path, entry.get("key", "").split("/")), np.float64)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, NativeError):
+            raise
+        raise NativeError(f"{where}: {entry['file']} holds no table of numbers there") from None
+    if rows.ndim != 2 or rows.shape[1] not in widths or not len(rows):
+        told = " or ".join(f"(N, {width})" for width in sorted(widths))
+        raise NativeError(f"{where}: expected rows {told}, {entry['file']} has the shape {rows.shape}; mend its parts")
+    if not np.isfinite(rows).all():
+        raise NativeError(f"{where}: {entry['file']} holds a number that is not finite")
+    return rows

@@ -1,0 +1,268 @@
+"""What an arm's forward kinematics says of the way in which joints and poses are read.
+
+Each reading of a pose has an error: the root mean square, over the rows, of its distance (mm) or angle (degrees) to
+where the joints put the flange. What is declared is beaten if another reading has a third of its error or less. Readings
+whose errors are alike cannot be told apart by these rows, and that is said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from xpl import poses
+from xpl.kinematics import Chain, KinematicsError
+from xpl_cli.native.kinematics import leftover, readings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from xpl import Embodiment
+    from xpl_cli.native.kinematics.readings import Angles
+    from xpl_cli.native.kinematics.samples import Columns
+
+POSITION, ROTATION, JOINTS = "position", "rotation", "joints"
+AGREES, DIFFERS, UNEXPLAINED, OPEN = "agrees", "differs", "unexplained", "cannot tell"
+_UNIT = {POSITION: "mm", ROTATION: "degrees"}
+_FLOOR = {POSITION: 0.5, ROTATION: 0.1}
+"""Errors up to which readings are alike: arms are not built more exactly than that."""
+_TOLERANCE = {POSITION: 30.0, ROTATION: 5.0}
+"""Errors of measured states up to which something is explained: calibration, and clocks that are not quite one."""
+_BEATEN = 3.0
+"""How many times the error of another reading is that of one that is beaten."""
+_FEWEST = 3
+_LEAST_MOTION = {POSITION: 20.0, ROTATION: 10.0}
+"""How far apart the poses have to be."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the rows say of one part.
+
+    Attributes:
+        where: the part, such as `native.samples 0, rotation left`.
+        arm: of the robot.
+        kind: joints, position or rotation.
+        outcome: agrees, differs, unexplained or cannot tell.
+        rows: how many were looked at.
+        declared: its words as declared.
+        declared_error: of the declared reading, mm or degrees; of joints that of the first pose.
+        best: the words that fit best, without those that are declared; {} if that is the declared reading.
+        best_error: its error.
+        next_error: that of the next reading that can be told from it: the margin.
+        unit: of the errors.
+        open: words that these rows leave open, with the values that fit alike.
+        because: why it cannot be told, or what is left over.
+    """
+
+    where: str
+    arm: str
+    kind: str
+    outcome: str
+    rows: int
+    declared: Mapping[str, str] = field(default_factory=dict)
+    declared_error: float | None = None
+    best: Mapping[str, str] = field(default_factory=dict)
+    best_error: float | None = None
+    next_error: float | None = None
+    unit: str = ""
+    open: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    because: str = ""
+
+    @property
+    def change(self) -> str:
+        """The words that fit best, as the block writes them."""
+        return ", ".join(f"{key}: {value}" if key != JOINTS else value for key, value in self.best.items())
+
+
+@dataclass
+class _Arm:
+    """The kinematics of one arm, for each way to read its joints."""
+
+    embodiment: Embodiment
+    side: str
+    chain: Chain
+    options: list[Angles]
+
+    def flange(self, option: int) -> np.ndarray:
+        """Return the flange's poses (N, 7) in the arm's base, for one way to read the joints."""
+        return self._flanges[option]
+
+    def expected(self, option: int, place: tuple[str, str, str]) -> np.ndarray:
+        """Return the poses (N, 7) of a point in a frame."""
+        outer, inner = readings.offsets(self.embodiment, *place)
+        return poses.compose(poses.compose(outer, self.flange(option)), inner)
+
+    @cached_property
+    def _flanges(self) -> list[np.ndarray]:
+        return [np.stack([self.chain.flange(row) for row in angles.values]) for angles in self.options]
+
+
+def judge(columns: Sequence[Columns], embodiment: Embodiment) -> list[Verdict]:
+    """Return what the robot's kinematics says of each part; nothing where joints or poses are missing.
+
+    Raises:
+        KinematicsError: if the standard has no kinematics of the robot.
+    """
+    chain = Chain.from_embodiment(embodiment.data)
+    found: list[Verdict] = []
+    for side in embodiment.data["arms"]:
+        given = [one for one in columns if one.entry["arm"] == side]
+        for leads in (False, True):
+            seen = [one for one in given if one.kind != JOINTS and one.leads is leads]
+            joints = _joints(given, leads=leads)
+            if seen and joints is not None:
+                others = [one for one in columns if one.kind == JOINTS and one.entry["arm"] != side]
+                options = list(readings.joints(joints, _joints(others, leads=leads), embodiment))
+                found += _judged(_Arm(embodiment, side, chain, options), joints, seen)
+    return found
+
+
+def has_kinematics(embodiment: Embodiment) -> bool:
+    """Tell whether the standard has the joint frames of a robot."""
+    try:
+        Chain.from_embodiment(embodiment.data)
+    except KinematicsError:
+        return False
+    return True
+
+
+def _joints(columns: Sequence[Columns], *, leads: bool) -> Columns | None:
+    """Return an arm's joints; of the same kind, if there are some: commands lead what is measured."""
+    found = [one for one in columns if one.kind == JOINTS]
+    return next((one for one in found if one.leads is leads), found[0] if found else None)
+
+
+def _judged(arm: _Arm, joints: Columns, seen: Sequence[Columns]) -> Iterator[Verdict]:
+    still = _still(arm)
+    if still:
+        for one in (joints, *seen):
+            yield Verdict(one.where, arm.side, one.kind, OPEN, len(one.rows), because=still)
+        return
+    table = [_Errors(one, arm, follows=one.leads is not joints.leads) for one in seen]
+    cost = np.array([sum(one.least(option) / _FLOOR[one.kind] for one in table) for option in range(len(arm.options))])
+    alike = cost <= max(float(len(table)), _BEATEN * cost.min())
+    option = 0 if alike[0] else int(cost.argmin())
+    yield _of_joints(arm, joints, table, np.flatnonzero(alike), option)
+    for one in table:
+        yield one.verdict(option)
+
+
+def _of_joints(arm: _Arm, joints: Columns, table: Sequence[_Errors], alike: np.ndarray, option: int) -> Verdict:
+    """Return what is said of the joints, which are read in one way, and could be in others that fit alike."""
+    first = table[0]
+    explained = any(one.least(option) <= one.tolerance for one in table)
+    changes = [arm.options[index].change or "as declared" for index in alike if index != option]
+    return Verdict(
+        joints.where,
+        arm.side,
+        JOINTS,
+        DIFFERS if option else AGREES if explained else OPEN,
+        len(joints.rows),
+        declared_error=first.least(0),
+        best={JOINTS: arm.options[option].change} if option else {},
+        best_error=first.least(option),
+        unit=_UNIT[first.kind],
+        open={JOINTS: changes} if changes and explained else {},
+        because="" if explained else "no reading of the joints explains the poses",
+    )
+
+
+def _still(arm: _Arm) -> str:
+    """Return why these rows are too much alike, "" if they are not."""
+    flange = arm.flange(0)
+    different = len(np.unique(flange.round(4), axis=0))
+    if different < _FEWEST:
+        return f"the rows hold {different} different poses, and at least {_FEWEST} are needed"
+    distance = 1000 * float(np.linalg.norm(flange[:, :3] - flange[0, :3], axis=-1).max())
+    angle = float(leftover.angles(flange[:, 3:], flange[:1, 3:]).max())
+    if distance < _LEAST_MOTION[POSITION] or angle < _LEAST_MOTION[ROTATION]:
+        return f"the poses lie within {distance:.1f} mm and {angle:.1f} degrees of the first: too much alike"
+    return ""
+
+
+class _Errors:
+    """The errors of every reading of one pose's columns, under every reading of the joints.
+
+    Args:
+        columns: positions or rotations.
+        arm: its kinematics.
+        follows: whether these are commands and the joints are measured, or the other way round.
+    """
+
+    def __init__(self, columns: Columns, arm: _Arm, *, follows: bool) -> None:
+        self.kind = columns.kind
+        self.tolerance = _TOLERANCE[self.kind]
+        self._columns, self._arm, self._follows = columns, arm, follows
+        read = readings.positions if self.kind == POSITION else readings.turns
+        self._read = read(columns, arm.embodiment)
+        self._known = [self._of(option) for option in range(len(arm.options))]
+
+    def least(self, option: int) -> float:
+        """Return the error of the reading that fits best."""
+        return float(self._known[option].min())
+
+    def verdict(self, option: int) -> Verdict:
+        """Return what is said of these columns, with the joints read in one way."""
+        errors = self._known[option]
+        floor, declared, least = _FLOOR[self.kind], float(errors[0, 0]), float(errors.min())
+        holds = declared <= max(floor, _BEATEN * least)
+        alike = errors <= max(floor, 2 * least)
+        alike[0, 0] |= holds
+        places = [(int(word), int(place)) for word, place in np.argwhere(alike)]
+        chosen = (0, 0) if holds else min(places, key=self._distance)
+        outcome, because = (AGREES, "") if holds else (DIFFERS, "")
+        if holds and least > self.tolerance:
+            outcome, because = UNEXPLAINED, ""
+            if self._follows:
+                outcome, because = OPEN, "commands and measured joints lie too far apart"
+            else:
+                because = self._leftover(option)
+        words = self._read.told(0, 0)
+        others = errors[~alike]
+        return Verdict(
+            self._columns.where,
+            self._arm.side,
+            self.kind,
+            outcome,
+            len(self._columns.rows),
+            words,
+            declared,
+            {key: value for key, value in self._read.told(*chosen).items() if words.get(key) != value},
+            float(errors[chosen]),
+            float(others.min()) if others.size else None,
+            _UNIT[self.kind],
+            self._open(places) if outcome in {AGREES, DIFFERS} else {},
+            because,
+        )
+
+    def _distance(self, place: tuple[int, int]) -> tuple[int, int]:
+        """Return how much a reading changes of what is declared: what no word says, and words."""
+        words = self._read.told(0, 0)
+        changed = [value for key, value in self._read.told(*place).items() if words.get(key) != value]
+        return sum(readings.NO_WORD in value for value in changed), len(changed)
+
+    def _open(self, alike: Sequence[tuple[int, int]]) -> dict[str, list[str]]:
+        """Return the words on which readings that fit alike are not one, with their values."""
+        kept = [self._read.told(*place) for place in alike]
+        values = {key: list(dict.fromkeys(words.get(key, "none") for words in kept)) for key in kept[0]}
+        return {key: found for key, found in values.items() if len(found) > 1}
+
+    def _of(self, option: int) -> np.ndarray:
+        """Return the error of each reading (W, P), mm or degrees."""
+        there = np.stack([self._arm.expected(option, place) for place in self._read.places])[None]
+        if self.kind == POSITION:
+            apart = 1000 * np.linalg.norm(self._read.values[:, None] - there[..., :3], axis=-1)
+        else:
+            apart = leftover.angles(self._read.values[:, None], there[..., 3:])
+        result: np.ndarray = np.sqrt((apart * apart).mean(-1))
+        return result
+
+    def _leftover(self, option: int) -> str:
+        """Return what a fixed turn or shift would explain."""
+        if self.kind == POSITION:
+            return leftover.of_positions(self._read.values[0], self._arm.expected(option, self._read.places[0]))
+        return leftover.of_rotations(self._read, self._arm.flange(option))
