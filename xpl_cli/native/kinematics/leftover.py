@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,10 +10,14 @@ import numpy as np
 from xpl import rotation
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from xpl_cli.native.kinematics.readings import Poses
 
 _FITS = {"mm": 5.0, "degrees": 1.0}
 """Errors up to which a fixed turn or shift explains poses."""
+_COMPARED = 32
+"""Rows that are compared with each other."""
 
 
 def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -37,33 +42,38 @@ def of_positions(seen: np.ndarray, expected: np.ndarray) -> str:
     return f"in a frame turned by {_turn(turn)} and shifted by {_metres(shift)} m they agree to {outside:.1f} mm"
 
 
-def of_rotations(readings: Poses, flange: np.ndarray) -> str:
-    """Return what is left over between rotations, as each form reads them, and the flange's poses (N, 7).
+def of_rotations(readings: Poses, expected: Sequence[np.ndarray]) -> str:
+    """Return what is left over between rotations, as each form reads them, and those that were expected.
 
     How far rotations are apart among themselves depends on no frame and no tool, so that the form is told even so.
+
+    Args:
+        readings: of the rows.
+        expected: poses (N, 7) at each of their places.
     """
     read: dict[str, np.ndarray] = {}
     for words, values in zip(readings.words, readings.values, strict=True):
-        told = [f"{key}: {words[key]}" for key in ("form", "euler", "unit", "direction") if key in words]
-        read.setdefault(", ".join(told), values)
-    true, count = flange[:, 3:], len(flange)
-    one, two = np.triu_indices(min(count, 32), 1)
-    wanted = angles(true[one], true[two])
-    errors = {form: _rms((angles(values[one], values[two]) - wanted)[:, None], 1.0) for form, values in read.items()}
-    form = min(errors, key=lambda name: errors[name])
-    if errors[form] > _FITS["degrees"]:
+        name = [f"{key}: {words[key]}" for key in ("form", "euler", "unit", "direction") if key in words]
+        read.setdefault(", ".join(name), values)
+    one, two = np.triu_indices(min(len(expected[0]), _COMPARED), 1)
+    wanted = angles(expected[0][one, 3:], expected[0][two, 3:])
+    apart = {form: _rms((angles(values[one], values[two]) - wanted)[:, None], 1.0) for form, values in read.items()}
+    forms = [form for form, error in apart.items() if error <= _FITS["degrees"]]
+    if not forms:
         return "no form explains how far they are apart among themselves, in no frame and with no tool"
-    values = read[form]
-    fits = {
-        "frame": rotation.multiply(values, rotation.conjugate(true)),
-        "tool": rotation.multiply(rotation.conjugate(true), values),
-    }
-    means = {name: _mean(turns) for name, turns in fits.items()}
-    apart = {name: float(np.sqrt((angles(turns, means[name]) ** 2).mean())) for name, turns in fits.items()}
-    best = min(apart, key=lambda name: apart[name])
-    if apart[best] > _FITS["degrees"]:
-        return f"{form} fits, in another frame and with another tool than the standard's"
-    return f"with {form} and a {best} turned by {_turn(means[best])} they agree to {apart[best]:.1f} degrees"
+    fits: list[tuple[float, str]] = []
+    for form, (place, there) in itertools.product(forms, zip(readings.places, expected, strict=True)):
+        _, point, frame = place
+        outer = rotation.multiply(read[form], rotation.conjugate(there[:, 3:]))
+        inner = rotation.multiply(rotation.conjugate(there[:, 3:]), read[form])
+        for turns, told in ((outer, f"the {frame} frame"), (inner, f"the {point}")):
+            mean = _mean(turns)
+            error = float(np.sqrt((angles(turns, mean) ** 2).mean()))
+            fits.append((error, f"with {form} and {told} turned by {_turn(mean)} they agree to {error:.1f} degrees"))
+    error, told = min(fits, key=lambda fit: round(fit[0], 3))  # of those alike the first, which is as declared
+    if error > _FITS["degrees"]:
+        return f"{' or '.join(forms)} fits, in another frame and with another tool than the standard's"
+    return told
 
 
 def _mean(turns: np.ndarray) -> np.ndarray:
@@ -84,7 +94,7 @@ def _rms(values: np.ndarray, scale: float = 1000.0) -> float:
 
 
 def _metres(values: np.ndarray) -> str:
-    return f"[{', '.join(f'{value + 0.0:.3f}' for value in values)}]"
+    return f"[{', '.join(f'{value + 0.0:.3f}' for value in values.round(3))}]"
 
 
 def _turn(quaternion: np.ndarray) -> str:
@@ -93,4 +103,4 @@ def _turn(quaternion: np.ndarray) -> str:
     if angle < 0.05:  # what would be printed as zero
         return "0 degrees"
     axis = vector / angle
-    return f"{angle:.1f} degrees about [{', '.join(f'{value + 0.0:.2f}' for value in axis)}]"
+    return f"{angle:.1f} degrees about [{', '.join(f'{value + 0.0:.2f}' for value in axis.round(2))}]"

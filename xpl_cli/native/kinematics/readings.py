@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -154,6 +155,7 @@ def _places(columns: Columns, embodiment: Embodiment) -> list[tuple[str, str, st
     return found
 
 
+@cache
 def offsets(embodiment: Embodiment, arm: str, point: str, frame: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the pose (7,) of an arm's base in a frame, and that of a point in the flange.
 

@@ -1,15 +1,15 @@
 """What an arm's forward kinematics says of the way in which joints and poses are read.
 
 Each reading of a pose has an error: the root mean square, over the rows, of its distance (mm) or angle (degrees) to
-where the joints put the flange. What is declared is beaten if another reading has a third of its error or less. Readings
-whose errors are alike cannot be told apart by these rows, and that is said.
+where the joints put the flange. What is declared is beaten if another reading has a third of its error or less.
+Readings whose errors are alike cannot be told apart by these rows, and that is said.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -75,7 +75,45 @@ class Verdict:
     @property
     def change(self) -> str:
         """The words that fit best, as the block writes them."""
-        return ", ".join(f"{key}: {value}" if key != JOINTS else value for key, value in self.best.items())
+        return _written(self.best)
+
+    @property
+    def replaced(self) -> str:
+        """What is declared where other words fit better."""
+        told = {key: self.declared[key] for key in self.best if key in self.declared}
+        return _written(told) or "what is declared"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        if self.outcome == OPEN:
+            return f"{self.where}: cannot tell: {self.because}"
+        errors = f"{_figure(self.declared_error)} {self.unit}"
+        if self.outcome == UNEXPLAINED:
+            return f"{self.where}: {errors} from where the joints put it, and no words explain that; {self.because}"
+        if self.outcome == DIFFERS:
+            told = f"{self.change} fits to {_figure(self.best_error)} {self.unit}"
+            return f"{self.where}: {told}, {self.replaced} only to {_figure(self.declared_error)}{self._margin}"
+        return f"{self.where}: agrees to {errors}{self._margin}"
+
+    @property
+    def _margin(self) -> str:
+        margin = f"; the next reading is at {_figure(self.next_error)}" if self.next_error is not None else ""
+        told = "; ".join(f"{key} {' or '.join(values)}" for key, values in self.open.items())
+        return f"{margin}; these rows do not tell {told}" if told else margin
+
+    def document(self) -> dict[str, Any]:
+        """Return the verdict as JSON."""
+        return asdict(self)
+
+
+def _written(words: Mapping[str, str]) -> str:
+    return ", ".join(value if key == JOINTS else f"{key}: {value}" for key, value in words.items())
+
+
+def _figure(error: float | None) -> str:
+    """Return an error as people read it: nothing below a hundredth."""
+    return f"{error or 0.0:.3g}" if (error or 0.0) >= 0.01 else "0"
 
 
 @dataclass
@@ -143,19 +181,24 @@ def _judged(arm: _Arm, joints: Columns, seen: Sequence[Columns]) -> Iterator[Ver
             yield Verdict(one.where, arm.side, one.kind, OPEN, len(one.rows), because=still)
         return
     table = [_Errors(one, arm, follows=one.leads is not joints.leads) for one in seen]
-    cost = np.array([sum(one.least(option) / _FLOOR[one.kind] for one in table) for option in range(len(arm.options))])
+    every = range(len(arm.options))
+    if all(one.least(0) <= one.tolerance for one in table):  # with these readings: may the joints be other ones?
+        errors = [[one.of_best(option) / _FLOOR[one.kind] for option in every] for one in table]
+    else:
+        errors = [[one.least(option) / _FLOOR[one.kind] for option in every] for one in table]
+    cost = np.sum(errors, axis=0)
     alike = cost <= max(float(len(table)), _BEATEN * cost.min())
     option = 0 if alike[0] else int(cost.argmin())
-    yield _of_joints(arm, joints, table, np.flatnonzero(alike), option)
-    for one in table:
-        yield one.verdict(option)
+    yield _of_joints(arm, joints, table, alike, option)
+    for pose in table:
+        yield pose.verdict(option)
 
 
 def _of_joints(arm: _Arm, joints: Columns, table: Sequence[_Errors], alike: np.ndarray, option: int) -> Verdict:
-    """Return what is said of the joints, which are read in one way, and could be in others that fit alike."""
+    """Return what is said of the joints, which are read in one way, and could be in those that fit alike."""
     first = table[0]
     explained = any(one.least(option) <= one.tolerance for one in table)
-    changes = [arm.options[index].change or "as declared" for index in alike if index != option]
+    changes = [arm.options[index].change or "as declared" for index in np.flatnonzero(alike) if index != option]
     return Verdict(
         joints.where,
         arm.side,
@@ -199,15 +242,21 @@ class _Errors:
         self._columns, self._arm, self._follows = columns, arm, follows
         read = readings.positions if self.kind == POSITION else readings.turns
         self._read = read(columns, arm.embodiment)
-        self._known = [self._of(option) for option in range(len(arm.options))]
+        self._known: dict[int, np.ndarray] = {}
 
     def least(self, option: int) -> float:
         """Return the error of the reading that fits best."""
-        return float(self._known[option].min())
+        return float(self._of(option).min())
+
+    def of_best(self, option: int) -> float:
+        """Return the error of the reading that fits best with the joints as declared."""
+        errors = self._of(0)
+        word, place = map(int, np.unravel_index(errors.argmin(), errors.shape))
+        return float(self._errors(option, slice(word, word + 1), [self._read.places[place]])[0, 0])
 
     def verdict(self, option: int) -> Verdict:
         """Return what is said of these columns, with the joints read in one way."""
-        errors = self._known[option]
+        errors = self._of(option)
         floor, declared, least = _FLOOR[self.kind], float(errors[0, 0]), float(errors.min())
         holds = declared <= max(floor, _BEATEN * least)
         alike = errors <= max(floor, 2 * least)
@@ -253,11 +302,17 @@ class _Errors:
 
     def _of(self, option: int) -> np.ndarray:
         """Return the error of each reading (W, P), mm or degrees."""
-        there = np.stack([self._arm.expected(option, place) for place in self._read.places])[None]
+        if option not in self._known:
+            self._known[option] = self._errors(option, slice(None), self._read.places)
+        return self._known[option]
+
+    def _errors(self, option: int, words: slice, places: Sequence[tuple[str, str, str]]) -> np.ndarray:
+        values = self._read.values[words, None]
+        there = np.stack([self._arm.expected(option, place) for place in places])[None]
         if self.kind == POSITION:
-            apart = 1000 * np.linalg.norm(self._read.values[:, None] - there[..., :3], axis=-1)
+            apart = 1000 * np.linalg.norm(values - there[..., :3], axis=-1)
         else:
-            apart = leftover.angles(self._read.values[:, None], there[..., 3:])
+            apart = leftover.angles(values, there[..., 3:])
         result: np.ndarray = np.sqrt((apart * apart).mean(-1))
         return result
 
@@ -265,4 +320,4 @@ class _Errors:
         """Return what a fixed turn or shift would explain."""
         if self.kind == POSITION:
             return leftover.of_positions(self._read.values[0], self._arm.expected(option, self._read.places[0]))
-        return leftover.of_rotations(self._read, self._arm.flange(option))
+        return leftover.of_rotations(self._read, [self._arm.expected(option, place) for place in self._read.places])
