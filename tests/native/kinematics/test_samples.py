@@ -70,7 +70,7 @@ def test_long_recordings_are_thinned(tmp_path: Path) -> None:
         (np.zeros(7), r"has the shape \(7,\)"),
         (np.full((4, 7), np.nan), "not finite"),
         (np.array([["a"] * 7]), "no table of numbers"),
-        (np.array([object()] * 7), "not an NPZ file of plain numbers"),
+        (np.array([object()] * 7), "not a file of numpy arrays"),
     ],
 )
 def test_rows_that_do_not_fit_are_refused(values: np.ndarray, words: str, tmp_path: Path) -> None:
