@@ -147,7 +147,7 @@ CASES = {
                                 "to": [40, 36],
                                 "filter": "bilinear",
                                 "anchor": "bottom_right",
-                                "on": "float",
+                                "as": "float",
                                 "fill": 9,
                             }
                         }
@@ -191,7 +191,7 @@ CASES = {
                     "a",
                     "cam_head",
                     channels="bgr",
-                    steps=[{"resize": {"to": [12, 16], "filter": "area", "on": "uint8"}}],
+                    steps=[{"resize": {"to": [12, 16], "filter": "area", "as": "uint8"}}],
                 ),
                 _image("b", "cam_head", steps=[{"crop": {"to": [20, 30]}}, {"mirror": "left_right"}, {"rotate": 90}]),
                 _image(
@@ -258,7 +258,7 @@ CASES = {
                 _image(
                     "a",
                     "cam_head",
-                    steps=[{"resize": {"to": [30, 40], "filter": "bicubic", "on": "float"}}],
+                    steps=[{"resize": {"to": [30, 40], "filter": "bicubic", "as": "float"}}],
                     dtype="float32",
                     mean=[0.4, 0.5, 0.6],
                     std=[0.2, 0.3, 0.4],
@@ -272,7 +272,7 @@ CASES = {
                 _image(
                     "d",
                     "cam_head",
-                    steps=[{"letterbox": {"to": [40, 40], "filter": "bilinear", "anchor": "top_left", "on": "uint8"}}],
+                    steps=[{"letterbox": {"to": [40, 40], "filter": "bilinear", "anchor": "top_left", "as": "uint8"}}],
                 ),
             ],
             "state": [

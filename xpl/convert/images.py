@@ -159,7 +159,7 @@ def _resized(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
 
 
 def _resampled(values: np.ndarray, how: Mapping[str, Any], height: int, width: int) -> np.ndarray:
-    as_bytes = how.get("on", "uint8") == "uint8"
+    as_bytes = how.get("as", "uint8") == "uint8"
     return resize(values, (height, width), how["filter"], antialias=how.get("antialias", False), as_bytes=as_bytes)
 
 
@@ -209,7 +209,7 @@ def _uncropped(values: np.ndarray, _how: Any, before: tuple[int, int]) -> np.nda
 
 def _unboxed(values: np.ndarray, how: Mapping[str, Any], before: tuple[int, int]) -> np.ndarray:
     rows, columns, top, left = _frame(before, how)
-    return _resampled(values[top : top + rows, left : left + columns], {**how, "on": "uint8"}, *before)
+    return _resampled(values[top : top + rows, left : left + columns], {**how, "as": "uint8"}, *before)
 
 
 _STEPS: dict[str, Callable[[np.ndarray, Any], np.ndarray]] = {
@@ -220,7 +220,7 @@ _STEPS: dict[str, Callable[[np.ndarray, Any], np.ndarray]] = {
     "mirror": _mirrored,
 }
 _UNDO: dict[str, Callable[[np.ndarray, Any, tuple[int, int]], np.ndarray]] = {
-    "resize": lambda values, how, before: _resampled(values, {**how, "on": "uint8"}, *before),
+    "resize": lambda values, how, before: _resampled(values, {**how, "as": "uint8"}, *before),
     "letterbox": _unboxed,
     "crop": _uncropped,
     "rotate": lambda values, how, _before: np.rot90(values, -how // 90),
