@@ -103,3 +103,18 @@ def test_what_unpacks_to_more_than_memory_is_not_unpacked(tmp_path: Path, monkey
     assert (tmp_path / "data.npz").stat().st_size < tables.SIZE_LIMIT
     with pytest.raises(NativeError, match="unpacks to"):
         samples.collect(_block({"file": "data.npz", "key": "q", "parts": JOINTS}), [tmp_path], ROBOT)
+
+
+def test_words_that_the_block_leaves_open_are_answered(tmp_path: Path) -> None:
+    """The form too: how many numbers it has is what the other parts leave."""
+    true = [{"position": {"arm": "single", "point": "tcp"}}, {"rotation": {"arm": "single", "form": "rot6d_columns"}}]
+    why = {"unknown": "the paper does not say"}
+    parts = [{"position": {"arm": "single", "point": why}}, {"rotation": {"arm": "single", "form": why}}]
+    np.savez(tmp_path / "data.npz", pose=rows(true, "franka_single", STATES), q=rows(JOINTS, "franka_single", STATES))
+    entries = [{"file": "data.npz", "key": "pose", "parts": parts}, {"file": "data.npz", "key": "q", "parts": JOINTS}]
+    found = samples.collect(_block(*entries), [tmp_path], ROBOT)
+    _, position, rotation = witness.judge(found, ROBOT)
+    assert position.outcome == rotation.outcome == witness.ANSWERS
+    assert position.change == "point: tcp"
+    assert rotation.change == "form: rot6d_columns"
+    assert "these rows tell what is open: form: rot6d_columns fits to 0 degrees" in rotation.sentence

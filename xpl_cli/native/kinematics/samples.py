@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl.convert import NativeError, tables
+from xpl.convert import NativeError, rotations, tables
 from xpl.convert.parts import part
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from xpl import Embodiment
@@ -33,6 +34,7 @@ class Columns:
         entry: the part as the block writes it; `arm` says which arm.
         rows: (N, width) numbers as the authors' data have them.
         leads: whether they are commands, which the robot follows.
+        unknown: words that the block leaves open; in `entry` a plain value stands for each.
     """
 
     where: str
@@ -40,6 +42,7 @@ class Columns:
     entry: Mapping[str, Any]
     rows: np.ndarray
     leads: bool = False
+    unknown: frozenset[str] = frozenset()
 
 
 def collect(native: Mapping[str, Any], folders: Sequence[Path], embodiment: Embodiment) -> list[Columns]:
@@ -66,26 +69,59 @@ def collect(native: Mapping[str, Any], folders: Sequence[Path], embodiment: Embo
     if not counts:
         return []
     chosen = np.unique(np.linspace(0, counts[0] - 1, min(counts[0], _MOST_ROWS)).round().astype(int))
-    return [Columns(one.where, one.kind, one.entry, one.rows[chosen], one.leads) for one in found]
+    return [replace(one, rows=one.rows[chosen]) for one in found]
 
 
 def _columns(
     native: Mapping[str, Any], entry: Mapping[str, Any], where: str, folders: Sequence[Path], embodiment: Embodiment
 ) -> Iterator[Columns]:
     vector, leads = _vector(native, entry, where)
-    parts = vector["parts"]
-    if len(parts) > _MOST_PARTS:
-        raise NativeError(f"{where} has {len(parts)} parts, at most {_MOST_PARTS} are read")
-    made = [part(item, embodiment) for item in parts]
-    width = sum(item.width for item in made)
-    rows = _rows(entry, where, folders, {width, vector.get("pad", width)})
+    if _is_open(vector["parts"]) or len(vector["parts"]) > _MOST_PARTS:
+        raise NativeError(f"{where}: its parts are open, or more than {_MOST_PARTS}")
+    rows = _rows(entry, where, folders)
+    parts = _closed(vector["parts"], rows.shape[1], embodiment)
+    made = [part({kind: how}, embodiment) for kind, how, _ in parts]
+    widths = sorted(
+        {sum(item.width for item in made), *([vector["pad"]] if isinstance(vector.get("pad"), int) else [])}
+    )
+    if rows.shape[1] not in widths:
+        told = " or ".join(f"(N, {width})" for width in widths)
+        raise NativeError(f"{where}: expected rows {told}, {entry['file']} has the shape {rows.shape}; mend its parts")
     start = 0
-    for item, one in zip(parts, made, strict=True):
-        ((kind, how),) = item.items()
+    for (kind, how, unknown), one in zip(parts, made, strict=True):
         told = how.get("reference") or vector.get("reference") or _ABSOLUTE
         if kind in _JUDGED and told == _ABSOLUTE:
-            yield Columns(f"{where}, {one.label}", kind, how, rows[:, start : start + one.width], leads)
+            yield Columns(f"{where}, {one.label}", kind, how, rows[:, start : start + one.width], leads, unknown)
         start += one.width
+
+
+def _closed(
+    parts: Sequence[Mapping[str, Any]], width: int, embodiment: Embodiment
+) -> list[tuple[str, dict[str, Any], frozenset[str]]]:
+    """Return kind, words and open words of each part; what is open has a plain value, or none.
+
+    How many numbers a rotation has whose form is open is what the others leave of `width`, where it is the only one.
+    """
+    result = []
+    for item in parts:
+        ((kind, how),) = item.items()
+        result.append((kind, {key: value for key, value in how.items() if not _is_open(value)}, how))
+    rest = [part({kind: known}, embodiment).width for kind, known, _ in result if kind != "rotation" or "form" in known]
+    forms = {rotations.WIDTHS[form]: form for form in reversed(rotations.WIDTHS) if form != "euler"}
+    for kind, known, _ in result:
+        if kind == "rotation" and known.get("form") == "euler":
+            known.setdefault("euler", "xyz")
+        elif kind == "rotation":
+            known.setdefault("form", forms.get(width - sum(rest), "quaternion_wxyz"))
+    unknown = [{key for key in how if _is_open(how[key])} for _, _, how in result]
+    return [
+        (kind, known, frozenset(words | {"euler"} if "form" in words else words))
+        for (kind, known, _), words in zip(result, unknown, strict=True)
+    ]
+
+
+def _is_open(value: Any) -> bool:
+    return isinstance(value, Mapping) and "unknown" in value
 
 
 def _vector(native: Mapping[str, Any], entry: Mapping[str, Any], where: str) -> tuple[Mapping[str, Any], bool]:
@@ -100,7 +136,7 @@ def _vector(native: Mapping[str, Any], entry: Mapping[str, Any], where: str) -> 
     return known[entry["of"]], False
 
 
-def _rows(entry: Mapping[str, Any], where: str, folders: Sequence[Path], widths: set[int]) -> np.ndarray:
+def _rows(entry: Mapping[str, Any], where: str, folders: Sequence[Path]) -> np.ndarray:
     """Return the rows of an entry, (N, width) float64."""
     path = tables.find(entry["file"], folders)
     if path is None:
@@ -112,9 +148,8 @@ def _rows(entry: Mapping[str, Any], where: str, folders: Sequence[Path], widths:
         if isinstance(error, NativeError):
             raise
         raise NativeError(f"{where}: {entry['file']} holds no table of numbers there") from None
-    if rows.ndim != 2 or rows.shape[1] not in widths or not len(rows):
-        told = " or ".join(f"(N, {width})" for width in sorted(widths))
-        raise NativeError(f"{where}: expected rows {told}, {entry['file']} has the shape {rows.shape}; mend its parts")
+    if rows.ndim != len(("N", "width")) or not len(rows):
+        raise NativeError(f"{where}: expected rows (N, width), {entry['file']} has the shape {rows.shape}")
     if not np.isfinite(rows).all():
         raise NativeError(f"{where}: {entry['file']} holds a number that is not finite")
     return rows

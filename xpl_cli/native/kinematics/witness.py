@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from xpl_cli.native.kinematics.samples import Columns
 
 POSITION, ROTATION, JOINTS = "position", "rotation", "joints"
-AGREES, DIFFERS, UNEXPLAINED, OPEN = "agrees", "differs", "unexplained", "cannot tell"
+AGREES, DIFFERS, ANSWERS, UNEXPLAINED, OPEN = "agrees", "differs", "answers", "unexplained", "cannot tell"
 _UNIT = {POSITION: "mm", ROTATION: "degrees"}
 _FLOOR = {POSITION: 0.5, ROTATION: 0.1}
 """Errors up to which readings are alike: arms are not built more exactly than that."""
@@ -46,7 +46,7 @@ class Verdict:
         where: the part, such as `native.samples 0, rotation left`.
         arm: of the robot.
         kind: joints, position or rotation.
-        outcome: agrees, differs, unexplained or cannot tell.
+        outcome: agrees, differs, answers (it differs only in what the block leaves open), unexplained or cannot tell.
         rows: how many were looked at.
         declared: its words as declared.
         declared_error: of the declared reading, mm or degrees; of joints that of the first pose.
@@ -56,6 +56,7 @@ class Verdict:
         unit: of the errors.
         open: words that these rows leave open, with the values that fit alike.
         because: why it cannot be told, or what is left over.
+        unknown: words that the block leaves open.
     """
 
     where: str
@@ -71,6 +72,7 @@ class Verdict:
     unit: str = ""
     open: Mapping[str, Sequence[str]] = field(default_factory=dict)
     because: str = ""
+    unknown: Sequence[str] = ()
 
     @property
     def change(self) -> str:
@@ -91,6 +93,9 @@ class Verdict:
         errors = f"{_figure(self.declared_error)} {self.unit}"
         if self.outcome == UNEXPLAINED:
             return f"{self.where}: {errors} from where the joints put it, and no words explain that; {self.because}"
+        if self.outcome == ANSWERS:
+            told = f"{self.change} fits to {_figure(self.best_error)} {self.unit}"
+            return f"{self.where}: these rows tell what is open: {told}{self._margin}"
         if self.outcome == DIFFERS:
             told = f"{self.change} fits to {_figure(self.best_error)} {self.unit}"
             return f"{self.where}: {told}, {self.replaced} only to {_figure(self.declared_error)}{self._margin}"
@@ -198,19 +203,22 @@ def _of_joints(arm: _Arm, joints: Columns, table: Sequence[_Errors], alike: np.n
     """Return what is said of the joints, which are read in one way, and could be in those that fit alike."""
     first = table[0]
     explained = any(one.least(option) <= one.tolerance for one in table)
+    change = arm.options[option].change
+    outcome = AGREES if not option else ANSWERS if change.partition(":")[0] in joints.unknown else DIFFERS
     changes = [arm.options[index].change or "as declared" for index in np.flatnonzero(alike) if index != option]
     return Verdict(
         joints.where,
         arm.side,
         JOINTS,
-        DIFFERS if option else AGREES if explained else OPEN,
+        outcome if explained or option else OPEN,
         len(joints.rows),
         declared_error=first.least(0),
-        best={JOINTS: arm.options[option].change} if option else {},
+        best={JOINTS: change} if option else {},
         best_error=first.least(option),
         unit=_UNIT[first.kind],
         open={JOINTS: changes} if changes and explained else {},
         because="" if explained else "no reading of the joints explains the poses",
+        unknown=sorted(joints.unknown),
     )
 
 
@@ -263,14 +271,17 @@ class _Errors:
         alike[0, 0] |= holds
         places = [(int(word), int(place)) for word, place in np.argwhere(alike)]
         chosen = (0, 0) if holds else min(places, key=self._distance)
-        outcome, because = (AGREES, "") if holds else (DIFFERS, "")
+        words, best = self._read.told(0, 0), self._read.told(*chosen)
+        unknown = self._columns.unknown
+        changed = {key: value for key, value in best.items() if words.get(key) != value or key in unknown}
+        outcome = ANSWERS if changed and changed.keys() <= unknown else AGREES if holds else DIFFERS
+        because = ""
         if holds and least > self.tolerance:
             outcome, because = UNEXPLAINED, ""
             if self._follows:
                 outcome, because = OPEN, "commands and measured joints lie too far apart"
             else:
                 because = self._leftover(option)
-        words = self._read.told(0, 0)
         others = errors[~alike]
         return Verdict(
             self._columns.where,
@@ -280,12 +291,13 @@ class _Errors:
             len(self._columns.rows),
             words,
             declared,
-            {key: value for key, value in self._read.told(*chosen).items() if words.get(key) != value},
+            {} if outcome == UNEXPLAINED else changed,
             float(errors[chosen]),
             float(others.min()) if others.size else None,
             _UNIT[self.kind],
-            self._open(places) if outcome in {AGREES, DIFFERS} else {},
+            self._open(places) if outcome in {AGREES, DIFFERS, ANSWERS} else {},
             because,
+            sorted(unknown),
         )
 
     def _distance(self, place: tuple[int, int]) -> tuple[int, int]:
