@@ -108,8 +108,8 @@ class Verdict:
         return f"{margin}; these rows do not tell {told}" if told else margin
 
     def document(self) -> dict[str, Any]:
-        """Return the verdict as JSON."""
-        return asdict(self)
+        """Return the verdict as JSON; errors to a thousandth, so that machines agree."""
+        return {key: round(value, 3) if isinstance(value, float) else value for key, value in asdict(self).items()}
 
 
 def _written(words: Mapping[str, str]) -> str:

@@ -1,0 +1,69 @@
+"""The verdicts on what a manifest declares: its block, its samples, and the robot that they are of."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from xpl import get_embodiment
+from xpl.convert import NativeError
+from xpl.embodiment import UnknownEmbodimentError
+from xpl_cli.native.kinematics import samples, witness
+from xpl_cli.standard import validate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from xpl import Embodiment
+    from xpl_cli.native.kinematics.witness import Verdict
+
+
+class NoWitnessError(Exception):
+    """There is nothing to judge; the text says why."""
+
+
+def verdicts(manifest: Mapping[str, Any], version: str, folders: Sequence[Path]) -> list[Verdict]:
+    """Return what kinematics says of a manifest's samples.
+
+    Args:
+        manifest: policy.yml.
+        version: of the standard that it is held to.
+        folders: where files may lie: the package.
+
+    Raises:
+        NoWitnessError: if there are no samples, or no kinematics.
+        NativeError: if samples cannot be read, or do not fit the block or the robot.
+    """
+    native = manifest.get("native")
+    if not native:
+        raise NoWitnessError("policy.yml has no native block")
+    if validate.validate(native, "native", version):
+        raise NoWitnessError("the native block is not what its schema asks for; XPL104 says where")
+    if not native.get("samples"):
+        raise NoWitnessError("native names no samples: no rows that hold joints and poses together")
+    robots = list(_robots(manifest))
+    if not robots:
+        raise NoWitnessError("the standard has the joint frames of none of the declared robots")
+    failed = None
+    for robot in robots:  # the first that the rows fit
+        try:
+            columns = samples.collect(native, folders, robot)
+        except NativeError as error:
+            failed = failed or error
+            continue
+        found = witness.judge(columns, robot)
+        if not found:
+            raise NoWitnessError("native.samples hold no joints and poses of one arm, absolute and of the same moments")
+        return found
+    raise failed or AssertionError("a robot fits, or an error says why not")
+
+
+def _robots(manifest: Mapping[str, Any]) -> Iterator[Embodiment]:
+    """Yield the declared robots that have kinematics."""
+    for name in manifest.get("embodiments") or ():
+        try:
+            robot = get_embodiment(name)
+        except UnknownEmbodimentError:
+            continue
+        if witness.has_kinematics(robot):
+            yield robot
