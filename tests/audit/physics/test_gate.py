@@ -20,7 +20,7 @@ from xpl_cli.audit.formats import as_json, render
 from xpl_cli.audit.formats.listing import Context
 from xpl_cli.audit.physics.conventions import mistakes
 from xpl_cli.audit.physics.loop import Query, Rollout, jumps_of_chunks
-from xpl_cli.audit.physics.mirrors import World
+from xpl_cli.audit.physics.mirrors import CAMERAS, COLOURS, COMMANDS, GRIPPERS, OBSERVATIONS, World, pictured
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.rules.figures import Course
 from xpl_cli.audit.rules.gates import Gate
@@ -295,6 +295,25 @@ def test_seams_are_told_from_the_inside_of_chunks() -> None:
     assert list(jumps_of_chunks(played)) == []
 
 
+def test_a_mirrored_world_exchanges_pictures_and_nothing_else() -> None:
+    """Red and blue of all, or two cameras; wrists are the first pair that is tried, and grippers come after them."""
+    robot = get_embodiment("arx_x5")
+    env = environments.make("mujoco", {"task": "lift_cube", "embodiment": "arx_x5"})
+    env.reset([1])
+    (real,) = env.get_obs_batch([0])
+    cameras = list(real["vision"])
+    colours, wrists, *_ = pictured(cameras)
+    assert (colours, wrists) == (World(COLOURS), World(CAMERAS, ("cam_left_wrist", "cam_right_wrist")))
+    (seen,) = colours.around(env, robot).get_obs_batch([0])
+    for name in cameras:
+        assert np.array_equal(seen["vision"][name]["color"], real["vision"][name]["color"][..., ::-1])
+    (seen,) = wrists.around(env, robot).get_obs_batch([0])
+    came_from = {"cam_left_wrist": "cam_right_wrist", "cam_right_wrist": "cam_left_wrist", "cam_head": "cam_head"}
+    for name, other in came_from.items():
+        assert np.array_equal(seen["vision"][name]["color"], real["vision"][other]["color"])
+    assert all(np.array_equal(seen["state"][key], value) for key, value in real["state"].items())
+
+
 def test_a_mirrored_world_turns_grippers_round_and_nothing_else() -> None:
     """Commands, observations or both."""
     robot = get_embodiment("arx_x5")
@@ -302,13 +321,13 @@ def test_a_mirrored_world_turns_grippers_round_and_nothing_else() -> None:
     env = environments.make("mujoco", config)
     env.reset([1])
     (real,) = env.get_obs_batch([0])
-    (seen,) = World(commands=False, observations=True).around(env, robot).get_obs_batch([0])
+    (seen,) = World(GRIPPERS, (OBSERVATIONS,)).around(env, robot).get_obs_batch([0])
     assert {key for key in real["state"] if not np.array_equal(real["state"][key], seen["state"][key])} == {
         "left_ee_joint_state",
         "right_ee_joint_state",
     }
     held = {key: real["state"][key] for key in robot.dims("joint")}
-    mirrored = World(commands=True, observations=False).around(env, robot)
+    mirrored = World(GRIPPERS, (COMMANDS,)).around(env, robot)
     for _ in range(10):
         mirrored.take_action_batch([held], [0])  # told to stay open
     after = mirrored.get_obs_batch([0])[0]["state"]

@@ -63,7 +63,7 @@ def measure(simulation: Simulation, course: Course, episodes: int) -> Figure:
 
 
 def measure_mirrored(simulation: Simulation, course: Course, episodes: int, world: World) -> Figure:
-    """Play the same in an environment whose grippers run the other way round; the report is about the real one.
+    """Play the same in an environment in which one thing is exchanged; the report is about the real one.
 
     Raises:
         NotRun: if an episode breaks off, or the task has no such seeds.

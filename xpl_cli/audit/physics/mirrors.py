@@ -1,47 +1,80 @@
-"""Environments whose grippers run the other way round, to see whether a policy has open and closed exchanged."""
+"""Environments in which one thing is exchanged, to see whether a policy fares better where it is."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as sdk
+from xpl_cli.audit.served import inputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl.embodiment import Embodiment
 
+COLOURS, CAMERAS, GRIPPERS = "colours", "cameras", "grippers"
+COMMANDS, OBSERVATIONS = "commands", "observations"
+_PAIRS = 3
+"""Pairs of cameras that are tried at most; each costs whole episodes."""
+_WRIST = "wrist"
+
 
 @dataclass(frozen=True)
 class World:
-    """An environment whose grippers run the other way round.
+    """An environment in which one thing is exchanged.
 
     Attributes:
-        commands: 0 opens and 1 closes.
-        observations: 0 is seen as open and 1 as closed.
+        kind: `COLOURS`: red and blue of all pictures; `CAMERAS`: the pictures of two cameras; `GRIPPERS`: open and
+            closed.
+        names: the two cameras; of grippers, what is exchanged: `COMMANDS`, `OBSERVATIONS` or both.
     """
 
-    commands: bool
-    observations: bool
+    kind: str
+    names: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        parts = [name for name, is_other in vars(self).items() if is_other]
-        return " and ".join(parts)
+        what = " and ".join(self.names)
+        if self.kind == COLOURS:
+            return "red and blue of the pictures are exchanged"
+        if self.kind == CAMERAS:
+            return f"the pictures of {what} are exchanged"
+        return f"the {what} of the gripper run the other way round"
+
+    @property
+    def advice(self) -> str:
+        """What to look at where a policy fares better in this world."""
+        if self.kind == COLOURS:
+            return "compare the order of the channels with the authors' own code; `xpl native show` draws what it gets"
+        if self.kind == CAMERAS:
+            return "compare which camera each input of the model gets with the authors' own code (`xpl native show`)"
+        what = " and ".join(self.names)
+        return f"compare the {what} of the gripper with the authors' own code before anything is turned round"
 
     def around(self, env: Any, robot: Embodiment) -> Mirror:
         """Return the environment as it is in this world."""
         return Mirror(env, self, [arm.prefix + sdk.State.EE_JOINT_STATE for arm in robot.arms])
 
 
-MIRRORED = (World(commands=True, observations=False), World(commands=False, observations=True), World(True, True))  # noqa: FBT003 - as named before
-"""Every way in which a policy may have open and closed exchanged."""
+def pictured(cameras: Sequence[str]) -> list[World]:
+    """Return the worlds in which something of the pictures is exchanged, of the cameras that a policy reads.
+
+    They come before grippers: a policy that sees red for blue may well close its gripper where it should open it.
+    """
+    pairs = sorted(itertools.combinations(cameras, 2), key=lambda pair: -sum(_WRIST in name for name in pair))
+    colours = [World(COLOURS)] if cameras else []
+    return [*colours, *(World(CAMERAS, pair) for pair in pairs[:_PAIRS])]
+
+
+GRIPPERS_TURNED = tuple(World(GRIPPERS, names) for names in ((COMMANDS,), (OBSERVATIONS,), (COMMANDS, OBSERVATIONS)))
+"""Every way in which open and closed may be exchanged."""
 
 
 class Mirror:
-    """A task environment with the grippers of a `World`.
+    """A task environment as it is in a `World`.
 
     Args:
         env: the real one.
@@ -57,15 +90,26 @@ class Mirror:
 
     def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[dict[str, Any]]:
         """Return observations of some environments."""
-        found: list[dict[str, Any]] = self._env.get_obs_batch(env_idx_list)
-        if self._world.observations:
-            found = [{**obs, sdk.Obs.STATE: self._turned(obs[sdk.Obs.STATE])} for obs in found]
-        return found
+        return [self._seen(obs) for obs in self._env.get_obs_batch(env_idx_list)]
 
     def take_action_batch(self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]) -> Any:
         """Execute one action step in some environments."""
-        turned = [self._turned(action) for action in actions] if self._world.commands else list(actions)
+        is_turned = COMMANDS in self._world.names
+        turned = [self._turned(action) for action in actions] if is_turned else list(actions)
         return self._env.take_action_batch(turned, env_idx_list)
+
+    def _seen(self, obs: dict[str, Any]) -> dict[str, Any]:
+        world = self._world
+        if world.kind == COLOURS:
+            for camera in obs[sdk.Obs.VISION]:
+                obs = inputs.red_and_blue_exchanged(obs, f"{sdk.Obs.VISION}.{camera}")
+        elif world.kind == CAMERAS:
+            shapes = {np.shape(obs[sdk.Obs.VISION][name][sdk.Camera.COLOR]) for name in world.names}
+            if len(shapes) == 1:  # a model may well refuse another size
+                obs = inputs.cameras_exchanged(obs, *(f"{sdk.Obs.VISION}.{name}" for name in world.names))
+        elif OBSERVATIONS in world.names:
+            obs = {**obs, sdk.Obs.STATE: self._turned(obs[sdk.Obs.STATE])}
+        return obs
 
     def _turned(self, values: Mapping[str, Any]) -> dict[str, Any]:
         swung = {key: np.float32(sdk.GRIPPER_OPEN + sdk.GRIPPER_CLOSED) - np.asarray(values[key]) for key in self._keys}

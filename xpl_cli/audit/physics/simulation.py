@@ -140,6 +140,26 @@ class Simulation:
         """
         return _sound(self.rollout(course, seeds, again=again))
 
+    def mirrored(self, course: Course, world: World) -> Rollout:
+        """Drive the adapter for some chunks in an environment in which one thing is exchanged.
+
+        Raises:
+            NotRun: if the loop did not come to its end.
+        """
+        key = ("mirrored", course, (_FIRST_SEED,), world)
+        if key not in self._rollouts:
+            with self.probe.served_as(course.embodiment, course.action_type) as session:
+                self._rollouts[key] = self._play(session, course, (_FIRST_SEED,), world=world)
+        return _sound(self._rollouts[key])
+
+    @property
+    def cameras(self) -> list[str]:
+        """The cameras that the policy reads and the environment has."""
+        needs = self.probe.package.manifest.get("inputs") or {}
+        read = [*(needs.get("required") or ()), *(needs.get("optional") or ())]
+        names = [name.partition(".")[2] for name in read if name.startswith(sdk.Obs.VISION)]
+        return [name for name in names if name in self._manifest["cameras"]]
+
     def afresh(self, seeds: Sequence[int], *, run: int) -> Rollout:
         """Drive the first course by a server of its own, so that nothing was drawn or remembered before.
 
