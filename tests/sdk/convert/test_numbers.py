@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zipfile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -141,6 +142,9 @@ def test_numbers_are_read_from_files(file: str, tmp_path: Path) -> None:
         ({"file": "stats.json", "key": "norm_stats/state"}, "at 'low' there is q01, q99"),
         ({"file": "stats.npz", "key": "state"}, "has no state/low; it has norm_stats.state.q01"),
         ({"file": "broken.json"}, "is not JSON"),
+        ({"file": "deep.json"}, "is not JSON"),
+        ({"file": "broken.npz"}, "is not a file of numpy arrays"),
+        ({"file": "large.npz"}, "is larger than statistics are"),
         ({"file": "broken.safetensors"}, "is not a safetensors file"),
         ({"values": {"low": [1.0, 2.0]}}, "has no high, which the rule quantiles needs"),
         ({"values": {"low": [1.0], "high": [2.0]}}, "1 numbers as low, expected 2"),
@@ -153,7 +157,10 @@ def test_numbers_are_read_from_files(file: str, tmp_path: Path) -> None:
 def test_numbers_that_cannot_be_had(how: dict[str, Any], told: str, tmp_path: Path) -> None:
     """Where, what was expected, and what is there."""
     _files(tmp_path)
-    for name in ("broken.json", "broken.safetensors"):
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    with zipfile.ZipFile(tmp_path / "large.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("state.npy", bytes(2**26 + 1))
+    for name in ("broken.json", "broken.npz", "broken.safetensors"):
         (tmp_path / name).write_text("{")
     (tmp_path / "text.json").write_text('{"a": "many", "b": 3}')
     with pytest.raises(NativeError, match=told):
