@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from xpl import _spec as spec
+from xpl import checkpoint
 from xpl.action import ActionError, check_chunk, pack
 from xpl.decoding import decode_rows, ensemble, quaternion_columns
 from xpl.embodiment import get_embodiment, undeclared
@@ -296,7 +297,15 @@ class Policy:
             return None
         from xpl.convert import compile_interface
 
-        return compile_interface(native, self.embodiment, self.action_type, [self.policy_dir], self.chunk)
+        return compile_interface(native, self.embodiment, self.action_type, self._native_folders(), self.chunk)
+
+    def _native_folders(self) -> list[Path]:
+        """Return where files of statistics may lie: the package, and the checkpoint if there is one."""
+        try:
+            found = checkpoint.resolve(self.config, self.policy_dir)
+        except checkpoint.CheckpointError:
+            return [self.policy_dir]
+        return [self.policy_dir, found if found.is_dir() else found.parent]
 
     def _observe(self, observations: Sequence[Observation], envs: list[int]) -> None:
         for env in envs:

@@ -6,7 +6,7 @@ plain value in the place of each, and leaves out statistics that are not there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Union
@@ -89,7 +89,7 @@ def absent(native: Mapping[str, Any], folders: Sequence[Path]) -> list[str]:
 
 
 def filled(
-    native: Mapping[str, Any], embodiment: Embodiment, action_type: str, folders: Sequence[Path] = ()
+    native: Mapping[str, Any], embodiment: Embodiment, action_type: str, without: Collection[str] = ()
 ) -> dict[str, Any]:
     """Return a block that can be compiled, of one that has gaps or whose statistics are not there.
 
@@ -97,13 +97,12 @@ def filled(
         native: the block.
         embodiment: the robot.
         action_type: joint or ee; what its actions are made of stands for parts that are open.
-        folders: where files of statistics may lie.
+        without: names of files of statistics that are left out, as those that are `absent`.
     """
-    lacking = absent(native, folders)
     result: dict[str, Any] = _plain(native)
     for given, made in zip(_vectors(native), _vectors(result)):
         has_width = not any(gap.path[-1] in _WIDTHS for gap in gaps(given))
-        if not has_width or _normalize(given).get("file") in lacking:
+        if not has_width or _normalize(given).get("file") in without:
             made.pop("normalize", None)
         if not has_width:
             made.pop("pad", None)

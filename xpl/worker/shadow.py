@@ -144,9 +144,10 @@ class _Shadow(Policy):
         """Compile a block native with plain values where it is open, or where statistics are not there."""
         if native is None:
             return None
-        from xpl.convert.gaps import filled
+        from xpl.convert.gaps import absent, filled
 
-        return super()._compiled(filled(native, self.embodiment, self.action_type, [self.policy_dir]))
+        lacking = absent(native, self._native_folders())
+        return super()._compiled(filled(native, self.embodiment, self.action_type, lacking))
 
     def _in_native_words(self, interface: Interface, answer: np.ndarray, env: int) -> np.ndarray:
         """Return the chunk that a model would answer for these absolute actions (H, D) of the standard."""

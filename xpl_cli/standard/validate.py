@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from jsonschema.protocols import Validator
     from referencing import Registry
 
-__all__ = ["Problem", "page_of", "registry", "shape_text", "validate", "validate_yaml", "validate_yaml_file"]
+__all__ = ["Problem", "mark_of", "page_of", "registry", "shape_text", "validate", "validate_yaml", "validate_yaml_file"]
 
 _LOCAL_SYMBOLS = frozenset("HWN")
 # Kinds of numpy dtypes: signed and unsigned integers, floats.
@@ -275,7 +275,7 @@ def validate_yaml(
     if version is None:
         version = spec.declared(data if isinstance(data, dict) else {})
     problems = validate(data, schema_name, version, bindings)
-    found = [*_repeated_keys(root), *((problem, _locate(root, problem.path)) for problem in problems)]
+    found = [*_repeated_keys(root), *((problem, mark_of(root, problem.path)) for problem in problems)]
     placed = [
         replace(problem, file=file, line=mark.line + 1, column=mark.column + 1, page=page_of(schema_name, problem))
         for problem, mark in found
@@ -315,8 +315,8 @@ def _repeated_keys(root: Any) -> Iterator[tuple[Problem, Any]]:
             waiting.append((value, (*path, str(name))))
 
 
-def _locate(root: Any, path: tuple[str | int, ...]) -> Any:
-    """Return the mark of the key or list entry at `path`, or of the nearest enclosing one."""
+def mark_of(root: Any, path: tuple[str | int, ...]) -> Any:
+    """Return the mark of the key or list entry at `path` below a node of YAML, or of the nearest enclosing one."""
     node, mark = root, root.start_mark
     for part in path:
         if isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):

@@ -112,8 +112,8 @@ def test_statistics_that_are_not_there_are_told_once(tmp_path: Path) -> None:
         "action": {"reference": "absolute", **vector, "normalize": normalize},
     }
     assert absent(native, [tmp_path]) == ["stats.json"]
-    made = filled(native, ROBOT, "joint", [tmp_path])
+    made = filled(native, ROBOT, "joint", absent(native, [tmp_path]))
     assert "normalize" not in made["action"]
     (tmp_path / "stats.json").write_text("{}")
     assert absent(native, [tmp_path]) == []
-    assert filled(native, ROBOT, "joint", [tmp_path]) == native
+    assert filled(native, ROBOT, "joint", absent(native, [tmp_path])) == native

@@ -79,7 +79,8 @@ def build(subject: Subject, target: Path) -> Path:
     else:
         from xpl_cli.scaffold import adapter as scaffold
 
-        options = tuple(sorted(subject.scaffold.items()))
+        given = sorted(subject.scaffold.items())
+        options = tuple((name, tuple(value) if isinstance(value, list) else value) for name, value in given)
         scaffold.write(_rendered(subject.target, subject.spec, options, target.name), target)
     for name in subject.remove:
         (target / name).unlink()

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import Edit, Finding, Fix
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterator, Sequence
 
     import yaml
 
@@ -45,6 +45,19 @@ def key_line(source: Source, name: str, key: str) -> int:
     """Return the 1-based line on which a top-level key of a YAML file stands, 1 if it is not found."""
     lines = source.text(name).split("\n")
     return next((number for number, text in enumerate(lines, start=1) if re.match(rf"{re.escape(key)}\s*:", text)), 1)
+
+
+def place_in(source: Source, name: str, path: Sequence[str | int]) -> dict[str, Any]:
+    """Return where a value of a YAML file stands, for a `Finding`: file, and 1-based line and column."""
+    from xpl_cli.standard.validate import mark_of
+
+    root = source.yaml_root(name)
+    mark = None if root is None else mark_of(root, tuple(path))
+    return {
+        "path": name,
+        "line": 1 if mark is None else mark.line + 1,
+        "column": 1 if mark is None else mark.column + 1,
+    }
 
 
 def renamed(source: Source, name: str, key: str) -> Fix:

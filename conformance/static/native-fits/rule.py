@@ -1,0 +1,188 @@
+"""XPL192: The native block fits the robots, cameras and statistics that the package has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import checkpoint, get_embodiment
+from xpl.convert import Interface, NativeError, compile_interface
+from xpl.convert.gaps import filled
+from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
+from xpl_cli.audit.rules.names import robots
+from xpl_cli.audit.static.manifests import place_in
+from xpl_cli.audit.static.reading import inside
+from xpl_cli.audit.static.source import Source
+
+_FILE, _BLOCK = sdk.File.POLICY_YML, "native"
+_MOST_PIXELS = 2048
+
+
+@rule(code="XPL192", requirement="XPL-NAT-1", after=("manifest",))
+def native_fits(source: Source) -> Iterator[Finding | Proof]:
+    """The native block of policy.yml does not fit what the rest of the manifest declares.
+
+    ## What it does
+    Compiles the conversions of `native` for every declared embodiment and action type, as the server does when it
+    starts, and puts images of the declared sizes through them. Statistics that lie in the package are read, and must
+    have as many numbers as the vector. What the block reads has to be listed under `inputs`. Nothing of the adapter
+    runs. Values that are open and statistics that are not there are left out; the JSON report counts the latter.
+
+    ## Why it matters
+    The adapter does not start on that robot, or stops at the first observation.
+
+    ## Example
+    `embodiments: [franka]` and `parts: [{joints: {arm: single}}]`: franka has a left and a right arm.
+
+    ## Use instead
+    One part for each arm, in the model's order: `parts: [{joints: {arm: left}}, {joints: {arm: right}}]`.
+    `xpl spec show native` lists every word.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    native = source.manifest.get(_BLOCK)
+    if not isinstance(native, dict):
+        raise NotApplicable("policy.yml has no native block")
+    folders = _folders(source)
+    lacking = _lacking(source, native, folders)
+    yield from _outside(source, native)
+    yield from _undeclared(source, native)
+    seen: set[str] = set()
+    manifest = source.manifest
+    for robot, action_type in product(manifest["embodiments"], manifest["action_types"]):
+        if robot not in robots():  # which the rule on manifests reports
+            continue
+        try:
+            embodiment = get_embodiment(robot)
+            block = filled(native, embodiment, action_type, lacking)
+            interface = compile_interface(block, embodiment, action_type, folders, manifest["temporal"]["chunk"])
+            _convert(interface, manifest.get("cameras") or {}, block)
+        except NativeError as error:
+            if str(error) not in seen:
+                seen.add(str(error))
+                yield _finding(
+                    source,
+                    f"the policy stops on {robot} with {action_type} actions: {error}",
+                    f"a block that fits {robot} and {action_type} actions",
+                )
+    yield Proof({"statistics_absent": len(lacking)})
+
+
+def _convert(interface: Interface, cameras: Mapping[str, Any], block: Mapping[str, Any]) -> None:
+    """Put black images of the declared sizes through a block.
+
+    Raises:
+        NativeError: if they do not fit.
+    """
+    for image, entry in zip(interface.images, block.get("images", ()), strict=True):
+        targets = [how["to"] for step in entry.get("steps", ()) for how in step.values() if "to" in _map(how)]
+        sizes = [
+            (_map(cameras.get(name)).get("height"), _map(cameras.get(name)).get("width")) for name in image.cameras
+        ]
+        numbers = [number for size in (*sizes, *targets) for number in size]
+        if all(isinstance(number, int) and number <= _MOST_PIXELS for number in numbers):
+            views = {
+                name: {sdk.Camera.COLOR: np.zeros((*size, 3), np.uint8)}
+                for name, size in zip(image.cameras, sizes, strict=True)
+            }
+            image.encode({sdk.Obs.VISION: views})
+
+
+def _folders(source: Source) -> list[Path]:
+    """Return where the statistics may lie, as `xpl.Policy` looks for them: the package, and its checkpoint."""
+    try:
+        found = checkpoint.resolve(source.deploy, source.path)
+    except (OSError, ValueError, RuntimeError):  # none, or a name that no file can have
+        return [source.path]
+    return [source.path, found if found.is_dir() else found.parent]
+
+
+def _lacking(source: Source, native: Mapping[str, Any], folders: Sequence[Path]) -> list[str]:
+    """Return the files of statistics that are not there, or that a link leads to out of the package."""
+    here = source.path.resolve()
+    named = dict.fromkeys(filter(None, map(_file, _vectors(native))))
+    return [file for file in named if not any(inside(here, str(folder.resolve() / file)) for folder in folders)]
+
+
+def _vectors(native: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [*native.get("state", ()), native["action"]]
+
+
+def _file(vector: Mapping[str, Any]) -> str | None:
+    return _map(vector.get("normalize")).get("file")
+
+
+def _outside(source: Source, native: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield a finding for a file of statistics that is named by a path out of the package."""
+    for file in dict.fromkeys(filter(None, map(_file, _vectors(native)))):
+        if Path(file).is_absolute() or ".." in Path(file).parts:
+            yield _finding(
+                source,
+                f"the statistics {file} lie outside of the package, where nobody else has them",
+                "a path below the package or the checkpoint",
+            )
+
+
+def _undeclared(source: Source, native: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield a finding for all that the block reads and the manifest does not list."""
+    inputs = source.manifest["inputs"]
+    listed = {str(name) for group in ("required", "optional") for name in inputs.get(group) or ()}
+    for name, path in dict(_read(native)).items():
+        if name not in listed:
+            yield Finding(
+                f"the native block reads {name}, and the manifest does not list it: environments need not send it",
+                **place_in(source, _FILE, (_BLOCK, *path)),
+                expected=f"{name} under inputs.required or inputs.optional",
+                got=", ".join(sorted(listed)) or "no input",
+                fix=Fix("advice", f"list {name} under inputs.required, or leave it out of the native block"),
+            )
+
+
+_DELTAS = ("delta_state", "delta_command", "cumulative")
+_FIELDS = {
+    "joints": sdk.State.ARM_JOINT_STATE,
+    "gripper": sdk.State.EE_JOINT_STATE,
+    "hand": sdk.State.EE_JOINT_STATE,
+    "position": sdk.State.EE_POSE,
+    "rotation": sdk.State.EE_POSE,
+}
+
+
+def _read(native: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str | int, ...]]]:
+    """Yield the inputs of the manifest that the block reads, with the place that says so."""
+    for index, image in enumerate(native.get("images", ())):
+        for camera in image["cameras"] if isinstance(image["cameras"], list) else ():
+            yield f"{sdk.Obs.VISION}.{camera}", ("images", index, "cameras")
+    for index, vector in enumerate(native.get("state", ())):
+        parts = vector["parts"] if isinstance(vector["parts"], list) else ()
+        for number, kind in enumerate(kind for part in parts for kind in part):
+            if kind in _FIELDS:
+                yield f"{sdk.Obs.STATE}.{_FIELDS[kind]}", ("state", index, "parts", number)
+    action = native["action"]
+    for number, part in enumerate(action["parts"] if isinstance(action["parts"], list) else ()):
+        for kind, how in part.items():
+            counted_from = how.get("reference", "absolute" if kind == "gripper" else action["reference"])
+            if kind in _FIELDS and counted_from in _DELTAS:
+                yield f"{sdk.Obs.STATE}.{_FIELDS[kind]}", ("action", "parts", number)
+    if native.get("instruction") is not None:
+        yield sdk.Obs.INSTRUCTION, ("instruction",)
+
+
+def _map(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _finding(source: Source, message: str, expected: str) -> Finding:
+    return Finding(
+        message,
+        **place_in(source, _FILE, (_BLOCK,)),
+        expected=expected,
+        got="the native block",
+        fix=Fix("command", "xpl spec show native"),
+    )

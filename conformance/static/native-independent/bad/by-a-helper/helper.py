@@ -1,0 +1,3 @@
+"""Help."""
+
+import xpl.convert  # noqa: F401

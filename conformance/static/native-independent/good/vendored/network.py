@@ -1,0 +1,5 @@
+"""What both need."""
+
+
+def forward(*inputs):
+    return inputs

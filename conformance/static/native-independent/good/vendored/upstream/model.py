@@ -1,0 +1,1 @@
+from xpl_like import nothing  # noqa: F401

@@ -1,0 +1,46 @@
+"""XPL194: native.py takes nothing from the adapter that it is a second reading of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.native.borrowed import borrowed
+from xpl_cli.audit.static.source import Source
+from xpl_cli.native import names
+
+
+@rule(code="XPL194", requirement="XPL-NAT-4", after=("parses",))
+def native_independent(source: Source) -> Iterator[Finding]:
+    """native.py uses the adapter's own conversions, so that comparing the two proves nothing.
+
+    ## What it does
+    Reads native.py, and the files of the package that it imports: none of them imports `xpl` or the adapter's model.py,
+    also not by importlib, by its path, or by a folder on `sys.path`, and none opens policy.yml. Recording
+    (`xpl native record`) looks at what is imported in the end.
+
+    ## Why it matters
+    Parity holds the adapter against the authors' own pre- and post-processing. Where both go through the same code, a
+    convention that was read wrong is wrong in both, and every comparison is green.
+
+    ## Example
+    `from .model import Model` in native.py, or `yaml.safe_load(open("policy.yml"))["native"]`.
+
+    ## Use instead
+    The authors' classes and transforms: `from their_package.policy import Policy`. What both need of the network
+    itself, without conversions, may lie in a file of its own, such as network.py. Settings come in `config`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    if not source.has(names.CODE):
+        raise NotApplicable(f"there is no {names.CODE}: nothing says what the model does")
+    source.tree(names.CODE)
+    for found in borrowed(source):
+        yield Finding(
+            f"{names.CODE} is no second reading: {found.place['path']} {found.by} the adapter's own {found.what}",
+            **found.place,
+            expected="the authors' code, and the configuration that answers(config) gets",
+            got=found.what,
+            fix=Fix("advice", "go through the authors' classes and transforms instead"),
+        )

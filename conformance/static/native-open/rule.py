@@ -1,0 +1,52 @@
+"""XPL193: The native block leaves nothing open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl import _spec as sdk
+from xpl.convert.gaps import gaps
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.manifests import place_in
+from xpl_cli.audit.static.source import Source
+
+_FILE, _BLOCK = sdk.File.POLICY_YML, "native"
+
+
+@rule(code="XPL193", requirement="XPL-NAT-2", after=("manifest",))
+def native_open(source: Source) -> Iterator[Finding]:
+    """The native block holds values that nobody knows yet.
+
+    ## What it does
+    Counts the values of `native` in `policy.yml` that say `{unknown: why}`, and lists each with its place and reason.
+    However many there are, that is one finding.
+
+    ## Why it matters
+    What an open value decides is proven by nothing, and the policy does not start before it is known. Checks that do
+    not need the value run with a plain one in its place (`xpl audit --shadow`).
+
+    ## Example
+    `channels: {unknown: the checkpoint does not say whether training read images with OpenCV}`.
+
+    ## Use instead
+    Ask who would know, look into the authors' data loader, or try both against native.py (`xpl native record`); then
+    write the value: `channels: bgr`.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    native = source.manifest.get(_BLOCK)
+    if not isinstance(native, dict):
+        raise NotApplicable("policy.yml has no native block")
+    found = gaps(native)
+    if found:
+        what = "a value" if len(found) == 1 else f"{len(found)} values"
+        first, *rest = (f"{gap.where} ({gap.reason})" for gap in found)
+        yield Finding(
+            f"{what} of the native block nobody knows yet: {'; '.join((first, *rest))}",
+            **place_in(source, _FILE, (_BLOCK, *found[0].path)),
+            expected="a value in each place",
+            got=f"{len(found)} times unknown",
+            evidence={gap.where: gap.reason for gap in found},
+            fix=Fix("advice", "find out what the authors' code does there, and write the value in its place"),
+        )

@@ -1,0 +1,2 @@
+KEYS = ("left", "right")
+DELTA = True
