@@ -1,0 +1,118 @@
+"""Every single change of a native block's own words that may be what is wrong with it.
+
+for change in alternatives(manifest["native"], embodiment, "joint", [package]):
+    change.words, change.convention, change.block      # "channels: bgr", "image_channels", {...}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from xpl.convert import NativeError, compile_interface
+from xpl_cli.native.alternatives.block.edits import Candidate, edited
+from xpl_cli.native.alternatives.block.images import images
+from xpl_cli.native.alternatives.block.joints import arms, grippers, joints, order
+from xpl_cli.native.alternatives.block.numbers import numbers
+from xpl_cli.native.alternatives.block.poses import poses
+from xpl_cli.native.alternatives.block.timing import histories, instructions, references
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl.convert import Interface
+    from xpl.embodiment import Embodiment
+
+__all__ = ["Alternative", "alternatives"]
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """One change of a native block.
+
+    Attributes:
+        words: what is changed, as a finding says it: "channels: bgr (wrists)".
+        convention: which convention it is about, of the vocabulary of native.py.
+        block: the changed block; valid, and it fits the robot.
+        answers_only: whether it changes nothing that the model reads, so that recorded answers of the model will do.
+    """
+
+    words: str
+    convention: str
+    block: dict[str, Any]
+    answers_only: bool
+
+
+def alternatives(
+    native: Mapping[str, Any],
+    embodiment: Embodiment,
+    action_type: str,
+    folders: Sequence[Path] = (),
+    chunk: int | None = None,
+) -> Iterator[Alternative]:
+    """Yield every single change of the block that fits the robot, each block once, the likeliest first.
+
+    A change may be made at several places that one mistake covers: all images, the state and the action. The widths of
+    vectors stay.
+
+    Args:
+        native: the block, valid by its schema.
+        embodiment: the robot.
+        action_type: joint or ee.
+        folders: where files of statistics may lie.
+        chunk: action steps that the manifest declares.
+
+    Raises:
+        NativeError: if the block itself does not fit.
+    """
+    widths = _widths(compile_interface(native, embodiment, action_type, folders, chunk))
+    seen = {_same(native)}
+    for candidate in sorted(_candidates(native, embodiment, folders), key=lambda one: one.rank):
+        block = edited(native, candidate.edits)
+        text = _same(block)
+        if text in seen:
+            continue
+        seen.add(text)
+        try:
+            fits = _widths(compile_interface(block, embodiment, action_type, folders, chunk)) == widths
+        except NativeError:
+            continue
+        if fits and _is_valid(block):
+            told = all(place[0] == "action" for place in candidate.edits)
+            yield Alternative(candidate.words, candidate.convention, block, told)
+
+
+def _candidates(block: Mapping[str, Any], embodiment: Embodiment, folders: Sequence[Path]) -> Iterator[Candidate]:
+    yield from images(block, embodiment.cameras)
+    yield from grippers(block, embodiment)
+    yield from arms(block)
+    yield from joints(block, embodiment)
+    yield from poses(block)
+    yield from references(block)
+    yield from numbers(block, folders)
+    yield from histories(block)
+    yield from instructions(block)
+    yield from order(block)
+
+
+def _same(block: Mapping[str, Any]) -> str:
+    return json.dumps(block, sort_keys=True)
+
+
+def _widths(interface: Interface) -> list[int]:
+    return [interface.action.vector.padded, *(vector.padded for vector in interface.states.values())]
+
+
+def _is_valid(block: Mapping[str, Any]) -> bool:
+    return bool(_validator().is_valid(block))
+
+
+@cache
+def _validator() -> Any:
+    import jsonschema_rs
+
+    return jsonschema_rs.validator_for(spec.schema("native", spec.versions()[-1]))

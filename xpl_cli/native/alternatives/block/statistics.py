@@ -1,0 +1,40 @@
+"""What else a JSON file of statistics holds: other data sets, other robots, the other vector."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_SIZE_LIMIT = 16 * 2**20
+_MOST = 32
+
+
+def entries(file: str, folders: Sequence[Path], names: Sequence[str]) -> list[str]:
+    """Return the keys, words separated by /, under which a JSON file has all of these names; at most 32 of them."""
+    path = next((folder / file for folder in folders if (folder / file).is_file()), None)
+    if path is None or path.suffix != ".json" or path.stat().st_size > _SIZE_LIMIT:
+        return []
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return []
+    found = []
+    for key in _walk(document, (), names):
+        found.append(key)
+        if len(found) == _MOST:
+            break
+    return found
+
+
+def _walk(document: Any, way: tuple[str, ...], names: Sequence[str], depth: int = 8) -> Iterator[str]:
+    if not isinstance(document, dict) or not depth:
+        return
+    if all(isinstance(document.get(name), list) for name in names):
+        yield "/".join(way)
+    for key, value in document.items():
+        if "/" not in key:
+            yield from _walk(value, (*way, key), names, depth - 1)

@@ -1,0 +1,80 @@
+"""Other words for what an action is counted from, chunks, histories and instructions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Site, everywhere, parts, word
+
+_TEMPLATES = (
+    "{instruction}",
+    "{instruction}\n",
+    "In: What action should the robot take to {instruction}?\nOut:",
+    "Task: {instruction}",
+    "Task: {instruction}\n",
+    "Task: {instruction}, State: ",
+    "task: {instruction}",
+    "{instruction}.",
+)
+
+
+def references(block: Mapping[str, Any]) -> Iterator[Candidate]:
+    """Yield other things that commands are counted from, for all parts and for each."""
+    whole = [Site(("action",), block["action"])]
+    for reference in ("absolute", "delta_state", "cumulative", "delta_command"):
+        change = word("reference", reference)
+        yield from everywhere(whole, 0, f"reference: {reference}", "action_reference", change)
+    sites = [site for site in parts(block, "joints", "hand", "position", "rotation") if site.group == "action"]
+    for reference in ("absolute", "delta_state", "cumulative", "delta_command"):
+        change = word("reference", reference, block["action"]["reference"])
+        told = f"reference of the part: {reference}"
+        yield from everywhere(sites, 1, told, "action_reference", change)
+    yield from everywhere(sites, 1, "reference of the part: none", "action_reference", _without("reference"))
+    history = (block.get("history") or {}).get("length", 1)
+    for first in dict.fromkeys((0, 1, history - 1, 2)):
+        yield from everywhere(whole, 1, f"first: {first}", "chunk", word("first", first, 0))
+
+
+def histories(block: Mapping[str, Any]) -> Iterator[Candidate]:
+    """Yield other histories."""
+    history = block.get("history")
+    if not history:
+        return
+    site = [Site(("history",), history)]
+    length = history["length"]
+    for pad in ("zeros", "repeat"):
+        yield from everywhere(site, 0, f"history: pad: {pad}", "history", word("pad", pad, "repeat"))
+    stride = history.get("stride", 1)
+    for value in dict.fromkeys((1, stride + 1, max(1, stride - 1), 2, 3, 4, 2 * stride, max(1, stride // 2))):
+        yield from everywhere(site, 1, f"history: stride: {value}", "history", word("stride", value, 1))
+    for of in (["images", "state"], ["images"], ["state"]):
+        told = f"history: of: {', '.join(of)}"
+        yield from everywhere(site, 2, told, "history", word("of", of, ["images", "state"]))
+    for value in dict.fromkeys((1, length - 1, length + 1, 2)):
+        if value >= 1:
+            yield from everywhere(site, 3, f"history: length: {value}", "history", word("length", value))
+
+
+def instructions(block: Mapping[str, Any]) -> Iterator[Candidate]:
+    """Yield other ways to write the instruction."""
+    how = block.get("instruction")
+    if not how:
+        return
+    site = [Site(("instruction",), how)]
+    for case in ("lower", "keep"):
+        yield from everywhere(site, 0, f"instruction: case: {case}", "instruction", word("case", case, "keep"))
+    for strip in ("", " ", ".", ". ", " .", " \n", "\n"):
+        told = f"instruction: strip: {strip!r}"
+        yield from everywhere(site, 0 if strip in ("", " ") else 1, told, "instruction", word("strip", strip, ""))
+    template = how.get("template", "{instruction}")
+    for text in dict.fromkeys((*_TEMPLATES, template.strip(), f"{template}\n", f"{template} ", template.lower())):
+        if "{instruction}" in text:
+            told = f"instruction: template: {text!r}"
+            yield from everywhere(site, 1, told, "instruction", word("template", text, "{instruction}"))
+    for empty in ("blank", "refuse"):
+        yield from everywhere(site, 3, f"instruction: empty: {empty}", "instruction", word("empty", empty, "refuse"))
+
+
+def _without(key: str) -> Any:
+    return lambda entry: {key: GONE} if key in entry else None

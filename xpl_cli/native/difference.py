@@ -1,0 +1,84 @@
+"""How far answers are from the native ones: by number of each key, as a share of the spread of the native answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+
+Step = Mapping[str, Any]
+Answers = Sequence[Sequence[Step]]
+"""Of each question its chunk of action steps."""
+Differences = Mapping[str, float]
+"""By number of an action, such as left_ee_joint_state[0], the largest difference over all questions and steps."""
+
+_PLACES = (slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM))
+
+
+def columns(answers: Answers) -> dict[str, np.ndarray]:
+    """Return by key all steps of all answers, (N, width) float64."""
+    steps = [step for chunk in answers for step in chunk]
+    return {key: np.stack([np.asarray(step[key], np.float64) for step in steps]) for key in steps[0]} if steps else {}
+
+
+def spreads(native: Answers) -> dict[str, float]:
+    """Return by number of an action what its differences are measured by.
+
+    That is the largest range that a number of the same key has in the native answers; of poses positions count by
+    themselves, and rotations. Where nothing moved it is 1.
+    """
+    result = {}
+    for key, values in columns(native).items():
+        for places in _groups(key, values.shape[1]):
+            largest = float(np.ptp(_one_sign(key, values)[:, places], axis=0).max(initial=0.0))
+            for index in range(values.shape[1])[places]:
+                result[f"{key}[{index}]"] = largest or 1.0
+    return result
+
+
+def differences(native: Answers, given: Answers, spread: Mapping[str, float]) -> dict[str, float]:
+    """Return how far answers are from the native ones.
+
+    Quaternions of either sign are the same rotation. A key that is missing, a chunk of another length, or a number that
+    is not finite is infinitely far.
+
+    Args:
+        native: the native answers.
+        given: the answers to the same questions.
+        spread: of `spreads`.
+    """
+    if [len(chunk) for chunk in native] != [len(chunk) for chunk in given]:
+        return dict.fromkeys(spread, np.inf)
+    wanted, found = columns(native), columns(given)
+    result = {}
+    for key, values in wanted.items():
+        other = found.get(key)
+        same = other is not None and other.shape == values.shape
+        for index in range(values.shape[1]):
+            part = f"{key}[{index}]"
+            if other is None or not same:
+                result[part] = np.inf
+                continue
+            far = np.abs(_nearer(key, other, values)[:, index] - values[:, index]) / spread[part]
+            result[part] = float(far.max(initial=0.0)) if np.isfinite(far).all() else np.inf
+    return result
+
+
+def _groups(key: str, width: int) -> Sequence[slice]:
+    return _PLACES if key.endswith(spec.State.EE_POSE) else (slice(0, width),)
+
+
+def _nearer(key: str, values: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """Return poses whose quaternions have the sign that is nearer to others."""
+    if not key.endswith(spec.State.EE_POSE):
+        return values
+    turn = values[:, _PLACES[1]]
+    sign = np.where((turn * to[:, _PLACES[1]]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+    return np.concatenate((values[:, _PLACES[0]], turn * sign), axis=-1)
+
+
+def _one_sign(key: str, values: np.ndarray) -> np.ndarray:
+    return _nearer(key, values, np.broadcast_to(values[:1], values.shape)) if len(values) else values
