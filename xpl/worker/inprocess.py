@@ -1,41 +1,28 @@
 """Plays a script on an adapter inside this very process, as somebody would who imports it: no server, no client.
 
-What an audit compares the served adapter with. Standard library and numpy only. Script and answers are packed maps
-(`xpl.wire.packed`) in files:
+What an audit compares the served adapter with. Standard library and numpy only. Script and answers lie in files
+(`xpl.worker.errand`):
 
     {"policy_dir", "config", "manifest", "script": [[method, arguments], ...]}, further what stands in for the model
     and whether it is watched, as in the message by which a worker loads an adapter (`xpl.worker.main`)
-    one map for the load and one for each call, each after its length (u64, little endian) and written when it is known:
-    a "result" or an "error"; with "unreal": true where only the real model, or a real module, could have answered
-
-Whatever threads the adapter has left, the process ends when the script has ended. SIGUSR1 prints where it is.
+    one map for the load and one for each call: a "result" or an "error"; with "unreal": true where only the real model,
+    or a real module, could have answered
 
 Observations are handed over as a simulator makes them: arrays of their own that may be written to.
 """
 
 from __future__ import annotations
 
-import faulthandler
-import os
-import signal
-import struct
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, NoReturn
 
-from xpl import _spec as spec
 from xpl.policy import Policy
-from xpl.wire import packed
 from xpl.worker import stubs
 from xpl.worker.copies import own
+from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.lacking import StandInError
 from xpl.worker.loading import ecosystem, load_model_class
-
-# SystemExit, too: see xpl.worker.main.
-_FAILURES = (Exception, SystemExit)
-LENGTH = struct.Struct("<Q")
-"""What stands before each answer in the file."""
 
 
 def load(order: Mapping[str, Any]) -> Any:
@@ -70,36 +57,29 @@ def play(model: Any, script: Sequence[Sequence[Any]]) -> Iterator[bytes]:
         script: pairs of a method's name and its arguments.
     """
     for method, arguments in script:
-        yield b"".join(packed.encode(_called(model, method, arguments)))
+        yield _called(model, method, arguments)
 
 
-def _called(model: Any, method: str, arguments: Sequence[Any]) -> dict[str, Any]:
+def _called(model: Any, method: str, arguments: Sequence[Any]) -> bytes:
     try:
-        result = getattr(model, method)(*map(own, arguments))
+        answer = getattr(model, method)(*map(own, arguments))
         stubs.check()
-        packed.encode(result)  # what cannot travel is an error of the served adapter, too
-    except _FAILURES as error:
+        return result(answer)  # what cannot travel is an error of the served adapter, too
+    except FAILURES as error:
         stands_in = isinstance(error, StandInError) or stubs.asked() is not None
-        return {"error": f"{type(error).__name__}: {error}", **({"unreal": True} if stands_in else {})}
-    return {spec.Payload.RESULT: result}
+        return failed(error, **({"unreal": True} if stands_in else {}))
 
 
-def main(script: str, answers: str) -> NoReturn:
+def main(asked: str, answers: str) -> NoReturn:
     """Play the script in one file, write the answers to another, and end."""
-    faulthandler.register(signal.SIGUSR1, all_threads=True)
-    asked = packed.decode(Path(script).read_bytes())
-    with Path(answers).open("wb", buffering=0) as told:
-        try:
-            model = load(asked)
-        except _FAILURES as error:
-            _tell(told, b"".join(packed.encode({"error": f"{type(error).__name__}: {error}"})))
-        else:
-            _tell(told, b"".join(packed.encode({spec.Payload.RESULT: None})))
-            for answer in play(model, asked["script"]):
-                _tell(told, answer)
-    sys.stdout.flush()
-    os._exit(0)  # an adapter's threads may go on for ever
+    carry_out(asked, answers, _all)
 
 
-def _tell(told: BinaryIO, answer: bytes) -> None:
-    told.write(LENGTH.pack(len(answer)) + answer)
+def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+    try:
+        model = load(order)
+    except FAILURES as error:
+        yield failed(error)
+        return
+    yield result(None)
+    yield from play(model, order["script"])

@@ -22,6 +22,7 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import progress
 from xpl_cli.isolation import family
 from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.serving import openpi
 from xpl_cli.serving.connection import Timing
@@ -32,7 +33,7 @@ from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server import FrontEnd, Settings
 from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.serving.workers import patience
-from xpl_cli.serving.workers.pool import STACKS_S, LoadError
+from xpl_cli.serving.workers.pool import LoadError
 from xpl_cli.serving.workers.worker import WorkerProcess
 
 if TYPE_CHECKING:

@@ -1,9 +1,7 @@
-"""What an audit says of an adapter that hangs: where it stands, and when it is asked no more."""
+"""When an adapter that hangs is asked no more, and how long an audit waits at most."""
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -11,10 +9,8 @@ from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.isolation.life import HUNG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
-_FRAME = re.compile(r'\s*File "(?P<file>.+)", line (?P<line>\d+) in (?P<name>.+)')
-_THREAD = re.compile(r"(Current t|T)hread 0x[0-9a-f]+")
 _OFTEN_ENOUGH = 2
 _MOST_S = {
     sdk.Deploy.MAX_CONNECT_SECONDS: 600.0,
@@ -56,23 +52,3 @@ def _bounded(value: Any, most: float) -> bool:
     if value is None:
         return False
     return not isinstance(value, (int, float)) or 0 < value <= most  # what is no number is refused by the server
-
-
-def where(log: Iterable[str], folder: Path) -> str | None:
-    """Return where an adapter stood when it printed its stacks last: file, line and function; None if it did not.
-
-    Args:
-        log: lines of output, with what `faulthandler` prints.
-        folder: the adapter's; its own innermost line counts for more than a library's.
-    """
-    stacks: list[list[str]] = []
-    for line in log:
-        if _THREAD.match(line):
-            stacks.append([])
-        elif stacks and (found := _FRAME.match(line)):
-            file = Path(found["file"])
-            own = file.is_relative_to(folder)
-            shown = file.relative_to(folder) if own else file.name
-            stacks[-1].append(f"{'' if own else ' '}{shown}:{found['line']} in {found['name']}")
-    frames = [frame for stack in reversed(stacks) for frame in stack]  # the main thread comes last
-    return next((frame for frame in frames if frame[0] != " "), None)

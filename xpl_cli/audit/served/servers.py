@@ -16,10 +16,11 @@ from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.served import choosing
 from xpl_cli.audit.served.choosing import Lacking
-from xpl_cli.audit.served.hanging import Hangs, bounds, where
+from xpl_cli.audit.served.hanging import Hangs, bounds
 from xpl_cli.audit.served.recording import tape
 from xpl_cli.audit.served.session import Recorder, Session
 from xpl_cli.isolation.life import HUNG
+from xpl_cli.isolation.stacks import where
 from xpl_cli.packages import package
 from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
 

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from xpl_cli.isolation.life import Life
-from xpl_cli.serving.workers.pool import STACKS_S
+from xpl_cli.isolation.stacks import STACKS_S
 
 if TYPE_CHECKING:
     from xpl_cli.serving.workers.pool import Worker

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from xpl import _spec as spec
 from xpl.process.link import LinkError
+from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.serving.logbook import log
 from xpl_cli.serving.session import RequestError
 from xpl_cli.serving.stand_in import StandIn
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from xpl_cli.serving.workers.line import Job
     from xpl_cli.serving.workers.worker import Answered, WorkerProcess
 
-STACKS_S = 0.2
-"""What a worker that hangs gets to print where it is, before its time is up."""
 _REAL = StandIn()
 _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""

@@ -1,0 +1,209 @@
+"""Errands: a module of the SDK in a policy's interpreter that reads one file, writes answers to another, and ends.
+
+For what is asked of an adapter, or of its native code, without a server. The module has `main(asked, answers)`; the
+answers are packed maps (`xpl.wire.packed`), each after its length, that of loading first (`xpl.worker.inprocess`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import xpl
+from xpl.process.child import SDK_START
+from xpl.wire import packed
+from xpl.worker.errand import LENGTH
+from xpl_cli.isolation import family
+from xpl_cli.isolation.bounds import Bounds
+from xpl_cli.isolation.life import Life
+from xpl_cli.isolation.stacks import STACKS_S, where
+
+_EVERY_S: Final = 0.1
+_MOST_BYTES: Final = 1 << 30
+"""What all answers of one errand may hold."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an errand runs.
+
+    Attributes:
+        python: the interpreter.
+        checkout: its working directory, the adapter's folder.
+        bounds: what it is kept from.
+        patience: how long it may be silent, s.
+        limit_s: how long it may take, s.
+        heard: told how many answers there are, whenever there are more; None to tell nobody.
+    """
+
+    python: str
+    checkout: Path
+    bounds: Bounds = field(default_factory=Bounds)
+    patience: float = 30.0
+    limit_s: float = 600.0
+    heard: Callable[[int], None] | None = None
+
+
+@dataclass(frozen=True)
+class Done:
+    """What came of an errand.
+
+    Attributes:
+        answers: those that are complete.
+        problem: why the process was ended, or how it ended where it gave no whole answer; None if all is well.
+        last: the last line that it printed.
+    """
+
+    answers: list[dict[str, Any]]
+    problem: str | None
+    last: str
+
+    @property
+    def ended(self) -> str:
+        """How the process ended, for who misses answers."""
+        return self.problem or f"ended without an answer: {self.last:.200}"
+
+
+def run(module: str, order: Mapping[str, Any], place: Place) -> Done:
+    """Run an errand to its end.
+
+    Args:
+        module: of the SDK, such as `xpl.worker.inprocess`.
+        order: what it is told: maps, lists, texts, numbers and arrays.
+        place: where.
+    """
+    with _room(place) as (prefix, folder, environment):
+        asked, told = folder / "asked", folder / "answers"
+        asked.write_bytes(b"".join(packed.encode(order)))
+        start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
+        command = [*prefix, place.python, "-c", start, str(Path(xpl.__file__).parent), str(asked), str(told)]
+        errand = _Run(command, place, environment, folder / "log", told)
+        problem = errand.wait()
+        try:
+            return Done(_read(told), problem, errand.last)
+        except packed.PackingError as error:
+            return Done([], f"wrote what is no answer: {error}", errand.last)
+
+
+def _read(told: Path) -> list[dict[str, Any]]:
+    """Return the answers that are complete.
+
+    Raises:
+        PackingError: if one is none.
+    """
+    found: list[dict[str, Any]] = []
+    if told.is_file() and told.stat().st_size > _MOST_BYTES:
+        raise packed.PackingError(f"its answers take more than {_MOST_BYTES} bytes")
+    data = memoryview(told.read_bytes() if told.is_file() else b"")
+    while len(data) >= LENGTH.size:
+        (length,) = LENGTH.unpack_from(data)
+        data = data[LENGTH.size :]
+        if length > len(data):
+            break
+        answer = packed.decode(data[:length])
+        found.append(answer if isinstance(answer, dict) else {"error": "no answer"})
+        data = data[length:]
+    return found
+
+
+@contextlib.contextmanager
+def _room(place: Place) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
+    """Yield what is put before a command, a folder that it may write to, and its environment; as a server has them."""
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    environment.pop("PYTHONHOME", None)
+    with (
+        place.bounds.around(place.checkout) as kept,
+        tempfile.TemporaryDirectory(prefix="xpl-") as own,
+    ):
+        if kept is None:
+            yield (), Path(own), environment
+        else:
+            yield kept.prefix, kept.folder or Path(own), kept.environment(environment)
+
+
+class _Run:
+    """A command in a group of its own."""
+
+    def __init__(self, command: list[str], place: Place, environment: dict[str, str], log: Path, told: Path) -> None:
+        self._command, self._place, self._environment, self._log, self._told = command, place, environment, log, told
+        self._heard = 0
+
+    def wait(self) -> str | None:
+        """Run it, end all that it started, and return why it was ended before it ended itself, or None."""
+        before = {member.pid for member in family.descendants(os.getpid())}
+        family.adopt_orphans()
+        # A file, not a pipe: a process that the adapter leaves behind would keep a pipe open.
+        with self._log.open("wb") as output:
+            process = subprocess.Popen(
+                self._command,
+                cwd=self._place.checkout,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+            )
+        try:
+            return self._waited(process)
+        finally:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            family.end_adopted(before)
+
+    @property
+    def last(self) -> str:
+        """The last line that it printed."""
+        return next((line.strip() for line in reversed(self._lines()) if line.strip()), "it printed nothing")
+
+    def _waited(self, process: subprocess.Popen[bytes]) -> str | None:
+        began, size, life = time.monotonic(), -1, None
+        while True:
+            now = time.monotonic()
+            written = self._told.stat().st_size if self._told.is_file() else 0
+            if life is None or written != size:  # another answer: patience begins anew
+                size, life = written, Life(process.pid, self._place.patience, now)
+                self._tell()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(min(life.every_s, _EVERY_S))
+                return None
+            why = life.look(time.monotonic())
+            if why is None and time.monotonic() - began > self._place.limit_s:
+                why = f"did not answer within {time.monotonic() - began:.0f} s"
+            if why is not None:
+                return self._where(process, why)
+
+    def _tell(self) -> None:
+        """Tell how many answers there are, as far as their lengths say."""
+        if self._place.heard is None or not self._told.is_file():
+            return
+        count = place = 0
+        with self._told.open("rb") as stream:
+            while len(head := stream.read(LENGTH.size)) == LENGTH.size:
+                place += LENGTH.size + LENGTH.unpack(head)[0]
+                stream.seek(place)
+                count += 1
+        if count > self._heard:
+            self._heard = count
+            self._place.heard(count)
+
+    def _where(self, process: subprocess.Popen[bytes], why: str) -> str:
+        """Have the process print its stacks, and return why it is ended and where it stood."""
+        inner = family.behind_launcher(process.pid)[-1] if self._place.bounds.flags else process.pid
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.kill(inner, signal.SIGUSR1)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(STACKS_S)
+        stood = where(self._lines(), self._place.checkout.resolve())
+        return why if stood is None else f"{why}; it stood at {stood}"
+
+    def _lines(self) -> list[str]:
+        return self._log.read_text(encoding="utf-8", errors="replace").splitlines() if self._log.is_file() else []
