@@ -55,6 +55,7 @@ _COMMANDS: Final = {
 _GROUPS: Final = {
     "env": "run.env",
     "checkpoint": "run.checkpoint",
+    "native": "prove.native",
     "spec": "maintain.spec",
     "sdk": "maintain.sdk",
     "skills": "agents.skills",

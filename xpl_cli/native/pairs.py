@@ -169,7 +169,7 @@ def write(package: Path, pairs: Pairs) -> int:
         "script": pairs.script,
         "sessions": [_written(session) for session in pairs.sessions],
     }
-    data = (json.dumps(document, indent=1, sort_keys=True) + "\n").encode()
+    data = _text(document).encode()
     if len(data) > names.PAIRS_BYTES:
         raise UserError(
             f"the pairs take {len(data)} bytes, and {names.PAIRS} may hold {names.PAIRS_BYTES}: "
@@ -205,6 +205,18 @@ def read(package: Path) -> Pairs:
     except (ValueError, UnknownEmbodimentError) as error:
         raise PairsError(f"{path}: {error}", hint=again) from None
     return Pairs(document["provenance"], sessions, document["script"])
+
+
+def _text(document: Mapping[str, Any]) -> str:
+    """Return the document with a line for each call, so that a difference between two recordings can be read."""
+    sessions = []
+    for session in document["sessions"]:
+        told = {key: value for key, value in session.items() if key != "calls"}
+        calls = ",\n".join(json.dumps(call, sort_keys=True) for call in session["calls"])
+        sessions.append(f'{json.dumps(told, sort_keys=True)[:-1]}, "calls": [\n{calls}\n]}}')
+    rest = {key: value for key, value in document.items() if key != "sessions"}
+    head = json.dumps(rest, indent=1, sort_keys=True).removesuffix("\n}")
+    return f'{head},\n "sessions": [\n' + ",\n".join(sessions) + "\n]}\n"
 
 
 def _written(session: Session) -> dict[str, Any]:

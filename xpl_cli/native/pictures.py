@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 _LEVELS = 128
 """Values that the pattern has; what a moment adds to it lies below the rest of a byte."""
-_ADDED = ((37, 11), (59, 71), (83, 29))
-"""By channel: what each moment and each camera adds, modulo the levels."""
+_ADDED = ((37, 11, 127), (59, 71, 113), (83, 29, 109))
+"""By channel: what each moment and each camera adds, modulo a prime below the rest of a byte."""
 _EDGE = 16
 """Share of a side that its bright edge has: one of so many."""
 
@@ -30,7 +30,7 @@ def picture(camera: int, moment: int, height: int, width: int) -> NDArray[np.uin
         height: pixels.
         width: pixels.
     """
-    added = np.array([(moment * one + camera * other) % _LEVELS for one, other in _ADDED], np.uint8)
+    added = np.array([(moment * one + camera * other) % prime for one, other, prime in _ADDED], np.uint8)
     rows = _pattern(camera, height, width).reshape(height, -1) + np.tile(added, width)  # rows add faster than pixels
     image = rows.reshape(height, width, -1)
     top, left = _corner(moment, height, 5), _corner(moment + camera, width, 7)
