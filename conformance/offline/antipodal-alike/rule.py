@@ -1,37 +1,45 @@
-"""XPL241: A quaternion and its negative, which are one rotation, are answered differently."""
+"""XPL241: A quaternion and its negative are answered differently, although the model is told one sign."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.rotations import LARGE, rotation_difference
+from xpl_cli.audit.offline.rotations import LARGE, rotation_difference, told_as_they_come
 from xpl_cli.audit.offline.semantics import Episode, Semantics
 from xpl_cli.audit.served.inputs import antipodal, turned
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.native import names
+from xpl_cli.packages.package import Package
 
 
 @rule(code="XPL241", requirement="XPL-OBS-9", profile="full")
 def antipodal_alike(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
-    """A quaternion and its negative, which are one rotation, are answered differently.
+    """A quaternion and its negative are answered differently, although the model is told one sign.
 
     ## What it does
-    Shows the same poses once with q and once with -q: in the first observation of an episode, in a pose that is turned
-    far, and in the second observation only. The actions must be the same motions.
+    Where the block `native` of `policy.yml` says which of q and -q the model is told (`sign: positive_w`,
+    `sign: continuous`), or tells it a form of rotation without a sign: shows the same poses once with q and once with
+    -q, in the first observation of an episode, in a pose that is turned far, and in the second observation only. The
+    actions must be the same motions. A model that was trained on signs as they come may answer them differently.
+    Without a block only `native-parity` can judge.
 
     ## Why it matters
-    Simulators and drivers change the sign at will, often in the middle of a motion. A policy that takes this for
-    another pose jumps there; an average of both is no rotation at all.
+    Simulators and drivers change the sign at will, often in the middle of a motion. A model that was trained with
+    w >= 0 takes the other sign for another pose, and jumps there.
 
     ## Example
-    `state = np.concatenate([position, quaternion])`, given to a network that was trained with qw >= 0.
+    `state = np.concatenate([position, quaternion])` in `encode`, where the block says `sign: positive_w`.
 
     ## Use instead
-    One sign before encoding, `quaternion * np.sign(quaternion[0])`, or a rotation matrix (`xpl.rotation.to_matrix`).
+    The sign that the model was trained with: leave `encode` to the block, or say
+    `quaternion if quaternion[0] >= 0 else -quaternion`. Do not change signs of a model that was trained on them as they
+    come: it would answer half of all poses otherwise than its authors' code does.
 
     ## Fix safety
     No automatic fix.
     """
+    _require_a_sign(probe.package)
     probe.ready()
     probe.require_repeatable()
     if semantics.posed is None:
@@ -48,9 +56,31 @@ def antipodal_alike(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         found = rotation_difference(*pair)
         if found is not None:
             yield blame(
-                f"quaternions that change their sign {where} change the motion, although the poses are the same",
+                f"quaternions that change their sign {where} change the motion, although the native block says that "
+                "the model is told one sign",
                 expected="the same action, up to the sign of its quaternions",
                 got=found,
-                fix=Fix("advice", "bring quaternions to one sign in encode, or encode rotation matrices"),
+                fix=Fix("advice", "give the model in encode the sign that the block says, or correct the block"),
             )
             return
+
+
+def _require_a_sign(package: Package) -> None:
+    """Stop where nobody says what sign the model was trained with.
+
+    Raises:
+        NotApplicable: if the block does not, or leaves poses to code.
+    """
+    native = package.manifest.get("native")
+    if not native and (package.path / names.PAIRS).is_file():
+        raise NotApplicable("native-parity compares the answers to both signs with the model's own")
+    if not native:
+        raise NotApplicable("nothing says how the model was trained to take q and -q: no native block, no native pairs")
+    told = [part for entry in native.get("state") or () for part in entry["parts"]]
+    as_they_come = told_as_they_come(native)
+    if as_they_come:
+        raise NotApplicable(
+            f"the model is told signs as they come ({', '.join(as_they_come)}), and may tell them apart"
+        )
+    if native.get("code") and not any("rotation" in part for part in told):
+        raise NotApplicable("the native block leaves conversions to code, and does not say which sign they give")

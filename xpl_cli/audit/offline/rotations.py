@@ -67,6 +67,33 @@ def first_turns(obs: Mapping[str, Any], chunk: Any) -> list[Turn]:
     return turns
 
 
+def told_as_they_come(native: Mapping[str, Any]) -> list[str]:
+    """Return the rotations of a native block in which q and -q are two things, by what to call them.
+
+    Those are quaternions that the model is told with the sign that they happen to have (`sign: any`), and those to
+    which numbers are added.
+    """
+    found = []
+    for entry in native.get("state") or ():
+        found += [
+            f"native.state {entry['input']}, rotation {how['arm']}"
+            for how in _quaternions(entry)
+            if how.get("sign", "any") == "any"
+        ]
+    action = native.get("action") or {}
+    for how in _quaternions(action):
+        told = how.get("reference") or action.get("reference", "absolute")
+        if told != "absolute" and how.get("applied") == "numbers" and how.get("sign", "any") == "any":
+            found.append(f"native.action, rotation {how['arm']}")
+    return found
+
+
+def _quaternions(vector: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the rotations of a vector that are given as quaternions."""
+    rotations = [part["rotation"] for part in vector.get("parts") or () if "rotation" in part]
+    return [how for how in rotations if how["form"].startswith("quaternion")]
+
+
 def rotation_difference(first: Any, second: Any) -> str | None:
     """Return where two chunks first differ as motions, or None: a quaternion and its negative are the same."""
     if not isinstance(first, (list, tuple)) or not isinstance(second, (list, tuple)) or len(first) != len(second):
