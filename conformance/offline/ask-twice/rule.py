@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.compare import brief, difference, error_code, first_step, same
 from xpl_cli.audit.served.probe import Probe, blame
 
@@ -15,7 +16,9 @@ def ask_twice(probe: Probe) -> Iterator[Finding]:
 
     ## What it does
     Shows one observation and asks for an action twice. Where the policy answers that observation alike whenever it is
-    shown again, the second answer must be the first one.
+    shown again, the second answer must be the first one. Where the manifest declares memory, the second answer must not
+    be that of an observation shown twice. Where answers change by themselves, with random numbers or by averaging, only
+    that there is a second one can be seen.
 
     ## Why it matters
     Clients retry and debug tools ask again. An adapter whose inference consumes or changes the stored observation
@@ -38,7 +41,7 @@ def ask_twice(probe: Probe) -> Iterator[Finding]:
         policy.update_obs(probe.observation())
         shown_again = policy.get_action()
     if error_code(first) is not None:
-        return
+        raise NotApplicable(f"the first question is answered by {brief(first)}")
     if error_code(second) is not None:
         yield blame(
             "a second get_action on the same observation fails: the first one damaged what was stored",
@@ -46,13 +49,32 @@ def ask_twice(probe: Probe) -> Iterator[Finding]:
             got=brief(second),
             fix=Fix("advice", "never change a stored observation in place; copy before normalising or popping keys"),
         )
-    # Random numbers and averaging over time change an answer, too, but then also where the observation is shown again.
-    elif same(first, shown_again) and not same(first, second):
+        return
+    if same(first, second):
+        return
+    details: dict[str, Any] = {
+        "expected": "the same actions",
+        "got": difference(first, second) or "",
+        "evidence": {"first": first_step(first), "second": first_step(second)},
+    }
+    if same(first, shown_again):
         yield blame(
             "a second get_action on the same observation is answered otherwise, although the observation shown again "
             "is answered alike: the first one changed what was stored",
-            expected="the same actions",
-            got=difference(first, second) or "",
-            evidence={"first": first_step(first), "second": first_step(second)},
+            **details,
             fix=Fix("advice", "never change a stored observation in place; copy before normalising or popping keys"),
         )
+    elif _remembers(probe) and same(second, shown_again) and probe.repeats_in_place:
+        yield blame(
+            "a second get_action on the same observation is answered as if the observation had been shown again: "
+            "memory advances with every question",
+            **details,
+            fix=Fix("advice", "keep recurrent state in self.memory(env): it advances once for each observation"),
+        )
+    else:
+        # Random numbers and averaging over time do that, and nobody can tell what else does.
+        raise NotApplicable("answers change from question to question, also where the same observation is shown again")
+
+
+def _remembers(probe: Probe) -> bool:
+    return bool((probe.package.manifest.get("temporal") or {}).get("kind") == "memory")

@@ -1,31 +1,39 @@
-"""XPL242: Gripper commands run the other way round, or in another unit."""
+"""XPL242: Gripper commands run the other way round, in another unit, or follow the other arm."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.compare import structure_problem
-from xpl_cli.audit.served.inputs import with_grippers
+from xpl_cli.audit.served.inputs import with_gripper
 from xpl_cli.audit.served.probe import Probe, blame
 
-_OPENINGS = np.linspace(spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN, 5)
+_OPENINGS = np.linspace(spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN, 6)
+_ORDERS = ([0, 1, 2, 3, 4, 5], [3, 0, 4, 1, 5, 2])
+"""In which order the arms have the openings, so that one gripper is not taken for another."""
+_SCENES = (0, 1)
 _EXACT = 1e-3
-"""How exactly a command has to follow the observed opening to be taken for a copy of it."""
-_INVERTED, _SCALED = -0.5, 0.3
+"""How exactly commands have to lie on a line, in both scenes alike, to be a copy and no decision."""
+_NEAR = 0.02
+_UNIT = 0.3
+"""A share of the opening that, in a single action step, is another unit and no gripper that is being closed."""
+_COMPARE = "compare the gripper with the authors' own code, in the state that is encoded and in the action"
 
 
 @rule(code="XPL242", requirement="XPL-ACT-5", profile="full")
 def gripper_direction(probe: Probe) -> Iterator[Finding]:
-    """Gripper commands run the other way round, or in another unit.
+    """Gripper commands run the other way round, in another unit, or follow the other arm.
 
     ## What it does
-    Shows grippers closed, open and in between. Where the first command is a straight-line copy of what was observed,
-    the line must not fall (closed and open exchanged), and must not be flat through zero (metres for a share of the
-    stroke). Of a policy that decides for itself, nothing can be said without a simulator.
+    Shows grippers closed, open and in between, each arm's otherwise, in two scenes. Where commands are a copy of what
+    was observed, by the same straight line in both scenes, the line has to be the observed opening itself: not 1 minus
+    it (closed and open exchanged), not a share of it (metres for a share of the stroke), not the other arm's. Of a
+    policy that decides for itself nothing can be said without the model's own answers or a simulator.
 
     ## Why it matters
     The gripper opens where it should hold, or never opens. Everything else looks right.
@@ -40,33 +48,74 @@ def gripper_direction(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.ready()
-    arms = [arm for arm in probe.embodiment.arms if arm.gripper == "parallel_gripper"]
-    if not arms:
+    keys = [
+        arm.prefix + spec.State.EE_JOINT_STATE for arm in probe.embodiment.arms if arm.gripper == "parallel_gripper"
+    ]
+    if not keys:
         raise NotApplicable("the robot has no gripper that opens and closes")
-    obs = probe.observation()
+    chunks = [_answers(probe, keys, scene) for scene in _SCENES]
+    undecided, is_sound = [], True
+    for key in keys:
+        lines = [line for answered in chunks for line in _lines(answered, keys, key)]
+        if any(line is None for line in lines) or np.ptp(np.array(lines), axis=0).max() > _EXACT:
+            undecided.append(key)
+            continue
+        *slopes, offset = lines[0]
+        own, others = slopes.pop(keys.index(key)), slopes
+        fault = _fault(own, others, offset, steps=len(chunks[0][0]))
+        if fault is None and abs(own - 1) + abs(offset) + sum(map(abs, others)) > _NEAR:
+            undecided.append(key)
+        elif fault is not None:
+            is_sound = False
+            commands = [float(np.ravel(chunk[0][key])[0]) for chunk in chunks[0]]
+            yield blame(
+                f"commands of {key} are a copy of the observed gripper, but {fault}",
+                expected=f"{np.round(_OPENINGS[_ORDERS[keys.index(key) % 2]], 3).tolist()} for grippers observed there",
+                got=f"{np.round(commands, 3).tolist()}",
+                fix=Fix("advice", _COMPARE),
+            )
+    if undecided and is_sound:
+        raise NotApplicable(
+            f"commands of {', '.join(undecided)} are no copy of what is observed: what they mean only the model knows"
+        )
+
+
+def _answers(probe: Probe, keys: Sequence[str], scene: int) -> list[Any]:
+    """Return the chunks that answer each opening in one scene."""
+    plain = {**probe.observation(scene), spec.Obs.ENV_IDX: 0}
+    chunks = []
     with probe.session() as policy:
-        chunks = [policy.act(with_grippers(obs, opening)) for opening in _OPENINGS]
+        for place in range(len(_OPENINGS)):
+            obs = plain
+            for number, key in enumerate(keys):
+                obs = with_gripper(obs, key, float(_OPENINGS[_ORDERS[number % 2][place]]))
+            chunks.append(policy.act(obs))
     if any(structure_problem(chunk, probe.embodiment, probe.action_type) for chunk in chunks):
         raise NotApplicable("not every opening is answered by an action")
-    copied = False
-    for arm in arms:
-        key = arm.prefix + spec.State.EE_JOINT_STATE
-        commands = np.array([float(np.ravel(chunk[0][key])[0]) for chunk in chunks])
-        slope, offset = np.polyfit(_OPENINGS, commands, 1)
-        if np.abs(commands - (offset + slope * _OPENINGS)).max() > _EXACT or abs(slope) <= _EXACT:
-            continue
-        copied = True
-        inverted = slope < _INVERTED
-        if inverted or (abs(offset) <= _EXACT and slope < _SCALED):
-            fault = (
-                "open and closed are exchanged" if inverted else "they are in another unit than shares of the stroke"
-            )
-            yield blame(
-                f"commands of {key} follow the observed gripper, but {fault}: the gripper would "
-                f"{'open where it has to hold' if inverted else 'never open'}",
-                expected=f"{np.round(_OPENINGS, 3).tolist()} for grippers observed there",
-                got=f"{np.round(commands, 3).tolist()}",
-                fix=Fix("advice", "use 0 for closed and 1 for open on both sides of the model"),
-            )
-    if not copied:
-        raise NotApplicable("the policy's grippers do not simply follow what is observed")
+    return chunks
+
+
+def _lines(chunks: Sequence[Any], keys: Sequence[str], key: str) -> Iterator[list[float] | None]:
+    """Yield of each action step how it follows the grippers: a slope for each and an offset; None if it does not."""
+    openings = [_OPENINGS[_ORDERS[number % 2]] for number in range(len(keys))]
+    columns = np.stack([*openings, np.ones(len(_OPENINGS))], axis=1)
+    for index in range(min(map(len, chunks))):
+        commands = np.array([float(np.ravel(chunk[index][key])[0]) for chunk in chunks])
+        line = np.linalg.lstsq(columns, commands, rcond=None)[0]
+        is_straight = np.abs(columns @ line - commands).max() <= _EXACT and np.abs(line[:-1]).max() > _EXACT
+        yield line.tolist() if is_straight else None
+
+
+def _fault(own: float, others: Sequence[float], offset: float, steps: int) -> str | None:
+    """Return what is wrong with a line that commands follow, None if it is right or tells nothing."""
+    of_others = max(others, key=abs, default=0.0)
+    if abs(own) < _NEAR and abs(abs(of_others) - 1) < _NEAR and abs(offset - (of_others < 0)) < _NEAR:
+        return "of the other arm's: grippers are exchanged between the arms"
+    if abs(of_others) > _NEAR:
+        return None
+    if abs(own + 1) < _NEAR and abs(offset - 1) < _NEAR:
+        return "open and closed are exchanged: the gripper would open where it has to hold"
+    is_share = _EXACT < own < (1 - _NEAR if steps > 1 else _UNIT)
+    if is_share and abs(offset) <= _EXACT:
+        return f"{own:.3g} times as far: in another unit than shares of the stroke, or scaled; it would never open"
+    return None

@@ -91,10 +91,9 @@ def turned(obs: Observation, quaternion: np.ndarray) -> Observation:
     )
 
 
-def with_grippers(obs: Observation, value: float) -> Observation:
-    """Return the observation with every gripper at one opening."""
-    keys = state_keys(obs, sdk.State.EE_JOINT_STATE)
-    return _moved(obs, {key: np.full_like(obs[sdk.Obs.STATE][key], value) for key in keys})
+def with_gripper(obs: Observation, key: str, value: float) -> Observation:
+    """Return the observation with the gripper of one arm at an opening."""
+    return _moved(obs, {key: np.full_like(obs[sdk.Obs.STATE][key], value)})
 
 
 def only(obs: Observation, names: tuple[str, ...]) -> Observation:
