@@ -1,34 +1,39 @@
-"""XPL221: Actions depend on older observations than the manifest declares."""
+"""XPL221: Actions depend on other observations than the manifest declares."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.served.compare import answers, difference, first_step
+from xpl_cli.audit.rules.profiles import Profile
+from xpl_cli.audit.served.compare import answers, difference, first_step, same
+from xpl_cli.audit.served.inputs import with_gripper
 from xpl_cli.audit.served.probe import Probe, blame
 
 
 @rule(code="XPL221", requirement="XPL-CFG-9")
 def declared_history(probe: Probe) -> Iterator[Finding]:
-    """Actions depend on older observations than the manifest declares.
+    """Actions depend on other observations than the manifest declares.
 
     ## What it does
     Plays two episodes that differ in their first observation only, until that one is older than the history that
-    policy.yml declares, and compares the last answers. Policies that declare `kind: memory` or ensembling are left
-    out.
+    policy.yml declares, and compares the last answers: they have to be alike. Where policy.yml declares `kind: memory`,
+    plays episodes that begin differently, in what is seen and how long it lasts, and end in the same observations:
+    something of the beginning has to show in an answer. Ensembling is left out.
 
     ## Why it matters
     Evaluations that batch, replay or resume a policy rely on the declared history. What looks farther back, for
-    example a cache that is filled once, acts on a scene that is gone.
+    example a cache that is filled once, acts on a scene that is gone. A recurrent model whose state is thrown away acts
+    in every step as in the first one.
 
     ## Example
-    Image features of the first step are kept for the whole episode.
+    Image features of the first step are kept for the whole episode. Or `hidden = None` in every `predict`.
 
     ## Use instead
-    Declare what the policy sees (`temporal.history`, `kind: memory`), or drop what is older.
+    Declare what the policy sees (`temporal.history`, `kind: memory`), or drop what is older. Carry recurrent state in
+    `self.memory(env)`.
 
     ## Fix safety
     No automatic fix.
@@ -36,19 +41,20 @@ def declared_history(probe: Probe) -> Iterator[Finding]:
     temporal = probe.package.manifest.get("temporal")
     if not temporal:
         raise NotApplicable("no manifest declares a history")
-    if temporal.get("kind") == "memory" or temporal.get("ensembling") is not None:
-        raise NotApplicable("the manifest declares that earlier observations count for the whole episode or chunk")
+    if temporal.get("ensembling") is not None:
+        raise NotApplicable("the manifest declares that earlier observations count for the whole chunk")
     probe.ready()
     history = temporal.get("history") or 1
-    last = []
-    for first in (2, 3):  # scenes of the first observation
-        with probe.run() as policy:
-            policy.reset()
-            for step in range(history + 1):
-                scene = probe.observation(0, step) if step else _as_environment(0, probe.observation(first))
-                policy.update_obs(scene)
-                answer = policy.get_action()
-            last.append(answer)
+    if temporal.get("kind") == "memory":
+        yield from _nothing_kept(probe, history)
+    else:
+        yield from _too_much(probe, history)
+
+
+def _too_much(probe: Probe, history: int) -> Iterator[Finding]:
+    """Find an observation that counts although it is older than what is declared."""
+    now = [probe.observation(0, step) for step in range(1, history + 1)]
+    last = [_last_answer(probe, [_in_environment_0(probe, scene), *now]) for scene in (2, 3)]
     found = difference(*last)
     if found is not None:
         yield blame(
@@ -65,5 +71,52 @@ def declared_history(probe: Probe) -> Iterator[Finding]:
         )
 
 
-def _as_environment(env: int, obs: dict[str, Any]) -> dict[str, Any]:
-    return {**obs, spec.Obs.ENV_IDX: env}
+def _nothing_kept(probe: Probe, history: int) -> Iterator[Finding]:
+    """Find that nothing counts of what is older than the history, although memory is declared."""
+    if probe.profile.name is Profile.SHADOW:
+        raise NotApplicable("only the real model has a memory, and in shadow mode there is none")
+    now = [probe.observation(0, step) for step in range(4, 4 + history)]
+    scenes = [_in_environment_0(probe, scene) for scene in range(4)]
+    closed, opened = (_with_grippers(probe, scenes[0], value) for value in (spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN))
+    short = [[scenes[2]], [scenes[3]]]
+    long = [[scenes[2], closed, scenes[3], scenes[1]], [scenes[3], opened, *scenes[:2]]]
+    ended = [[_last_answer(probe, [*past, *now]) for past in pasts] for pasts in (short, long, [[]])]
+    if not all(same(answer, group[0]) for group in ended for answer in group):
+        return
+    if not all(same(group[0], ended[0][0]) for group in ended):
+        if same(*_asked_twice(probe, now[0])):
+            return  # it remembers how long the episode lasts
+        raise NotApplicable("answers change from question to question: what is kept cannot be told from what is drawn")
+    yield blame(
+        "policy.yml declares memory, and whatever was shown before, the same observation is answered alike: nothing is "
+        "carried from one observation to the next",
+        expected="another action after other observations",
+        got="the same action after five beginnings of up to four observations",
+        evidence={"declared_history": history, "answer": first_step(ended[0][0])},
+        fix=Fix("advice", "carry the recurrent state in self.memory(env), or declare the kind that the policy is"),
+    )
+
+
+def _asked_twice(probe: Probe, obs: dict[str, Any]) -> tuple[Any, Any]:
+    with probe.run() as policy:
+        return policy.act(obs), policy.get_action()
+
+
+def _last_answer(probe: Probe, shown: Sequence[dict[str, Any]]) -> Any:
+    """Return the last answer of an episode in which every observation is asked about."""
+    with probe.run() as policy:
+        policy.reset()
+        for obs in shown:
+            policy.update_obs(obs)
+            answer = policy.get_action()
+    return answer
+
+
+def _in_environment_0(probe: Probe, scene: int) -> dict[str, Any]:
+    return {**probe.observation(scene), spec.Obs.ENV_IDX: 0}
+
+
+def _with_grippers(probe: Probe, obs: dict[str, Any], value: float) -> dict[str, Any]:
+    for arm in probe.embodiment.arms:
+        obs = with_gripper(obs, arm.prefix + spec.State.EE_JOINT_STATE, value)
+    return obs
