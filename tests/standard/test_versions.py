@@ -295,7 +295,8 @@ def test_the_reference_tells_all_of_the_standard() -> None:
     assert all(f"## {version}" in pages["changelog"] for version in spec.versions())
     for name in schemas.MANIFESTS:
         assert all(f"| `{key}` |" in pages[name] for key in spec.schema(name)["properties"])
-    assert all(rule.code in pages["requirements"] for rule in registry.rules())
+    told = [rule for rule in registry.rules() if rule.is_in(spec.CURRENT)]
+    assert all(rule.code in pages["requirements"] for rule in told)
 
 
 @pytest.mark.parametrize("version", spec.versions())

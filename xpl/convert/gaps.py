@@ -21,20 +21,18 @@ Place = tuple[Union[str, int], ...]
 """Keys and positions that lead to a value of the block, from the outside in."""
 
 _OPEN = "unknown"
-_TOLD_ONLY = frozenset(("sampling", "recurrent"))
+_TOLD_ONLY = frozenset(("sampling", "recurrent", "samples"))
 """Keys of the block that no conversion reads."""
 _WIDTHS = frozenset(("parts", "form", "closed", "open"))
 """Keys of a vector without which nobody knows how many numbers it has."""
 _PLAIN: Mapping[str, Any] = {
-    "cameras": ["cam_head"],
+    "cameras": list(spec.CAMERAS[1][:1]),
     "channels": "rgb",
     "layout": "hwc",
     "dtype": "float32",
     "stack": "views",
     "to": [64, 64],
     "filter": "nearest",
-    "rotate": 180,
-    "mirror": "left_right",
     "form": "quaternion_wxyz",
     "euler": "xyz",
     "reference": "absolute",

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.standard import spec
-from xpl_cli.standard.view import PARTS, Section, sections
+from xpl_cli.standard.view import OPEN, OPEN_MEANS, PARTS, Section, sections
 from xpl_cli.standard.words import choices
 
 if TYPE_CHECKING:
@@ -97,6 +97,7 @@ def _schema(name: str, version: str) -> str:
     lines = [f"# {schema['title']}", "", str(schema.get("description", ""))]
     for section in sections(schema, version):
         lines += ["", *([f"## {section.name}", ""] if section.name else []), *_keys(section)]
+        lines += ["", OPEN_MEANS] if any(row.kind.endswith(OPEN) for row in section.rows) else []
     for choice in choices(schema):
         rows = [(f"`{word.name}`", word.told) for word in choice.words]
         lines += [

@@ -16,6 +16,8 @@ _OF_PARTS: Mapping[str, tuple[str, ...]] = {
     "rotation": ("rotation", "frame", "point"),
 }
 _JOINT = sdk.ACTION_TYPES[0]
+_TEXT = sdk.Obs.INSTRUCTION
+"""The standard's name for it, which the block and the convention share."""
 
 
 def applying(manifest: Mapping[str, Any]) -> list[str]:
@@ -43,8 +45,8 @@ def _of_block(native: Mapping[str, Any]) -> Iterator[str]:
         yield "normalization"
     if (native.get("history") or {}).get("length", 1) != 1:
         yield "history"
-    if native.get("instruction") is not None:
-        yield "instruction"
+    if native.get(_TEXT) is not None:
+        yield _TEXT
     if native.get("sampling", "none") != "none":
         yield "sampling"
     if native.get("recurrent"):
@@ -56,8 +58,8 @@ def _of_manifest(manifest: Mapping[str, Any]) -> Iterator[str]:
     read = [str(name) for group in ("required", "optional") for name in inputs.get(group) or ()]
     if any(name.startswith(f"{sdk.Obs.VISION}.") for name in read):
         yield from (*_IMAGES, "image_filter")
-    if sdk.Obs.INSTRUCTION in read:
-        yield "instruction"
+    if _TEXT in read:
+        yield _TEXT
     for action_type in manifest.get("action_types") or ():
         yield from _OF_PARTS["joints" if action_type == _JOINT else "rotation"]
     if manifest.get("gripper"):

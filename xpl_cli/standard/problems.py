@@ -114,7 +114,7 @@ def _choice(error: _Error) -> Iterator[Problem]:
 def _type(error: _Error) -> Iterator[Problem]:
     types = error.validator_value
     wanted: list[str] = types if isinstance(types, list) else [types]
-    text = " or ".join(_TYPE_NAMES.get(name, name) for name in wanted)
+    text = error.schema.get("x-told") or " or ".join(_TYPE_NAMES.get(name, name) for name in wanted)
     got = described(error.instance)
     meant = next(filter(None, (_meant(name, error.instance) for name in wanted)), None)
     yield Problem(_path(error), f"expected {text}, got {got}", expected=text, got=got, nearest=meant)
@@ -176,8 +176,8 @@ def _distance(error: _Error) -> float:
         return float(sum(key not in known for key in error.instance))
     if error.validator == "required":
         return 1.0
-    if error.validator == "type" and not error.path:
-        return 100.0
+    if not error.path and (error.validator == "type" or (error.validator == "const" and _is_map(error.instance))):
+        return 100.0  # of another kind altogether
     if error.context:
         return min(_distance(sub) for sub in error.context)
     return 0.1

@@ -24,6 +24,11 @@ PARTS = {
 }
 
 
+OPEN = " ?"
+"""Follows the kind of a value that may be open."""
+OPEN_MEANS = "A value with ? may be open: {unknown: why} in its place."
+
+
 @dataclass(frozen=True)
 class View:
     """A part of the standard: its data, and its text."""
@@ -150,6 +155,8 @@ def _schema_text(schema: Mapping[str, Any], version: str) -> str:
         ]
         lines += [section.name] if section.name is not None else []
         lines.append(_table(rows) if rows else f"{margin * 2}{section.summary}")
+    if any(row.kind.endswith(OPEN) for section in sections(schema, version) for row in section.rows):
+        lines += ["", OPEN_MEANS]
     for choice in choices(schema):
         lines += [
             "",
@@ -169,15 +176,18 @@ def _rows(schema: Mapping[str, Any], resolver: Resolver[Any], path: tuple[str, .
         notes = [entry.get("description", target.get("description", ""))]
         kind = _kind(entry, resolver)
         if len(kind) > _KIND_WIDTH:
-            notes.append(f"[{kind}]")
-            kind = target.get("type", "one of")
+            notes.append(f"[{kind.removesuffix(OPEN)}]")
+            types = target.get("type", "one of")
+            kind = (types if isinstance(types, str) else " | ".join(types)) + (OPEN if kind.endswith(OPEN) else "")
         if "default" in entry:
             notes.append(f"(default {_word(entry['default'])})")
         yield Row((*path, key), key in schema.get("required", ()), kind, " ".join(filter(None, notes)))
         yield from _rows(target, at, (*path, key))
         yield from _rows(*_resolve(target.get("items", {}), at), (*path, key))
-        for option in target.get("anyOf", ()):
-            yield from _rows(*_resolve(option, at), (*path, key))
+        for option in (option for option in target.get("anyOf", ()) if not _is_open(option)):
+            chosen, there = _resolve(option, at)
+            yield from _rows(chosen, there, (*path, key))
+            yield from _rows(*_resolve(chosen.get("items", {}), there), (*path, key))
 
 
 def _kind(entry: Mapping[str, Any], resolver: Resolver[Any]) -> str:
@@ -193,13 +203,19 @@ def _kind(entry: Mapping[str, Any], resolver: Resolver[Any]) -> str:
         return _word(target["const"])
     for keyword in ("anyOf", "oneOf"):
         if keyword in target:
-            kinds = [_kind(option, at) for option in target[keyword] if set(option) != {"required"}]
+            options = [option for option in target[keyword] if set(option) != {"required"}]
+            kinds = [_kind(option, at) for option in options if not _is_open(option)]
             if kinds:
-                return " | ".join(kinds)
+                return " | ".join(kinds) + (OPEN if len(kinds) < len(options) else "")
     types = target.get("type", "any")
     name = types if isinstance(types, str) else " | ".join(types)
     items = target.get("items")
     return f"{name} of {_kind(items, at)}" if name == "array" and items else name
+
+
+def _is_open(entry: Mapping[str, Any]) -> bool:
+    """Tell whether an alternative is that of a value which is known to be open."""
+    return str(entry.get("$ref", "")).endswith("/open")
 
 
 def _resolve(entry: Mapping[str, Any], resolver: Resolver[Any]) -> tuple[Mapping[str, Any], Resolver[Any]]:

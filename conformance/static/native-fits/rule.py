@@ -170,8 +170,8 @@ def _read(native: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str | int, ...
             counted_from = how.get("reference", "absolute" if kind == "gripper" else action["reference"])
             if kind in _FIELDS and counted_from in _DELTAS:
                 yield f"{sdk.Obs.STATE}.{_FIELDS[kind]}", ("action", "parts", number)
-    if native.get("instruction") is not None:
-        yield sdk.Obs.INSTRUCTION, ("instruction",)
+    if native.get(sdk.Obs.INSTRUCTION) is not None:
+        yield sdk.Obs.INSTRUCTION, (sdk.Obs.INSTRUCTION,)
 
 
 def _map(value: Any) -> Mapping[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from typing import TYPE_CHECKING, Any
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from tests.support.native import CASES, observation, steps
 from xpl import get_embodiment
 from xpl.convert import NativeError, compile_interface
 from xpl.convert.gaps import absent, filled, gaps
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -66,17 +68,24 @@ def test_the_rest_of_an_open_block_converts() -> None:
     assert step["arm_joint_state"] == pytest.approx(obs["state"]["arm_joint_state"], abs=1e-6)
 
 
-NAMES = {"input", "arm", "width", "value", "mask", "file", "of", "normalize"}
-"""Keys whose values are names, or that lead to values that are open as a whole."""
+VALID = jsonschema.Draft202012Validator(spec.schema("native", "v1.2"))
 
 
-def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield the places of a block that may be open."""
+def opened(native: dict[str, Any], path: tuple[Any, ...]) -> dict[str, Any]:
+    """Return a copy of a block with one value open."""
+    block: dict[str, Any] = copy.deepcopy(native)
+    inner: Any = block
+    for part in path[:-1]:
+        inner = inner[part]
+    inner[path[-1]] = {"unknown": "why"}
+    return block
+
+
+def places(native: dict[str, Any], value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the places of a block that may be open by the schema."""
     for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        if key not in NAMES:
-            yield from places(item, (*path, key))
-        is_word = isinstance(key, str) and key not in NAMES and not isinstance(item, dict)
-        if key == "normalize" or (is_word and not (path == () and isinstance(item, list))):
+        yield from places(native, item, (*path, key))
+        if isinstance(key, str) and VALID.is_valid(opened(native, (*path, key))):
             yield (*path, key)
 
 
@@ -86,12 +95,10 @@ def test_a_block_converts_with_any_one_value_open(name: str) -> None:
     case = CASES[name]
     obs = observation(case.robot)
     turns = np.random.default_rng(0)
-    for path in places(case.native):
-        block = copy.deepcopy(case.native)
-        inner: Any = block
-        for part in path[:-1]:
-            inner = inner[part]
-        inner[path[-1]] = {"unknown": "why"}
+    found = list(places(case.native, case.native))
+    assert len(found) > 2
+    for path in found:
+        block = opened(case.native, path)
         assert [gap.path for gap in gaps(block)] == [path]
         interface = compile_interface(
             filled(block, case.embodiment, case.action_type), case.embodiment, case.action_type

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _MODEL = sdk.File.MODEL_PY.removesuffix(".py")
 _IMPORTING = frozenset(("import_module", "__import__", "run_module", "find_spec", "resolve_name"))
 _TEXTS = (ast.Constant, ast.BinOp, ast.JoinedStr, ast.Call)
-_MOST_FILES = 4096
+_MOST_FILES = 5000
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ UNKNOWN = "?"
 
 _HERE = "__file__"
 _JOINED = frozenset(("join", "joinpath", "with_name", "Path", "PurePath", "PosixPath", "str"))
-_LONGEST, _DEEPEST = 4096, 24
+_LONGEST, _DEEPEST = 5000, 24
 
 
 class Folding:
