@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline import history
+from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import answers, first_step, same
+from xpl_cli.audit.served.effects import Scale, is_negligible, is_weak
 from xpl_cli.audit.served.probe import Probe, blame
+
+_Second = Callable[..., Any]
+"""Plays the episode with these observations after the first question, and returns the second answer."""
 
 
 @rule(code="XPL229", requirement="XPL-EPI-8")
@@ -16,9 +22,11 @@ def between_queries(probe: Probe) -> Iterator[Finding]:
     """What is shown between two questions does not reach the model.
 
     ## What it does
-    Shows an observation, asks, shows two more, as a benchmark does while it executes a chunk, and asks again. The
-    second answer must follow the newest observation: it must not be what an adapter answers that saw none of the
-    two, or only the first of them. With a declared history the observation in between must count, too.
+    Shows an observation, asks, shows more, as a benchmark does while it executes a chunk, and asks again. The second
+    answer must follow the newest observation: it must not be what an adapter answers that saw none of them, or all but
+    the newest; and what is older must not move it more than four times as far. With a declared history the observations
+    in between must count, too: a change of theirs moves the answer by at least a thousandth of what a change of the
+    newest does. Where the native block says which inputs have a history, that is asked of each.
 
     ## Why it matters
     A policy that looks at the world once per chunk of its own runs open loop while the benchmark believes in
@@ -35,7 +43,9 @@ def between_queries(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.ready()
-    first, between, newest = ({**probe.observation(scene, scene), spec.Obs.ENV_IDX: 0} for scene in range(3))
+    span = history.reach(probe.package.manifest)
+    shown = [{**probe.observation(scene, scene), spec.Obs.ENV_IDX: 0} for scene in range(max(span, 2) + 1)]
+    first, *between, newest = shown
 
     def second(*shown: dict[str, Any]) -> Any:
         with probe.run() as policy:
@@ -44,27 +54,63 @@ def between_queries(probe: Probe) -> Iterator[Finding]:
                 policy.update_obs(obs)
             return policy.get_action()
 
-    history = (probe.package.manifest.get("temporal") or {}).get("history") or 1
-    both = second(between, newest)
-    if same(both, second()):
-        problem = "is that of an adapter that saw none of them: the chunk is executed open loop"
+    all_shown = second(*between, newest)
+    if same(all_shown, second()):
         if same(probe.answer(first), probe.answer(newest)):
             raise NotApplicable("the actions do not depend on what is observed")
-    elif same(both, second(between)):
-        problem = "follows the first of them, not the newest: the policy lags behind"
-        if same(probe.answer(between), probe.answer(newest)):
-            return
-    elif history > 1 and same(both, second(newest)):
-        problem = f"leaves out the one in between, although a history of {history} is declared: frames are missing"
-    else:
+        yield _finding("is that of an adapter that saw none of them: the chunk is executed open loop", all_shown)
         return
-    yield blame(
-        f"the answer after two observations in the middle of a chunk {problem}",
+    if same(all_shown, second(*between)):
+        if not same(probe.answer(between[-1]), probe.answer(newest)):
+            yield _finding("follows those before, not the newest: the policy lags behind", all_shown)
+        return
+    if span > 1:
+        yield from _with_a_history(probe, second, between, newest, all_shown)
+
+
+def _with_a_history(
+    probe: Probe, second: _Second, between: list[dict[str, Any]], newest: dict[str, Any], all_shown: Any
+) -> Iterator[Finding]:
+    """Find that what is older counts for more than the newest observation, or for nothing."""
+    manifest = probe.package.manifest
+    span, stride = history.reach(manifest), history.stride(manifest)
+    everything = inputs.present(newest)
+    renewed = second(*between, _changed(newest, everything))
+    before = list(between)
+    before[-stride] = _changed(before[-stride], everything)
+    with_older = second(*before, newest)
+    scale = Scale([all_shown, renewed, with_older])
+    by_newest, by_older = scale.effect(all_shown, renewed), scale.effect(all_shown, with_older)
+    if is_weak(by_newest, by_older):
+        how = f"moves by {by_newest:.2g} of its spread with the newest, by {by_older:.2g} with the one {stride} before"
+        yield _finding(f"{how}: it follows what is older", all_shown)
+        return
+    for parts in history.groups(manifest):
+        names = [name for name in everything if name.partition(".")[0] in parts]
+        others = second(*(_changed(obs, names) for obs in between), newest)
+        of_newest = second(*between, _changed(newest, names))
+        scale = Scale([all_shown, others, of_newest])
+        if is_negligible(scale.effect(all_shown, others), scale.effect(all_shown, of_newest)):
+            what = " and ".join(parts)
+            problem = f"leaves out {what} of the ones in between, although a history of {span} is declared"
+            yield _finding(f"{problem}: frames are missing", all_shown)
+
+
+def _changed(obs: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """Return an observation with some inputs changed, the instruction not: an episode has one."""
+    for name in names:
+        obs = obs if name == spec.Obs.INSTRUCTION else inputs.varied(obs, name)
+    return obs
+
+
+def _finding(problem: str, second: Any) -> Finding:
+    return blame(
+        f"the answer after observations in the middle of a chunk {problem}",
         expected="an answer that follows what was shown last, and the declared history",
-        got="the same actions as without it",
+        got="the same actions as without it, or nearly",
         evidence={
-            "shown": ["scene 0", "asked", "scene 1", "scene 2", "asked"],
-            "second_answer": first_step(both) if answers(both) else None,
+            "shown": ["scene 0", "asked", "scene 1", "scene 2, ...", "asked"],
+            "second_answer": first_step(second) if answers(second) else None,
         },
         fix=Fix("advice", "take in every update_obs, and answer get_action from the newest observation"),
     )

@@ -7,6 +7,7 @@ from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.history import reach
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.served.compare import answers, difference, first_step, same
 from xpl_cli.audit.served.inputs import with_gripper
@@ -44,7 +45,7 @@ def declared_history(probe: Probe) -> Iterator[Finding]:
     if temporal.get("ensembling") is not None:
         raise NotApplicable("the manifest declares that earlier observations count for the whole chunk")
     probe.ready()
-    history = temporal.get("history") or 1
+    history = reach(probe.package.manifest)
     if temporal.get("kind") == "memory":
         yield from _nothing_kept(probe, history)
     else:

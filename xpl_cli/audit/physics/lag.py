@@ -14,6 +14,7 @@ from xpl.client import PolicyServerError
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import same
+from xpl_cli.audit.served.effects import Scale, is_weak
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,24 +31,29 @@ _TRIED = (1, 2, 3)
 
 @dataclass(frozen=True)
 class Reaction:
-    """What changes when one observation is another one.
+    """How far an answer moves when one observation is another one, in shares of how far all answers lie apart.
 
     Attributes:
         question: the one before which, or just before whose newest observation, something was changed.
-        newest: whether its own answer changes with the newest observation.
-        older: whether it changes with the observation of the step before.
-        late: whether the answer to the next question changes with what was newest here.
+        newest: its own answer, with the newest observation changed.
+        older: the same, with the observation of the step before changed; None where that is the newest of a question.
+        late: the answer to the next question, with what was newest here changed.
     """
 
     question: int
-    newest: bool
-    older: bool
-    late: bool
+    newest: float
+    older: float | None
+    late: float
+
+    @property
+    def before(self) -> float:
+        """How far an answer moves with an observation that is not its newest."""
+        return max(self.late, self.older or 0.0)
 
     @property
     def lags(self) -> bool:
         """Whether the answer is to something older than the newest observation."""
-        return not self.newest and (self.older or self.late)
+        return is_weak(self.newest, self.before)
 
 
 def reactions(simulation: Simulation) -> list[Reaction]:
@@ -68,15 +74,16 @@ def reactions(simulation: Simulation) -> list[Reaction]:
     for question in [number for number in _TRIED if number + 1 < len(show.asked)]:
         step = show.asked[question]
         changed = _replayed(simulation, show, _with_change(show, step, names))
-        newest, late = (not same(usual[place], changed[place]) for place in (question, question + 1))
-        older = False
-        if not newest and step - 1 not in show.asked:
+        before = None
+        if step - 1 not in show.asked:
             before = _replayed(simulation, show, _with_change(show, step - 1, names))
-            older = not same(usual[question], before[question])
+        scale = Scale([*usual, *changed, *(before or ())])
+        newest, late = (scale.effect(usual[place], changed[place]) for place in (question, question + 1))
+        older = None if before is None else scale.effect(usual[question], before[question])
         found.append(Reaction(question, newest, older, late))
-        if newest:
+        if not found[-1].lags and newest:
             break
-    if not any(reaction.newest or reaction.lags for reaction in found):
+    if not any(reaction.newest or reaction.before for reaction in found):
         raise NotApplicable("no answer in the middle of the loop depends on what is observed then")
     return found
 

@@ -1,0 +1,37 @@
+"""How far back a manifest says that its policy looks, and which inputs it says that of."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_GROUPS = {"images": sdk.Obs.VISION, "state": sdk.Obs.STATE}
+"""Parts of an observation, as the native block calls them."""
+
+
+def reach(manifest: Mapping[str, Any]) -> int:
+    """Return over how many observations the declared history reaches, the newest included; 1 without one."""
+    told = _told(manifest)
+    span = (told.get("length", 1) - 1) * stride(manifest) + 1
+    return max(int((manifest.get("temporal") or {}).get("history") or 1), int(span))
+
+
+def stride(manifest: Mapping[str, Any]) -> int:
+    """Return how many observations the frames of the declared history lie apart."""
+    return int(_told(manifest).get("stride", 1))
+
+
+def groups(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the parts of earlier observations that have to count, each alone; all together where nothing says it."""
+    native = manifest.get("native") or {}
+    read = [name for name in _told(manifest).get("of", _GROUPS) if native.get(name)]
+    found = [(_GROUPS[name],) for name in read if _told(manifest)]
+    return found or [tuple(_GROUPS.values())]
+
+
+def _told(manifest: Mapping[str, Any]) -> Mapping[str, Any]:
+    return (manifest.get("native") or {}).get("history") or {}
