@@ -140,11 +140,11 @@ def test_steps_are_done_in_their_order() -> None:
 
 
 def test_numbers_that_are_not_rounded() -> None:
-    """On floats a mean of 10 and 11 is 10.5; on bytes it is 11."""
-    image = np.array([[[10] * 3, [11] * 3]], np.uint8)
+    """On floats a mean of 11 and 12 is 11.5; on bytes it is 12."""
+    image = np.array([[[11] * 3, [12] * 3]], np.uint8)
     resize = {"to": [1, 1], "filter": "area"}
-    assert _input({"resize": {**resize, "as": "float"}}, dtype="float32", range=[0, 255]).view(image)[0, 0, 0] == 10.5
-    assert _input({"resize": {**resize, "as": "uint8"}}, dtype="float32", range=[0, 255]).view(image)[0, 0, 0] == 11
+    assert _input({"resize": {**resize, "as": "float"}}, dtype="float32", range=[0, 255]).view(image)[0, 0, 0] == 11.5
+    assert _input({"resize": {**resize, "as": "uint8"}}, dtype="float32", range=[0, 255]).view(image)[0, 0, 0] == 12
     assert _input({"resize": {**resize, "as": "float"}}).view(image)[0, 0, 0] == 11
 
 

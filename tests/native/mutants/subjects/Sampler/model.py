@@ -1,5 +1,5 @@
+import cv2
 import numpy as np
-from PIL import Image
 
 from xpl import Policy, rotation
 from xpl.observation import get_image
@@ -19,7 +19,7 @@ class Model(Policy):
         return views, np.concatenate([self.arm(obs["state"], arm) for arm in ARMS])
 
     def pixels(self, image):
-        small = Image.fromarray(image).resize((68, 52), Image.BOX)
+        small = cv2.resize(image, (64, 48), interpolation=cv2.INTER_AREA)
         return np.asarray(small, np.float32).transpose(2, 0, 1) / 255.0
 
     def arm(self, state, arm):

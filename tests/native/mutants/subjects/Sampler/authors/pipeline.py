@@ -1,7 +1,7 @@
 """The authors' diffusion policy for two arms: it draws noise; right arm first, quaternions x y z w, grippers reversed."""
 
+import cv2
 import numpy as np
-from PIL import Image
 
 from .network import Network
 
@@ -15,8 +15,8 @@ def network():
 
 
 def pixels(image):
-    """(3, 52, 68) float32, 0..1, of the smaller picture (52, 68): the area of each pixel."""
-    small = Image.fromarray(image).resize((68, 52), Image.Resampling.BOX)
+    """(3, 48, 64) float32, 0..1, of the smaller picture (48, 64): the area of each pixel."""
+    small = cv2.resize(image, (64, 48), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32).transpose(2, 0, 1) / 255.0
 
 
