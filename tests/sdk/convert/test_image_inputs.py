@@ -145,7 +145,7 @@ def test_numbers_that_are_not_rounded() -> None:
     resize = {"to": [1, 1], "filter": "area"}
     assert _input({"resize": {**resize, "as": "float"}}, dtype="float32", range=[0, 255]).view(image)[0, 0, 0] == 11.5
     assert _input({"resize": {**resize, "as": "uint8"}}, dtype="float32", range=[0, 255]).view(image)[0, 0, 0] == 12
-    assert _input({"resize": {**resize, "as": "float"}}).view(image)[0, 0, 0] == 11
+    assert _input({"resize": {**resize, "as": "float"}}).view(image)[0, 0, 0] == 12
 
 
 @pytest.mark.parametrize(
