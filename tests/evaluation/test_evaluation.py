@@ -16,7 +16,7 @@ import pytest
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.runs import look
+from xpl_cli.evaluation.runs import look, outcome
 from xpl_cli.packages import environments
 from xpl_cli.standard.validate import validate
 
@@ -486,3 +486,13 @@ def test_an_environment_renders_what_the_policy_declares(
     done = xpl("eval", str(adapter), *options, *short, cwd=tmp_path)
     assert done.returncode == ExitCode.USAGE
     assert "the policy needs cam_head 128 x 96, the environment shows 256 x 96" in done.stderr
+
+
+def test_an_episode_that_is_spoilt_for_good_counts_as_failed() -> None:
+    """Without a verdict nobody can tell who was to blame; where no episode has a success, there is no rate."""
+    won = {"success": True, "score": 1.0, "end_reason": "success"}
+    spoilt = {"success": None, "score": None, "end_reason": "infrastructure"}
+    told = outcome.report({}, [won, spoilt], 1.0)
+    assert (told["successes"], told["success_rate"], told["mean_score"]) == (1, 0.5, 0.5)
+    assert told["infrastructure_failures"] == 1
+    assert outcome.report({}, [spoilt], 1.0)["success_rate"] is None

@@ -59,6 +59,8 @@ def report(played: Mapping[str, Any], episodes: Sequence[Mapping[str, Any]], sec
         seconds: how long all of it took.
     """
     judged, won = _tally(episodes)
+    spoilt = sum(episode.get("end_reason") == INFRASTRUCTURE for episode in episodes)
+    counted = len(judged) + spoilt  # what has no verdict is no success: nobody can tell who was to blame
     corrections: Counter[str] = Counter()
     for episode in episodes:
         corrections.update(episode.get("corrections") or {})
@@ -67,9 +69,9 @@ def report(played: Mapping[str, Any], episodes: Sequence[Mapping[str, Any]], sec
         **played,
         "episodes": list(episodes),
         "successes": won if judged else None,
-        "success_rate": won / len(judged) if judged else None,
-        "infrastructure_failures": sum(episode.get("end_reason") == INFRASTRUCTURE for episode in episodes),
-        "mean_score": sum(float(episode["score"]) for episode in judged) / len(judged) if judged else None,
+        "success_rate": won / counted if judged else None,
+        "infrastructure_failures": spoilt,
+        "mean_score": sum(float(episode["score"]) for episode in judged) / counted if judged else None,
         "corrections": dict(corrections),
         "seconds": round(seconds, 3),
     }
