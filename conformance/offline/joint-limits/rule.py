@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as spec
+from xpl.embodiment import Embodiment
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.limits import outside
-from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.offline.limits import Excess, farthest, outside
+from xpl_cli.audit.offline.motion import Answer, Motions
 from xpl_cli.audit.served.probe import blame
 
 
@@ -17,7 +18,8 @@ def joint_limits(motions: Motions) -> Iterator[Finding]:
 
     ## What it does
     Looks through the joint commands of a short episode, with every embodiment whose limits are known. The observed
-    joints are well inside them.
+    joints are well inside them. Then shows joints near their limits: there a command may pass a limit by as much as the
+    policy moves a joint elsewhere, because an environment cuts that off; farther out is no motion, but another scale.
 
     ## Why it matters
     An environment clamps what it cannot execute, so the robot does something else than the policy meant; a controller
@@ -41,19 +43,27 @@ def joint_limits(motions: Motions) -> Iterator[Finding]:
     if not limited:
         raise NotApplicable("no joint command for a robot whose limits are known")
     for motion in limited:
-        found = [
-            (answer, index, excess)
-            for answer in motion.sound
-            for index, action in enumerate(answer.chunk)
-            for excess in outside(motion.embodiment, action)
-        ]
+        robot = motion.embodiment
+        begun = [answer for answer in motion.sound if not answer.step]  # what goes on from there may have added up
+        moves = max((farthest(robot, answer.obs[spec.Obs.STATE], answer.chunk) for answer in begun), default=0.0)
+        within = list(_past(robot, motion.sound, 0.0))
+        found = within or list(_past(robot, motion.sound_near_limits, moves))
         if found:
             answer, index, excess = max(found, key=lambda entry: abs(entry[2].value - entry[2].limit))
             joints = ", ".join(dict.fromkeys(excess.what for _, _, excess in found))
+            near = "" if within else " where they are near them"
             yield blame(
-                f"joints of {motion.embodiment.name} are commanded past their limits ({joints}): the robot would be "
+                f"joints of {robot.name} are commanded past their limits{near} ({joints}): the robot would be "
                 f"stopped, or do something else than the policy meant",
-                expected=f"{excess.what} up to {excess.limit:.4g} rad",
+                expected=f"{excess.what} up to {excess.limit:.4g} rad"
+                + (f", or past it by the {moves:.2g} rad that the policy moves elsewhere" if near else ""),
                 got=f"{excess.value:.4g} rad ({answer.where}, action {index} of the chunk)",
                 fix=Fix("advice", "check units and statistics, and keep the output inside the limits in decode"),
             )
+
+
+def _past(robot: Embodiment, answered: list[Answer], allowed: float) -> Iterator[tuple[Answer, int, Excess]]:
+    for answer in answered:
+        for index, action in enumerate(answer.chunk):
+            for excess in outside(robot, action, allowed):
+                yield answer, index, excess

@@ -12,7 +12,7 @@ from xpl import _spec as sdk
 from xpl import rotation
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from xpl.embodiment import Embodiment
 
@@ -66,17 +66,30 @@ def jumps(
             yield from _pose_jumps(pose, _values(before[pose]), _values(after[pose]), frequency)
 
 
-def outside(embodiment: Embodiment, action: Mapping[str, Any]) -> Iterator[Excess]:
-    """Yield the joints of an action step that are commanded past their limits, where these are known."""
+def outside(embodiment: Embodiment, action: Mapping[str, Any], allowed: float = 0.0) -> Iterator[Excess]:
+    """Yield the joints of an action step that are commanded past their limits, where these are known.
+
+    Args:
+        embodiment: the robot.
+        action: the step.
+        allowed: how far past a limit a command may lie, rad.
+    """
     for arm in embodiment.arms:
         key = arm.prefix + sdk.State.ARM_JOINT_STATE
         if key not in action or arm.lower is None or arm.upper is None:
             continue
         values = _values(action[key])
-        for index in np.flatnonzero(values > arm.upper + sdk.JOINT_TOLERANCE):
+        for index in np.flatnonzero(values > arm.upper + allowed + sdk.JOINT_TOLERANCE):
             yield Excess(f"{key}[{index}]", float(values[index]), float(arm.upper[index]), "rad")
-        for index in np.flatnonzero(values < arm.lower - sdk.JOINT_TOLERANCE):
+        for index in np.flatnonzero(values < arm.lower - allowed - sdk.JOINT_TOLERANCE):
             yield Excess(f"{key}[{index}]", float(values[index]), float(arm.lower[index]), "rad")
+
+
+def farthest(embodiment: Embodiment, state: Mapping[str, Any], chunk: Sequence[Mapping[str, Any]]) -> float:
+    """Return how far any joint is commanded from where it is observed, rad."""
+    keys = [arm.prefix + sdk.State.ARM_JOINT_STATE for arm in embodiment.arms]
+    moved = [np.abs(_values(step[key]) - _values(state[key])).max() for step in chunk for key in keys if key in step]
+    return float(max(moved, default=0.0))
 
 
 def _pose_jumps(key: str, before: np.ndarray, after: np.ndarray, frequency: float) -> Iterator[Excess]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
 from xpl.embodiment import Embodiment, get_embodiment
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
 _STEPS = 3
 _BATCH = (0, 1)
+_MARGIN = 0.02
+"""Share of a joint's range that it has left where it is near a limit."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +58,14 @@ class Motion:
         embodiment: the robot.
         action_type: joint or end-effector control.
         answers: an episode of one environment, then the first answers of a batch.
+        near_limits: answers to a robot whose joints are near their limits; none for poses, and where no limits are
+            known.
     """
 
     embodiment: Embodiment
     action_type: str
     answers: tuple[Answer, ...]
+    near_limits: tuple[Answer, ...] = ()
 
     def problem(self, answer: Answer) -> str | None:
         """Return what is wrong with the form of an answer, or None."""
@@ -68,6 +75,11 @@ class Motion:
     def sound(self) -> list[Answer]:
         """The answers whose values can be judged, because their form is right."""
         return [answer for answer in self.answers if self.problem(answer) is None]
+
+    @property
+    def sound_near_limits(self) -> list[Answer]:
+        """Those near the limits whose values can be judged."""
+        return [answer for answer in self.near_limits if self.problem(answer) is None]
 
 
 class Motions:
@@ -95,7 +107,8 @@ class Motions:
             embodiment = get_embodiment(name)
             with self._probe.served_as(name, action_type) as policy:
                 answers = tuple(self._play(policy, embodiment, action_type))
-            played.append(Motion(embodiment, action_type, answers))
+                near_limits = tuple(self._play_near_limits(policy, embodiment, action_type))
+            played.append(Motion(embodiment, action_type, answers, near_limits))
         return tuple(played)
 
     @property
@@ -128,3 +141,24 @@ class Motions:
         if isinstance(chunks, (list, tuple)):  # whether a batch is answered at all, other rules ask
             for obs, chunk in zip(observations, chunks, strict=False):
                 yield Answer(obs, 0, chunk, batched=True)
+
+    def _play_near_limits(self, policy: Session, embodiment: Embodiment, action_type: str) -> Iterator[Answer]:
+        if sdk.ACTION_KEYS[action_type][0] != sdk.State.ARM_JOINT_STATE:
+            return
+        for first_is_high in (False, True) if any(arm.lower is not None for arm in embodiment.arms) else ():
+            plain = self._probe.observation(embodiment=embodiment)
+            obs = {**plain, sdk.Obs.STATE: {**plain[sdk.Obs.STATE], **_near(embodiment, first_is_high=first_is_high)}}
+            yield Answer(obs, 0, policy.act(obs), batched=False)
+
+
+def _near(embodiment: Embodiment, *, first_is_high: bool) -> dict[str, np.ndarray]:
+    """Return joints near their limits, by turns the lower and the upper one."""
+    found = {}
+    for arm in embodiment.arms:
+        if arm.lower is not None and arm.upper is not None:
+            is_high = (np.arange(arm.dof) % 2 == 1) ^ first_is_high
+            share = np.where(is_high, 1.0 - _MARGIN, _MARGIN)
+            found[arm.prefix + sdk.State.ARM_JOINT_STATE] = (arm.lower + share * (arm.upper - arm.lower)).astype(
+                np.float32
+            )
+    return found
