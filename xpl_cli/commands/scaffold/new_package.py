@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from xpl_cli.scaffold.template import Files
@@ -26,8 +27,29 @@ def put(files: Files, target: Path, *, overwrite: bool, dry_run: bool) -> str:
     return _preview(files, target) if dry_run else adapter.write(files, target, overwrite=overwrite)
 
 
-def report(files: Files, target: Path, state: str, following: list[str], *, schema: str, as_json: bool) -> None:
-    """Print what was done and which commands follow, ready to be pasted."""
+def report(
+    files: Files,
+    target: Path,
+    state: str,
+    following: list[str],
+    *,
+    schema: str,
+    as_json: bool,
+    facts: Mapping[str, Any] | None = None,
+    lines: Sequence[str] = (),
+) -> None:
+    """Print what was done and which commands follow, ready to be pasted.
+
+    Args:
+        files: the package.
+        target: where it is.
+        state: what became of it.
+        following: the commands.
+        schema: of the JSON object.
+        as_json: print that.
+        facts: what more the object says.
+        lines: what more is said to people.
+    """
     from xpl_cli.basics import console
     from xpl_cli.scaffold import adapter
 
@@ -38,10 +60,13 @@ def report(files: Files, target: Path, state: str, following: list[str], *, sche
             "state": state,
             "files": list(files),
             "placeholders": [vars(place) for place in open_places],
+            **(facts or {}),
         }
         console.answer(schema, told, following)
         return
     console.data(f"{target}: {_SENTENCE[state].format(count=len(files))}, {len(open_places)} places to fill in")
+    for line in lines:
+        console.data(line)
     for command in following:
         console.data(f"next: {command}")
 

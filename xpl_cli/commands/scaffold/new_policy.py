@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from xpl_cli.commands.scaffold import new_package
+from xpl_cli.commands.scaffold import from_checkpoint, new_package
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,6 +36,18 @@ def new_policy(
         None, metavar="NAME,...", help="Cameras that it reads, with the smallest image: cam_head:640x480, or any size."
     ),
     python: str | None = typer.Option(None, help="The policy's own Python: a version, or the path of an interpreter."),
+    sources: list[Path] = typer.Option(
+        [],
+        "--from",
+        metavar="FOLDER",
+        help="Folder of a checkpoint whose facts fill policy.yml; once more for the data set it was trained on.",
+    ),
+    gripper: str | None = typer.Option(
+        None, metavar="CLOSED,OPEN", help="With --from: the model's values of a closed and of an open gripper."
+    ),
+    camera: list[str] = typer.Option(
+        [], metavar="NAME=CAMERA", help="With --from: which of the standard's cameras one of the checkpoint's is."
+    ),
     version: str | None = typer.Option(
         None, "--spec", metavar="VERSION", help="Version of the standard; the newest by default."
     ),
@@ -44,9 +56,30 @@ def new_policy(
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Scaffold an adapter from the standard. It runs at once; `xpl audit` lists what is yours to fill in."""
+    from xpl_cli.basics.errors import UserError
     from xpl_cli.scaffold import adapter
 
     adapter.check_name(name)
+    if sources:
+        given = _given(
+            embodiment=embodiment,
+            action_type=action_type,
+            gripper=gripper,
+            camera=camera or None,
+            chunk=chunk,
+            family=family,
+            eval_only=eval_only or None,
+            kind=kind,
+            history=history,
+            ensembling=ensembling,
+            cameras=cameras,
+            python=python,
+            spec=version,
+        )
+        from_checkpoint.begin(name, sources, parent, given, overwrite=overwrite, dry_run=dry_run, as_json=as_json)
+        return
+    if gripper or camera:
+        raise UserError("--gripper and --camera say what a checkpoint leaves open", hint="give its folder with --from")
     template = adapter.policy_template(version)
     chosen = _given(
         embodiment=embodiment,

@@ -1,0 +1,83 @@
+"""A data set of LeRobot: `meta/info.json` and `meta/stats.json`.
+
+Source: huggingface/lerobot src/lerobot/datasets/ (DEFAULT_FEATURES, INFO_PATH, STATS_PATH); `names` is a list, or a map
+with one list in it ("motors", "axes").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.adopt.checkpoints.layout import Range
+from xpl_cli.adopt.checkpoints.told import Told, certain
+from xpl_cli.adopt.facts import Evidence
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+
+INFO: Final = "meta/info.json"
+STATS: Final = "meta/stats.json"
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """What a data set says of its features."""
+
+    info: Document
+    stats: Document | None
+
+    @property
+    def rate(self) -> Told | None:
+        """Frames a second."""
+        fps = self.info.get(float, "fps", default=None)
+        return certain(_whole(fps), self.info.seen("fps")) if fps else None
+
+    @property
+    def robot(self) -> Told | None:
+        """What the recording calls the robot."""
+        name = self.info.get(str, "robot_type", default="")
+        return certain(name, self.info.seen("robot_type")) if name else None
+
+    def names(self, feature: str) -> tuple[Sequence[str], Evidence] | None:
+        """Return what the numbers of a feature are called, and where that stands."""
+        path: tuple[str, ...] = ("features", feature, "names")
+        found = self.info.texts(*path)
+        inner = self.info.at(*path)
+        if found is None and isinstance(inner, dict) and len(inner) == 1:
+            path = (*path, next(iter(inner)))
+            found = self.info.texts(*path)
+        if found is None:
+            return None
+        return found, Evidence(self.info.file, self.info.line(*path), "names")
+
+    def range(self, feature: str) -> Range | None:
+        """Return the least and greatest numbers of a feature."""
+        if self.stats is None:
+            return None
+        low, high = (self.stats.numbers(feature, word) for word in ("min", "max"))
+        if not low or not high or len(low) != len(high):
+            return None
+        return Range(
+            tuple(low), tuple(high), Evidence(self.stats.file, self.stats.line(feature), f"{feature} min..max")
+        )
+
+
+def recognises(folder: Folder) -> bool:
+    """Tell whether a folder is a data set of LeRobot."""
+    return folder.has(INFO)
+
+
+def read(folder: Folder) -> Dataset:
+    """Return what a data set says.
+
+    Raises:
+        UserError: if its files are not what they should be.
+    """
+    return Dataset(folder.json(INFO), folder.json(STATS) if folder.has(STATS) else None)
+
+
+def _whole(value: float) -> float:
+    return int(value) if value == int(value) else value

@@ -1,0 +1,91 @@
+"""What LeRobot's own code says of each type of policy, with its place in huggingface/lerobot at v0.4.4.
+
+Only what `config.json` leaves to the code is here. A type that is not listed is read all the same; what its code would
+say stays open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+REPOSITORY: Final = "https://github.com/huggingface/lerobot"
+LICENSE: Final = "Apache-2.0"
+CODE: Final = "huggingface/lerobot@v0.4.4:src/lerobot"
+"""What a source of LeRobot's own code begins with."""
+
+
+@dataclass(frozen=True)
+class Type:
+    """One type of policy.
+
+    Attributes:
+        family: kind, by the standard's words.
+        sampling: none, seeded or free.
+        why: what says so: file, and the words there.
+        resizes: whether the policy brings images to its size itself; "" if not, else what says so.
+        horizon: key of config.json that counts the steps of an answer, where it is not `n_action_steps`.
+        recurrent: whether it keeps a state of its own from question to question.
+    """
+
+    family: str
+    sampling: str
+    why: str
+    resizes: str = ""
+    horizon: str = "n_action_steps"
+    recurrent: bool = False
+
+
+TYPES: Final = {
+    "act": Type("act", "none", "policies/act/modeling_act.py: at inference the latent is zero"),
+    "diffusion": Type(
+        "diffusion", "seeded", "policies/diffusion/modeling_diffusion.py: conditional_sample draws noise"
+    ),
+    "multi_task_dit": Type("diffusion", "seeded", "policies/multi_task_dit/modeling_multi_task_dit.py: draws noise"),
+    "vqbet": Type(
+        "imitation",
+        "seeded",
+        "policies/vqbet/modeling_vqbet.py: codes are drawn (multinomial)",
+        horizon="action_chunk_size",
+    ),
+    "tdmpc": Type(
+        "reinforcement_learning", "seeded", "policies/tdmpc/modeling_tdmpc.py: plan draws trajectories", recurrent=True
+    ),
+    "pi0": Type(
+        "vla",
+        "seeded",
+        "policies/pi0/modeling_pi0.py: sample_actions draws noise",
+        "policies/pi0/modeling_pi0.py: _preprocess_images letterboxes to image_resolution, 0..1 to -1..1",
+    ),
+    "pi05": Type(
+        "vla",
+        "seeded",
+        "policies/pi05/modeling_pi05.py: sample_actions draws noise",
+        "policies/pi05/modeling_pi05.py: _preprocess_images letterboxes to image_resolution, 0..1 to -1..1",
+    ),
+    "pi0_fast": Type(
+        "vla",
+        "none",
+        "policies/pi0_fast/modeling_pi0_fast.py: greedy decoding at temperature 0",
+        "policies/pi0_fast/modeling_pi0_fast.py: _preprocess_images letterboxes to image_resolution",
+    ),
+    "smolvla": Type(
+        "vla",
+        "seeded",
+        "policies/smolvla/modeling_smolvla.py: sample_actions draws noise",
+        "policies/smolvla/modeling_smolvla.py: prepare_images letterboxes to resize_imgs_with_padding, 0..1 to -1..1",
+    ),
+    "xvla": Type(
+        "vla",
+        "seeded",
+        "policies/xvla/modeling_xvla.py: generate_actions draws noise",
+        "policies/xvla/modeling_xvla.py: _prepare_images",
+    ),
+    "groot": Type(
+        "vla",
+        "seeded",
+        "policies/groot/modeling_groot.py: flow matching",
+        "policies/groot/processor_groot.py: Eagle's own",
+    ),
+    "wall_x": Type("vla", "seeded", "policies/wall_x/modeling_wall_x.py: flow matching", "policies/wall_x: Qwen's own"),
+}

@@ -1,0 +1,157 @@
+"""Writes native.py of a checkpoint whose maker's own code can be asked: LeRobot's `select_action`.
+
+Its lines are made of the facts, not of the block: it is the other reading that audits compare the adapter with. Each
+convention names where it was read; what nobody says is `assumed`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.adopt.checkpoints import layout
+from xpl_cli.adopt.checkpoints.lerobot.types import CODE
+from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, leaves, plain
+from xpl_cli.adopt.facts import Confidence
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from xpl.embodiment import Arm, Embodiment
+    from xpl_cli.adopt.checkpoints.trained import Trained
+
+
+class UnsaidError(Exception):
+    """A native.py cannot be written: the argument says what is open."""
+
+
+def context(trained: Trained, block: Mapping[str, Tree], robot: Embodiment, checkpoint: str) -> dict[str, Any]:
+    """Return what the template of native.py says.
+
+    Args:
+        trained: what was read.
+        block: the native block made of it.
+        robot: the robot.
+        checkpoint: where the checkpoint lies, relative to the package.
+
+    Raises:
+        UnsaidError: if something that it needs is open, or is no joint, gripper or hand.
+    """
+    openings = [
+        key
+        for key, leaf in leaves({key: block[key] for key in ("images", "state", "action") if key in block}, "native")
+        if isinstance(leaf, Open)
+    ]
+    if openings:
+        raise UnsaidError(f"{len(openings)} values are open: {', '.join(openings)}")
+    state = block.get("state", [])
+    if len(state) != 1:
+        raise UnsaidError(f"it has {len(state)} vector inputs, expected observation.state alone")
+    return {
+        "conventions": list(_conventions(trained, block, checkpoint)),
+        "cameras": [_camera(entry) for entry in plain(block.get("images", []))],
+        "state": list(_read(plain(state[0]["parts"]), robot)),
+        "action": list(_written(plain(block["action"]["parts"]), robot)),
+        "draws": plain(block["sampling"]) != "none",
+    }
+
+
+def _camera(entry: Mapping[str, Any]) -> tuple[str, str, str]:
+    size = next((step["resize"]["to"] for step in entry.get("steps", ()) if "resize" in step), [None, None])
+    return entry["input"], entry["cameras"][0], f"({size[0]}, {size[1]})"
+
+
+def _read(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
+    """Yield what the numbers of the state are made of."""
+    for kind, how, arm in _each(parts, robot):
+        key = arm.prefix + (sdk.State.ARM_JOINT_STATE if kind == "joints" else sdk.State.EE_JOINT_STATE)
+        text = f'observed["{key}"]'
+        if kind == "gripper":
+            closed, opened = how["closed"], how["open"]
+            if isinstance(closed, list):
+                yield f"np.array({closed}) + {text} * (np.array({opened}) - np.array({closed}))"
+            else:
+                yield text if (closed, opened) == (0, 1) else f"{closed} + {text} * ({opened} - {closed})"
+            continue
+        if names := how.get("names"):
+            text += f"[{[list(arm.joint_names or ()).index(name) for name in names]}]"
+        yield f"np.degrees({text})" if how.get("unit") == "deg" else text
+
+
+def _written(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
+    """Yield what the fields of a step are made of."""
+    place = 0
+    for kind, how, arm in _each(parts, robot):
+        key = arm.prefix + (sdk.State.ARM_JOINT_STATE if kind == "joints" else sdk.State.EE_JOINT_STATE)
+        if kind == "gripper":
+            if isinstance(how["closed"], list):
+                raise UnsaidError("the action has a gripper of several numbers")
+            text = f"row[{place}:{place + 1}]"
+            place += 1
+            if (how["closed"], how["open"]) != (0, 1):
+                text = f"({text} - {how['closed']}) / ({how['open']} - {how['closed']})"
+            yield key, f"np.clip({text}, 0.0, 1.0)"
+            continue
+        width = arm.dof if kind == "joints" else arm.ee_dim
+        text = f"row[{place}:{place + width}]"
+        place += width
+        if names := how.get("names"):
+            text += f"[{[names.index(name) for name in arm.joint_names or ()]}]"
+        yield key, f"np.radians({text})" if how.get("unit") == "deg" else text
+
+
+def _each(parts: Sequence[Mapping[str, Any]], robot: Embodiment) -> Any:
+    arms: dict[str, Arm] = dict(zip(layout.sides(robot), robot.arms, strict=True))
+    for part in parts:
+        ((kind, how),) = part.items()
+        if kind not in ("joints", "gripper", "hand"):
+            raise UnsaidError(f"a vector holds a {kind}, which is written by hand: LeRobot has no word for it")
+        yield kind, how, arms[how["arm"]]
+
+
+def _conventions(trained: Trained, block: Mapping[str, Tree], checkpoint: str) -> Any:
+    """Yield each convention with its source, as Python texts."""
+    images, action = block.get("images", []), block["action"]
+    joints = [part["joints"] for part in [*block["state"][0]["parts"], *action["parts"]] if "joints" in part]
+    grippers = [part["gripper"]["closed"] for part in action["parts"] if "gripper" in part]
+    if images:
+        yield "image_channels", repr(f"{CODE}/cameras/opencv/configuration_opencv.py:62")
+        yield "image_range", repr(f"{CODE}/policies/utils.py:130")
+        if any("steps" in view for view in images):
+            yield "image_size", _source(images[0]["steps"][0]["resize"]["to"], checkpoint)
+            yield "image_filter", _source(images[0]["steps"][0]["resize"]["filter"], checkpoint)
+        yield "image_orientation", repr("assumed: LeRobot turns no image, and the data shows what its cameras showed")
+        yield "camera", _weakest([view["cameras"] for view in images], checkpoint)
+    if joints:
+        yield "joint_order", _weakest([how["arm"] for how in joints], checkpoint)
+        yield "angle_unit", _weakest([how["unit"] for how in joints], checkpoint)
+    if grippers:
+        yield "gripper", _weakest(grippers, checkpoint)
+    yield "action_reference", _source(action["reference"], checkpoint)
+    yield "chunk", _source(trained.chunk, checkpoint)
+    if trained.history is not None:
+        yield "history", repr(f"{CODE}/policies/utils.py:42")
+    if trained.instruction is not None:
+        yield sdk.Obs.INSTRUCTION, repr(f"{CODE}/policies/utils.py:135")
+    yield "normalization", repr(f"{CODE}/processor/normalize_processor.py:306")
+    yield "sampling", _source(trained.sampling, checkpoint)
+
+
+def _weakest(told: Sequence[Tree], checkpoint: str) -> str:
+    """Return the source of several facts: that of the least sure one."""
+    ranked = list(Confidence)
+    known = [leaf for leaf in told if isinstance(leaf, Told)]
+    return _source(max(known, key=lambda leaf: ranked.index(leaf.confidence)), checkpoint)
+
+
+def _source(told: Tree, checkpoint: str) -> str:
+    """Return a source as a Python text: file and line where a file says it, `assumed` where it is concluded."""
+    if not isinstance(told, Told):
+        raise UnsaidError("a convention is open")
+    first = told.evidence[0]
+    if told.confidence is Confidence.CERTAIN and first.file:
+        place = f"{first.file}:{first.line}" if first.line else first.file
+        return repr(f"{checkpoint}/{place}" if "/" not in first.file else place)
+    if first.file.startswith(CODE):
+        return repr(f"{first.file}{f':{first.line}' if first.line else ''} {first.what}")
+    return repr(f"assumed: {first}"[:110])

@@ -1,0 +1,100 @@
+"""What one checkpoint says of its model, in the terms that all makers share; `block.py` makes a manifest of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl_cli.adopt.checkpoints.layout import Numbers
+    from xpl_cli.adopt.checkpoints.told import Open, Told, Tree
+    from xpl_cli.adopt.facts import Evidence
+
+
+@dataclass(frozen=True)
+class View:
+    """One image input.
+
+    Attributes:
+        input: the model's name for it.
+        names: what the data called its cameras, several where they are put together.
+        evidence: where these names stand.
+        size: height and width that the model was trained on, None where nothing says.
+        steps: changes of geometry.
+        rest: the other keys of an entry of `native.images`: channels, layout, dtype, range, mean, std, stack.
+    """
+
+    input: Tree
+    names: Sequence[str]
+    evidence: Evidence
+    size: tuple[int, int] | None = None
+    steps: Sequence[Tree] = ()
+    rest: dict[str, Tree] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Vector:
+    """One vector input, or the answer.
+
+    Attributes:
+        numbers: what it holds.
+        input: the model's name for it; None for the answer.
+        normalize: `normalize` of the block; None where nothing is said.
+        pad: width of the model's vector.
+        parts: its parts, where the maker's files tell them; else they are found by the names of its numbers.
+    """
+
+    numbers: Numbers
+    input: Tree = None
+    normalize: Tree = None
+    pad: Tree = None
+    parts: Tree = None
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What was trained.
+
+    Attributes:
+        maker: whose files they are, such as `lerobot`.
+        about: the model in a few words.
+        family: kind of policy.
+        action: the answer.
+        reference: what actions are counted from.
+        chunk: action steps that one call returns.
+        sampling: whether the model draws random numbers.
+        views: image inputs.
+        states: vector inputs.
+        instruction: the entry of the block, or None.
+        history: the entry of the block, or None.
+        extra: further keys of `native.action`.
+        recurrent: whether the model keeps a state of its own.
+        ensembling: decay of temporal ensembling.
+        rate: steps a second.
+        robot: what the maker calls the robot.
+        upstream: the code that runs it.
+        code: conversions that the block cannot say.
+        notes: what could not be read, and why; what would tell more.
+    """
+
+    maker: str
+    about: str
+    family: Told
+    action: Vector
+    reference: Tree
+    chunk: Told | Open
+    sampling: Tree
+    views: Sequence[View] = ()
+    states: Sequence[Vector] = ()
+    instruction: dict[str, Tree] | None = None
+    history: dict[str, Tree] | None = None
+    extra: dict[str, Tree] = field(default_factory=dict)
+    recurrent: Tree = None
+    ensembling: Told | None = None
+    rate: Told | None = None
+    robot: Told | None = None
+    upstream: dict[str, Any] | None = None
+    code: Sequence[Told] = ()
+    notes: Sequence[str] = ()

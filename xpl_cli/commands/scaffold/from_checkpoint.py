@@ -1,0 +1,134 @@
+"""`xpl new-policy --from`: an adapter from what training left behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl_cli.commands.scaffold import new_package
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from xpl_cli.adopt.checkpoints.start import Start
+
+_SCHEMA = "xpl.new-policy/1"
+_TAKEN = "the checkpoint says it"
+
+
+def begin(
+    name: str,
+    paths: Sequence[Path],
+    parent: Path,
+    options: Mapping[str, Any],
+    *,
+    overwrite: bool,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    """Write a package that runs a checkpoint, and report what is known and what is open.
+
+    Args:
+        name: of the package.
+        paths: folders of the checkpoint and of its data set.
+        parent: folder that the package goes into.
+        options: `embodiment`, `action_type`, `gripper` and `cameras_named`; every other one that is given is refused.
+        overwrite: replace files that differ.
+        dry_run: only say what would be written.
+        as_json: print a JSON object.
+
+    Raises:
+        UserError: if an option does not fit, or the folders hold nothing that is known.
+    """
+    from xpl_cli.adopt.checkpoints import start
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import UserError
+
+    known = ("embodiment", sdk.Deploy.ACTION_TYPE, "gripper", "camera")
+    refused = [f"--{option.replace('_', '-')}" for option in options if option not in known]
+    if refused:
+        raise UserError(
+            f"{', '.join(refused)} {'does' if len(refused) == 1 else 'do'} not go with --from: {_TAKEN}",
+            hint="leave them out; what it does not say can be changed in policy.yml afterwards",
+        )
+    choices = start.block.Choices(_gripper(options.get("gripper")), _cameras(options.get("camera") or ()))
+    wanted = start.Wanted(name, options.get("embodiment"), options.get(sdk.Deploy.ACTION_TYPE), choices)
+    begun = start.begin(paths, wanted)
+    target = parent / name
+    state = new_package.put(begun.files, target, overwrite=overwrite, dry_run=dry_run)
+    if not dry_run:
+        begun.link(target)
+    for note in begun.notes:
+        console.note(f"note: {note}")
+    following = _next(target, begun)
+    new_package.report(
+        begun.files, target, state, following, schema=_SCHEMA, as_json=as_json, facts=_facts(begun), lines=_tell(begun)
+    )
+
+
+def _tell(begun: Start) -> list[str]:
+    counts = ", ".join(f"{count} {word}" for word, count in begun.counts.items())
+    return [
+        f"read from {begun.folder}: {counts}",
+        *(f"  open  {question.key}: {question.text}" for question in begun.questions),
+    ]
+
+
+def _facts(begun: Start) -> dict[str, Any]:
+    return {
+        "checkpoint": begun.checkpoint,
+        "from": str(begun.folder),
+        "facts": [fact.as_json() for fact in begun.facts],
+        "open": [question.as_json() for question in begun.questions],
+        "notes": begun.notes,
+    }
+
+
+def _next(target: Path, begun: Start) -> list[str]:
+    """Return the commands that follow, ready to be pasted."""
+    import shlex
+
+    from xpl_cli.native.names import CODE
+
+    path = shlex.quote(str(target))
+    record = [f"xpl native record {path}"] if CODE in begun.files else []
+    return [f"xpl install {path}", *record, f"xpl audit {path}"]
+
+
+def _gripper(text: str | None) -> tuple[float, float] | None:
+    """Return the values of a closed and of an open gripper.
+
+    Raises:
+        UserError: if they are not two numbers that differ.
+    """
+    from xpl_cli.basics.errors import UserError
+
+    if text is None:
+        return None
+    try:
+        closed, opened = (float(part) for part in text.split(","))
+    except ValueError:
+        closed = opened = 0.0
+    if not (abs(closed) < float("inf") and abs(opened) < float("inf")) or closed == opened:
+        what = "the model's values of a closed and of an open gripper, as in 0,1"
+        raise UserError(f"--gripper takes {what}; got {text!r}")
+    return closed, opened
+
+
+def _cameras(given: Sequence[str]) -> dict[str, str]:
+    """Return the data's name of a camera to the standard's.
+
+    Raises:
+        UserError: if one is not written NAME=CAMERA.
+    """
+    from xpl_cli.basics.errors import UserError
+
+    result: dict[str, str] = {}
+    for entry in given:
+        name, equals, camera = entry.rpartition("=")
+        if not equals or not name or not camera:
+            what = "the checkpoint's name and the standard's, as in top=cam_head"
+            raise UserError(f"--camera takes {what}; got {entry!r}")
+        result[name] = camera
+    return result
