@@ -130,6 +130,11 @@ class Chain:
         _, _, position, turn = self._forward(self._angles(joints))
         return np.array(position + turn)
 
+    def places(self, joints: ArrayLike) -> NDArray[np.float64]:
+        """Return where the joints and the flange are in the base, (dof + 1, 3), for joint angles (dof,)."""
+        origins, _, position, _ = self._forward(self._angles(joints))
+        return np.array([*origins, position])
+
     def tcp(self, joints: ArrayLike) -> NDArray[np.float64]:
         """Return the pose (7,) of the point between the fingertips in the base for joint angles (dof,)."""
         return self.tcp_from_flange(self.flange(joints))

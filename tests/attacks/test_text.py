@@ -28,9 +28,9 @@ from xpl_cli.audit.formats import FORMATS, Context, render
 from xpl_cli.audit.formats.listing import listed
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, Result, TargetReport
-from xpl_cli.basics import failures, strangers
+from xpl_cli.basics import failures, pages, strangers
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.report import episodes, html, markdown
+from xpl_cli.evaluation.report import episodes, markdown
 from xpl_cli.packages.targets import Target
 
 EVIL = (
@@ -162,7 +162,7 @@ def test_reports_of_runs_show_names_as_they_are(text: str) -> None:
     table = markdown.table((text, "b"), [(text, 1)])
     assert table.count("\n") == 2
     assert STEERING.search(table) is None
-    data = html.as_json({"a": text})
+    data = pages.as_json({"a": text})
     assert "<" not in data
     assert STEERING.search(data) is None
 

@@ -101,6 +101,20 @@ class ImageInput:
             camera: self._unview(view, *sizes[camera]) for camera, view in zip(self.cameras, self._unstacked(value))
         }
 
+    def pictures(self, value: np.ndarray) -> list[np.ndarray]:
+        """Return what the model sees of each camera, (h, w, 3) uint8 RGB, if the block says what its numbers mean.
+
+        Geometry stays as the model gets it; `decode` undoes that too.
+
+        Args:
+            value: the model's input, without a batch axis.
+        """
+        return [self._picture(view) for view in self._unstacked(value)]
+
+    def views(self, value: np.ndarray) -> list[np.ndarray]:
+        """Return the numbers of each camera, (h, w, 3) whatever the model's layout, as they are."""
+        return [np.moveaxis(view, -3, -1) if self._is_chw else view for view in self._unstacked(value)]
+
     def _unstacked(self, value: np.ndarray) -> Sequence[np.ndarray]:
         if self._stack is None:
             return [value]
@@ -109,13 +123,15 @@ class ImageInput:
         channel, column = (0, 2) if self._is_chw else (2, 1)
         return np.split(value, len(self.cameras), axis=channel if self._stack == "channels" else column)
 
-    def _unview(self, view: np.ndarray, height: int, width: int) -> np.ndarray:
+    def _picture(self, view: np.ndarray) -> np.ndarray:
         values = np.moveaxis(view, -3, -1) if self._is_chw else view
         if not self._is_bytes:
             values = (values * self._std + self._mean - self._low) * (_BYTES / (self._high - self._low))
             values = np.clip(np.floor(values + 0.5), 0, _BYTES).astype(np.uint8)
-        if self._is_bgr:
-            values = values[..., ::-1]
+        return np.ascontiguousarray(values[..., ::-1] if self._is_bgr else values)
+
+    def _unview(self, view: np.ndarray, height: int, width: int) -> np.ndarray:
+        values = self._picture(view)
         shapes = [(height, width)]
         for kind, how in self._steps:
             shapes.append(shape_after(kind, how, shapes[-1]))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.basics import atomic
+from xpl_cli.basics import atomic, pages
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.leaderboard import board
 from xpl_cli.evaluation.leaderboard.ranking import labels
-from xpl_cli.evaluation.report import figures, html
+from xpl_cli.evaluation.report import figures
 from xpl_cli.evaluation.statistics import wording
 
 if TYPE_CHECKING:
@@ -51,8 +51,9 @@ def page(ranking: Mapping[str, Any]) -> str:
         }
         for row, label in zip(ranking["rows"], labels(ranking["rows"]), strict=True)
     ]
-    return html.render(
-        "leaderboard.html.jinja",
+    return pages.render(
+        "report/leaderboard.html.jinja",
+        style="report/page.css",
         title=board.title(ranking),
         confidence=wording.percent(ranking["confidence"]),
         rows=shown,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.evaluation.report import episodes, html
+from xpl_cli.basics import pages
+from xpl_cli.evaluation.report import episodes
 from xpl_cli.evaluation.report.view import view
 
 if TYPE_CHECKING:
@@ -24,12 +25,13 @@ def render(
         media: what is shown of which episode (`media.shown`).
         renew_seconds: how often the page asks where it came from whether the run has grown; None for a file.
     """
-    return html.render(
-        "page.html.jinja",
-        script=True,
+    return pages.render(
+        "report/page.html.jinja",
+        style="report/page.css",
+        script="report/page.js",
         live=renew_seconds is not None,
         view=view(run, summary, _media_said(media)),
-        data=html.as_json({"episodes": episodes.packed(run), "media": media}),
+        data=pages.as_json({"episodes": episodes.packed(run), "media": media}),
         renew_seconds=renew_seconds,
     )
 

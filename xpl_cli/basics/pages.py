@@ -13,23 +13,22 @@ from xpl_cli import __version__
 from xpl_cli.basics.content import room
 from xpl_cli.basics.strangers import harmless
 
-_STYLE, _SCRIPT = "page.css", "page.js"
 
-
-def render(template: str, *, script: bool = False, live: bool = False, **values: Any) -> str:
-    """Return a page from a template of templates/report/.
+def render(template: str, *, style: str, script: str | None = None, live: bool = False, **values: Any) -> str:
+    """Return a page from a template of templates/.
 
     Args:
-        template: name of the file.
-        script: whether the page has the script.
+        template: its file there, such as `report/page.html.jinja`.
+        style: file of its styles.
+        script: file of its script, if it has one.
         live: whether the script may ask the server that the page came from.
         values: what the template shows; texts are escaped there.
     """
     import jinja2
 
-    # Styles and script are ours; a run's own texts reach a page as escaped text or by `as_json`.
-    css = Markup(_read(_STYLE))  # noqa: S704
-    js = Markup(_read(_SCRIPT) if script else "")  # noqa: S704
+    # Styles and script are ours; a stranger's texts reach a page as escaped text or by `as_json`.
+    css = Markup(_read(style))  # noqa: S704
+    js = Markup(_read(script) if script else "")  # noqa: S704
     environment = jinja2.Environment(
         undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown
     )
@@ -51,7 +50,7 @@ def _shown(value: Any) -> Any:
 
 
 def _read(name: str) -> str:
-    return (room("templates") / "report" / name).read_text(encoding="utf-8")
+    return (room("templates") / name).read_text(encoding="utf-8")
 
 
 def _policy(css: str, script: str, *, live: bool) -> str:
