@@ -1,0 +1,71 @@
+"""In words, how a picture that a model gets differs from the camera's: turned, mirrored, red and blue exchanged."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl.convert import NativeError
+from xpl.convert.images import ImageInput
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_GEOMETRY = frozenset(("resize", "letterbox", "crop"))
+_CLEARER = 0.7
+"""Share of the plain picture's difference above which nothing is said: a symmetrical picture tells nothing."""
+_LEAST = 2.0
+"""Mean difference, of 255, below which pictures are alike."""
+
+
+def exchanged(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any]) -> list[str]:
+    """Return what lies between a camera's picture and what a model gets of it; [] if nothing does.
+
+    Args:
+        seen: (h, w, 3) uint8, as it is shown to people.
+        camera: (H, W, 3) uint8 RGB.
+        entry: of `images` in the native block, whose scaling and cutting is no difference.
+    """
+    found = {words: difference(seen, made, entry) for words, made in _made(camera).items()}
+    words = min(found, key=lambda name: found[name])
+    plain = found[()]
+    return [] if found[words] > _CLEARER * plain or plain < _LEAST else list(words)
+
+
+def difference(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any]) -> float:
+    """Return the mean difference, 0 to 255, between a picture and what scaling and cutting makes of a camera's."""
+    steps = [step for step in entry.get("steps", ()) if next(iter(step)) in _GEOMETRY]
+    plain = {"input": "", "cameras": [""], "steps": steps, "channels": "rgb", "layout": "hwc", "dtype": "uint8"}
+    try:
+        made = ImageInput(plain).view(camera)
+    except NativeError:  # larger than what it is cut out of
+        return float("inf")
+    if made.shape != seen.shape:
+        made = _stretched(made, seen.shape[0], seen.shape[1])
+    return float(np.abs(made.astype(np.float32) - seen).mean())
+
+
+def _made(camera: np.ndarray) -> dict[tuple[str, ...], np.ndarray]:
+    """Return the camera's picture in each way in which it may have been turned, mirrored and recoloured."""
+    result = {}
+    for colours, (turned, angle) in itertools.product((False, True), enumerate(("", "90", "180", "270"))):
+        for is_mirrored in (False, True):
+            made = np.rot90(camera, turned)
+            made = made[:, ::-1] if is_mirrored else made
+            made = made[..., ::-1] if colours else made
+            words = [
+                *(["upside down and mirrored"] if angle == "180" and is_mirrored else []),
+                *(["mirrored"] if is_mirrored and angle != "180" else []),
+                *([f"turned by {angle} degrees"] if angle and not (angle == "180" and is_mirrored) else []),
+                *(["red and blue exchanged"] if colours else []),
+            ]
+            result[tuple(words)] = made
+    return result
+
+
+def _stretched(values: np.ndarray, height: int, width: int) -> np.ndarray:
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(np.ascontiguousarray(values)).resize((width, height)))

@@ -1,0 +1,208 @@
+"""A model's vectors, number by number: names, units and values, beside the standard's."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl.convert.frames import side_index
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from xpl import Embodiment
+    from xpl.convert import Interface
+    from xpl.convert.parts import Part
+    from xpl.convert.vectors import Vector
+
+_AXES: Final = ("x", "y", "z")
+_NAMES: Final[dict[str, tuple[str, ...]]] = {
+    "quaternion_wxyz": ("w", *_AXES),
+    "quaternion_xyzw": (*_AXES, "w"),
+    "matrix": tuple(f"R{row}{column}" for row in range(3) for column in range(3)),
+    "rot6d_columns": tuple(f"R{row}{column}" for column in range(2) for row in range(3)),
+    "rot6d_rows": tuple(f"R{row}{column}" for row in range(2) for column in range(3)),
+    "axis_angle": _AXES,
+}
+"""Names of a rotation's numbers, by its form."""
+_STANDARD: Final = {
+    "position": tuple(enumerate(_AXES)),
+    "rotation": tuple(enumerate(("w", *_AXES), start=sdk.POSITION_DIM)),
+}
+"""Which numbers of the standard's pose a part of the model's is made of."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a model's vector.
+
+    Attributes:
+        index: in the vector.
+        part: which part it is of, such as `rotation left`.
+        name: of the number: a joint's, an axis.
+        unit: the model's.
+        says: what the block says of the part, in short.
+        values: as the model gets or gives it, and before normalisation; of an action at its first and last step.
+        standard: the standard's numbers in the same place: name, value (of an action at the first and last step),
+            unit. Numbers of a rotation have no partner of their own: the first has all four, the others none.
+    """
+
+    index: int
+    part: str
+    name: str
+    unit: str
+    says: str
+    values: Mapping[str, Sequence[float]]
+    standard: Sequence[Mapping[str, Any]]
+
+    def document(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        return asdict(self)
+
+
+def of_state(
+    entry: Mapping[str, Any], vector: Vector, given: np.ndarray, state: Mapping[str, Any], robot: Embodiment
+) -> list[Number]:
+    """Return the numbers of a state vector.
+
+    Args:
+        entry: of `state` in the block.
+        vector: compiled from it.
+        given: (padded,) what the model gets.
+        state: the standard's.
+        robot: the robot.
+    """
+    # From the state, and not back through normalisation: what was clipped, or never moved, does not come back.
+    before = np.concatenate([item.read(state) for item in vector.parts])
+    found = []
+    for index, (name, unit, item, says, partners) in enumerate(_columns(entry, vector, robot)):
+        values = {"model": [float(given[index])], "before": [float(before[index])]}
+        standard = [{"name": told, "values": [_value(state, key, at)], "unit": its} for told, key, at, its in partners]
+        found.append(Number(index, item.label, name, unit, says, values, standard))
+    return [*found, *_padding(vector, given[None])]
+
+
+def of_action(
+    entry: Mapping[str, Any],
+    interface: Interface,
+    answer: np.ndarray,
+    steps: Sequence[Mapping[str, Any]],
+    robot: Embodiment,
+) -> list[Number]:
+    """Return the numbers of an action, at the first and the last step that is executed.
+
+    Args:
+        entry: `action` of the block.
+        interface: compiled from the block.
+        answer: (H, padded) of the model.
+        steps: what the standard executes of it.
+        robot: the robot.
+    """
+    vector, first = interface.action.vector, interface.action.first
+    rows = np.asarray(answer, np.float64)[[first, first + len(steps) - 1]]
+    before = vector.denormalized(rows)
+    found = []
+    for index, (name, unit, item, says, partners) in enumerate(_columns(entry, vector, robot)):
+        told = item.reference or entry["reference"]
+        values = {"model": rows[:, index].tolist(), "before": before[:, index].tolist()}
+        standard = [
+            {"name": its_name, "values": [_value(steps[0], key, at), _value(steps[-1], key, at)], "unit": its}
+            for its_name, key, at, its in partners
+        ]
+        said = told if item.kind != "fill" else ""
+        found.append(Number(index, item.label, name, unit, ", ".join(filter(None, (said, says))), values, standard))
+    return [*found, *_padding(vector, rows)]
+
+
+def _columns(
+    entry: Mapping[str, Any], vector: Vector, robot: Embodiment
+) -> Iterator[tuple[str, str, Part, str, list[tuple[str, str, int, str]]]]:
+    """Yield for each number its name, unit and part, what is said of it, and its partners in the standard."""
+    for told, item in zip(entry["parts"], vector.parts, strict=True):
+        ((kind, how),) = told.items()
+        names = _names(kind, how, item, robot)
+        unit = _unit(kind, how)
+        says = _says(kind, how)
+        for place in range(item.width):
+            partners = list(_partners(kind, how, item, place, robot))
+            yield names[place], unit, item, says if place == 0 else "", partners
+
+
+def _names(kind: str, how: Mapping[str, Any], item: Part, robot: Embodiment) -> Sequence[str]:
+    if kind == "position":
+        return _AXES
+    if kind == "rotation":
+        if how["form"] == "euler":
+            return [f"about {axis}" for axis in how["euler"]]
+        return _NAMES[how["form"]]
+    if kind in ("joints", "hand"):
+        known = how.get("names") or (robot.arms[side_index(robot, how["arm"])].joint_names if kind == "joints" else None)
+        return known or [f"{'joint' if kind == 'joints' else 'finger joint'} {place + 1}" for place in range(item.width)]
+    if kind == "gripper":
+        return ["opening"] if item.width == 1 else [f"finger {place + 1}" for place in range(item.width)]
+    return ["nothing"] * item.width
+
+
+def _unit(kind: str, how: Mapping[str, Any]) -> str:
+    if kind == "position":
+        return str(how.get("unit", "m"))
+    if kind in ("joints", "hand"):
+        return str(how.get("unit", "rad"))
+    if kind == "rotation":
+        return "rad" if how["form"] in ("euler", "axis_angle") else ""
+    return ""
+
+
+def _says(kind: str, how: Mapping[str, Any]) -> str:
+    """Return what the block says of a part beside its names and units."""
+    if kind == "gripper":
+        return f"closed {how['closed']}, open {how['open']}"
+    if kind == "fill":
+        return "means nothing"
+    words = [
+        how.get("point", "flange") if kind in ("position", "rotation") else "",
+        f"in the {how.get('frame', 'world')}" if kind in ("position", "rotation") else "",
+        how.get("form", ""),
+        how.get("euler", ""),
+        f"applied {how['applied']}" if "applied" in how else "",
+        "other signs" if "sign" in how and kind == "joints" else "",
+        f"sign {how['sign']}" if "sign" in how and kind == "rotation" else "",
+        "offsets" if "offset" in how else "",
+    ]
+    return " ".join(word for word in words if word)
+
+
+def _partners(
+    kind: str, how: Mapping[str, Any], item: Part, place: int, robot: Embodiment
+) -> Iterator[tuple[str, str, int, str]]:
+    """Yield name, key, index and unit of the standard's numbers that belong to one of the model's."""
+    if kind == "fill":
+        return
+    if kind == "position":
+        index, axis = _STANDARD[kind][place]
+        yield f"{item.key}[{index}] {axis}", item.key, index, "m"
+    elif kind == "rotation":
+        if place == 0:
+            yield from ((f"{item.key}[{index}] q{axis}", item.key, index, "") for index, axis in _STANDARD[kind])
+    elif kind == "gripper":
+        if place == 0:
+            yield f"{item.key}[0] opening", item.key, 0, ""
+    else:
+        known = robot.arms[side_index(robot, how["arm"])].joint_names if kind == "joints" else None
+        names = how.get("names")
+        index = known.index(names[place]) if known and names else place
+        yield f"{item.key}[{index}]", item.key, index, "rad"
+
+
+def _padding(vector: Vector, rows: np.ndarray) -> Iterator[Number]:
+    rest = vector.padded - vector.width
+    if rest:
+        values = {"model": rows[:, vector.width].tolist()}
+        yield Number(vector.width, "padding", f"{rest} numbers", "", "means nothing", values, [])
+
+
+def _value(fields: Mapping[str, Any], key: str, index: int) -> float:
+    return float(np.asarray(fields[key], np.float64)[index])
