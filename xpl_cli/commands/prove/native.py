@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -93,3 +94,105 @@ def _lines(done: Recorded) -> list[str]:
         f"{done.conventions} conventions named, {assumed}",
         *([] if takes > 1 else [apart]),
     ]
+
+
+@app.command()
+@ends(clean="written", not_found="no such adapter, environment or file", not_run="nothing can be shown, or it failed")
+def show(
+    policy: str = POLICY,
+    out: Path = typer.Option(Path("native-show"), metavar="DIR", help="Folder of index.html and show.png."),
+    watch: bool = typer.Option(False, "--run", help="Run the model: show what predict gets and says."),
+    environment: str | None = typer.Option(None, metavar="NAME", help="Show an environment's first observation."),
+    task: str | None = typer.Option(None, help="Its task; the first by default."),
+    seed: int = typer.Option(0, min=0, help="Of its episode."),
+    recorded: Path | None = typer.Option(
+        None, "--from", metavar="DIR", help="Show what a recording of `xpl audit --trace` shows first."
+    ),
+    image: list[str] = typer.Option([], metavar="CAMERA=FILE", help="Show a camera this picture."),
+    settings: list[str] = SETTINGS,
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    policy_env: str | None = POLICY_ENV,
+    patience: float = typer.Option(300.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object with all numbers."),
+) -> None:
+    """Write what the model sees and says on one page and in one picture, beside what the cameras give.
+
+    By default test cards and a scripted state go through the native block, and the model does not run.
+    """
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.native.show import scene, seen, watched, written
+    from xpl_cli.native.show.subject import subject as of
+    from xpl_cli.packages import package as packages
+
+    if environment is not None and recorded is not None:
+        raise UserError("--environment and --from both say what is shown: leave one out")
+    if environment is None and task is not None:
+        raise UserError("--task is of an environment: say --environment too")
+    subject = of(packages.load(policy), packages.parse_overrides(settings))
+    pair = None if watch or image or environment is not None or recorded is not None else seen.of_pairs(subject)
+    answered = None
+    if environment is not None:
+        episode = scene.Episode(environment, task, seed)
+        view = scene.of_environment(episode, subject.robot, subject.action_type, subject.cameras)
+    elif recorded is not None:
+        from xpl_cli.audit.replay.shown import first_episode
+
+        view = scene.Scene(first_episode(recorded), f"the first question of {recorded}")
+    elif pair is not None:
+        view, answered = pair[0], (pair[1], pair[2])
+    else:
+        view = scene.scripted(subject.package.manifest, subject.robot, subject.cameras, subject.reach)
+    view = scene.photographed(view, _photos(image))
+    place = watched.Place(python, policy_env, patience)
+    found = seen.run(subject, view, place) if watch else seen.look(subject, view, answered)
+    files = written.write(found, out)
+    if as_json:
+        console.answer("xpl.native-show/1", {"files": files, **found.document()}, [])
+        return
+    for path in files:
+        console.data(path)
+    for note in written.told(found):
+        console.note(note)
+
+
+def _photos(image: list[str]) -> dict[str, Path]:
+    """Return the file of each camera, of `CAMERA=FILE`."""
+    from xpl_cli.basics.errors import UserError
+
+    found = {}
+    for told in image:
+        camera, equals, file = told.partition("=")
+        if not (camera and equals and file):
+            raise UserError(f"--image takes CAMERA=FILE, got {told!r}")
+        found[camera] = Path(file)
+    return found
+
+
+@app.command()
+@ends(clean="agrees", findings="differs", not_run="nothing to judge by")
+def kinematics(
+    policy: str = POLICY,
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Let the robot's kinematics judge the rows that native.samples names: forms, points, frames, units, order."""
+    from xpl.convert import NativeError
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode, UserError
+    from xpl_cli.native.kinematics import declared, witness
+    from xpl_cli.packages import package as packages
+    from xpl_cli.standard import spec
+
+    adapter = packages.load(policy)
+    try:
+        found = declared.verdicts(adapter.manifest, spec.declared(adapter.manifest), [adapter.path])
+    except (declared.NoWitnessError, NativeError) as error:
+        raise UserError(f"{adapter.path}: {error}", code=ExitCode.NOT_RUN) from None
+    if as_json:
+        verdicts = [verdict.document() for verdict in found]
+        console.answer("xpl.native-kinematics/1", {"policy": adapter.name, "verdicts": verdicts}, [])
+    else:
+        for verdict in found:
+            console.data(verdict.sentence)
+    good = {witness.AGREES, witness.OPEN}
+    raise typer.Exit(ExitCode.CLEAN if all(one.outcome in good for one in found) else ExitCode.FINDINGS)

@@ -6,6 +6,7 @@ how long ago it was. Every camera has a ground of its own.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,44 +33,57 @@ def card(camera: str, number: int, height: int, width: int, when: str = "now") -
     from PIL import Image, ImageDraw
 
     paper = Image.new("RGB", (width, height), _GROUNDS[number % len(_GROUNDS)])
-    pen = ImageDraw.Draw(paper)
-    size = min(height, width)
-    _letters(pen, width, height)
-    _arrow(pen, width, height)
+    pen = _Pen(ImageDraw.Draw(paper), width, height)
+    pen.letters()
+    pen.arrow()
     words = camera.removeprefix("cam_").replace("_", " ").upper()
-    _text(pen, words, (width / 2, 0.56 * height), min(0.15 * size, 1.5 * width / max(len(words), 1)))
-    _text(pen, when, (width / 2, 0.72 * height), 0.08 * size)
-    _text(pen, "left", (0.03 * width, 0.9 * height), 0.1 * size, "lm")
-    _text(pen, "right", (0.97 * width, 0.9 * height), 0.1 * size, "rm")
-    pen.rectangle((0, 0, width - 1, height - 1), outline=_INK, width=max(1, round(0.012 * size)))
+    size = min(height, width)
+    pen.words(words, (0.5, 0.56), min(0.15 * size, 1.5 * width / max(len(words), 1)))
+    pen.words(when, (0.5, 0.72), 0.08 * size)
+    pen.words("left", (0.03, 0.9), 0.1 * size, anchor="lm")
+    pen.words("right", (0.97, 0.9), 0.1 * size, anchor="rm")
+    pen.draw.rectangle((0, 0, width - 1, height - 1), outline=_INK, width=max(1, round(0.012 * size)))
     return np.asarray(paper).copy()
 
 
-def _letters(pen: ImageDraw, width: int, height: int) -> None:
-    """Draw R, G and B on fields of their colours."""
-    side = 0.26 * min(width, height)
-    for place, (letter, colour) in enumerate(_LETTERS):
-        left, top = 0.05 * width + place * 1.12 * side, 0.07 * height
-        pen.rectangle((left, top, left + side, top + side), fill=colour)
-        _text(pen, letter, (left + side / 2, top + side / 2), 0.8 * side, fill=(255, 255, 255))
+@dataclass(frozen=True)
+class _Pen:
+    """Draws on a card of a size; places are shares of it."""
 
+    draw: ImageDraw
+    width: int
+    height: int
 
-def _arrow(pen: ImageDraw, width: int, height: int) -> None:
-    size = 0.26 * min(width, height)
-    middle, top = 0.95 * width - size / 2, 0.07 * height
-    pen.polygon([(middle, top), (middle - size / 2, top + 0.5 * size), (middle + size / 2, top + 0.5 * size)], fill=_INK)
-    pen.rectangle((middle - 0.13 * size, top + 0.5 * size, middle + 0.13 * size, top + size), fill=_INK)
-    _text(pen, "up", (middle, top + 1.25 * size), 0.35 * size)
+    def letters(self) -> None:
+        """Draw R, G and B on fields of their colours."""
+        side = 0.26 * min(self.width, self.height)
+        top = 0.07 * self.height
+        for place, (letter, colour) in enumerate(_LETTERS):
+            left = 0.05 * self.width + place * 1.12 * side
+            self.draw.rectangle((left, top, left + side, top + side), fill=colour)
+            middle = ((left + side / 2) / self.width, (top + side / 2) / self.height)
+            self.words(letter, middle, 0.8 * side, fill=(255, 255, 255))
 
+    def arrow(self) -> None:
+        """Draw an arrow upwards, with the word."""
+        size = 0.26 * min(self.width, self.height)
+        middle, top = 0.95 * self.width - size / 2, 0.07 * self.height
+        neck = top + size / 2
+        self.draw.polygon([(middle, top), (middle - size / 2, neck), (middle + size / 2, neck)], fill=_INK)
+        self.draw.rectangle((middle - 0.13 * size, neck, middle + 0.13 * size, top + size), fill=_INK)
+        self.words("up", (middle / self.width, (top + 1.25 * size) / self.height), 0.35 * size)
 
-def _text(
-    pen: ImageDraw,
-    words: str,
-    at: tuple[float, float],
-    size: float,
-    anchor: str = "mm",
-    fill: tuple[int, int, int] = _INK,
-) -> None:
-    from PIL import ImageFont
+    def words(
+        self,
+        words: str,
+        at: tuple[float, float],
+        size: float,
+        *,
+        anchor: str = "mm",
+        fill: tuple[int, int, int] = _INK,
+    ) -> None:
+        """Write words of a size, pixels, at a place."""
+        from PIL import ImageFont
 
-    pen.text(at, words, fill, font=ImageFont.load_default(max(6, size)), anchor=anchor)
+        place = at[0] * self.width, at[1] * self.height
+        self.draw.text(place, words, fill, font=ImageFont.load_default(max(6, size)), anchor=anchor)

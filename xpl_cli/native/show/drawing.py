@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from markupsafe import Markup, escape
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from PIL.ImageDraw import ImageDraw
 
@@ -124,7 +125,7 @@ def _word(shape: Word) -> str:
     return f'<text class="{shape.kind}" {place}>{escape(shape.text)}</text>'
 
 
-_SVG: Final = {Line: _line, Dot: _dot, Word: _word}
+_SVG: Final[dict[type, Callable[[Any], str]]] = {Line: _line, Dot: _dot, Word: _word}
 
 
 def _tip(start: Point, end: Point, size: float) -> list[Point]:
@@ -137,7 +138,7 @@ def _tip(start: Point, end: Point, size: float) -> list[Point]:
 
 
 def _pieces(points: Sequence[Point], dash: float) -> Iterable[tuple[Point, Point]]:
-    for one, two in zip(points, points[1:], strict=False):
+    for one, two in itertools.pairwise(points):
         length = ((two[0] - one[0]) ** 2 + (two[1] - one[1]) ** 2) ** 0.5
         count = int(length / dash) if dash else 1
         for place in range(0, max(1, count), 2):

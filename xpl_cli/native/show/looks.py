@@ -28,10 +28,15 @@ def exchanged(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any]) ->
         camera: (H, W, 3) uint8 RGB.
         entry: of `images` in the native block, whose scaling and cutting is no difference.
     """
-    found = {words: difference(seen, made, entry) for words, made in _made(camera).items()}
+    return nearest(seen, camera, entry)[0]
+
+
+def nearest(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any] | None = None) -> tuple[list[str], float]:
+    """Return what lies between a camera's picture and another, as `exchanged`, and what is left then, 0 to 255."""
+    found = {words: difference(seen, made, entry or {}) for words, made in _made(camera).items()}
     words = min(found, key=lambda name: found[name])
     plain = found[()]
-    return [] if found[words] > _CLEARER * plain or plain < _LEAST else list(words)
+    return ([], plain) if found[words] > _CLEARER * plain or plain < _LEAST else (list(words), found[words])
 
 
 def difference(seen: np.ndarray, camera: np.ndarray, entry: Mapping[str, Any]) -> float:

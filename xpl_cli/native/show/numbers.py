@@ -139,8 +139,12 @@ def _names(kind: str, how: Mapping[str, Any], item: Part, robot: Embodiment) -> 
             return [f"about {axis}" for axis in how["euler"]]
         return _NAMES[how["form"]]
     if kind in ("joints", "hand"):
-        known = how.get("names") or (robot.arms[side_index(robot, how["arm"])].joint_names if kind == "joints" else None)
-        return known or [f"{'joint' if kind == 'joints' else 'finger joint'} {place + 1}" for place in range(item.width)]
+        known = how.get("names") or (
+            robot.arms[side_index(robot, how["arm"])].joint_names if kind == "joints" else None
+        )
+        return known or [
+            f"{'joint' if kind == 'joints' else 'finger joint'} {place + 1}" for place in range(item.width)
+        ]
     if kind == "gripper":
         return ["opening"] if item.width == 1 else [f"finger {place + 1}" for place in range(item.width)]
     return ["nothing"] * item.width

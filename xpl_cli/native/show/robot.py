@@ -46,6 +46,23 @@ class Mark:
     start: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class Read:
+    """A vector that the model reads.
+
+    Attributes:
+        input: the model's name for it.
+        entry: of the block.
+        vector: compiled from it.
+        numbers: the model's, before normalisation.
+    """
+
+    input: str
+    entry: Mapping[str, Any]
+    vector: Vector
+    numbers: np.ndarray
+
+
 @dataclass
 class Drawn:
     """What is in the world: lines of the robot, poses, and the way of a command."""
@@ -68,7 +85,7 @@ class Drawn:
 def figures(
     robot: Embodiment,
     state: Mapping[str, Any],
-    vectors: Mapping[str, tuple[Mapping[str, Any], Vector, np.ndarray]],
+    vectors: Sequence[Read],
     steps: Sequence[Mapping[str, Any]],
 ) -> list[Figure]:
     """Return the robot from three sides.
@@ -76,7 +93,7 @@ def figures(
     Args:
         robot: the robot.
         state: the standard's.
-        vectors: by input, its entry in the block, the vector, and the model's numbers before normalisation.
+        vectors: that the model reads.
         steps: of the standard, that are commanded; may be empty.
     """
     drawn = Drawn()
@@ -88,8 +105,8 @@ def figures(
             drawn.links += _stick(robot, chain, base, state, arm.prefix)
             drawn.wanted += _stick(robot, chain, base, steps[-1], arm.prefix) if steps else []
         drawn.paths += _path(chain, base, steps, arm.prefix)
-    for name, (entry, vector, numbers) in vectors.items():
-        drawn.marks += _marks(robot, name, entry, vector, numbers, state)
+    for one in vectors:
+        drawn.marks += _marks(robot, one, state)
     if not drawn.marks:
         drawn.marks += [
             Mark(np.asarray(state[key], np.float64), f"{key} of the standard")
@@ -135,29 +152,23 @@ def _stick(
     return lines
 
 
-def _path(
-    chain: Chain | None, base: np.ndarray, steps: Sequence[Mapping[str, Any]], prefix: str
-) -> list[np.ndarray]:
+def _path(chain: Chain | None, base: np.ndarray, steps: Sequence[Mapping[str, Any]], prefix: str) -> list[np.ndarray]:
     """Return the way of the flange that an arm's commands ask for."""
     joint, pose = prefix + sdk.State.ARM_JOINT_STATE, prefix + sdk.State.EE_POSE
     if steps and pose in steps[0]:
         return [np.stack([np.asarray(step[pose], np.float64)[:3] for step in steps])]
     if steps and joint in steps[0] and chain is not None:
-        return [np.stack([poses.compose(base, chain.flange(np.asarray(step[joint], np.float64)))[:3] for step in steps])]
+        return [
+            np.stack([poses.compose(base, chain.flange(np.asarray(step[joint], np.float64)))[:3] for step in steps])
+        ]
     return []
 
 
-def _marks(
-    robot: Embodiment,
-    name: str,
-    entry: Mapping[str, Any],
-    vector: Vector,
-    numbers: np.ndarray,
-    state: Mapping[str, Any],
-) -> Iterator[Mark]:
+def _marks(robot: Embodiment, read: Read, state: Mapping[str, Any]) -> Iterator[Mark]:
     """Yield the poses that a vector's numbers say, where its block says that they are."""
-    pieces = {item.label: values for item, values in vector.cut(numbers)}
-    for told, item in zip(entry["parts"], vector.parts, strict=True):
+    vector = read.vector
+    pieces = {item.label: values for item, values in vector.cut(read.numbers)}
+    for told, item in zip(read.entry["parts"], vector.parts, strict=True):
         ((kind, how),) = told.items()
         if kind != "position":
             continue
@@ -168,14 +179,15 @@ def _marks(
             turned = rotation.multiply(outer[sdk.POSITION_DIM :], turn.write(pieces[turn.label]))
         else:
             turned = np.asarray(state[item.key], np.float64)[sdk.POSITION_DIM :]
-        what = f"{name}: {how['arm']} {how.get('point', 'flange')} in the {how.get('frame', 'world')}"
+        what = f"{read.input}: {how['arm']} {how.get('point', 'flange')} in the {how.get('frame', 'world')}"
         yield Mark(poses.pose(place, turned), what, outer[: sdk.POSITION_DIM])
 
 
 def _figure(drawn: Drawn, title: str, right: Sequence[float], up: Sequence[float]) -> Figure:
     """Return one panel."""
     basis = np.array([right, up])
-    points = drawn.points @ basis.T
+    grid = list(_grid(drawn))
+    points = np.concatenate([drawn.points, *grid]) @ basis.T
     low, high = points.min(0), points.max(0)
     span = max(float((high - low).max()), 0.4)
     middle = (low + high) / 2
@@ -185,7 +197,7 @@ def _figure(drawn: Drawn, title: str, right: Sequence[float], up: Sequence[float
         seen = (np.atleast_2d(values) @ basis.T - middle) * scale
         return tuple((_WIDTH / 2 + float(x), (_HEIGHT + _TITLE) / 2 - float(y)) for x, y in seen)
 
-    shapes: list[Shape] = [Line("ground", flat(line), 0.8) for line in _grid(drawn)]
+    shapes: list[Shape] = [Line("ground", flat(line), 0.8) for line in grid]
     shapes += [Line("link", flat(line), 3.0) for line in drawn.links]
     shapes += [Dot("link", point, 3.4) for line in drawn.links for point in flat(line[:-1])]
     shapes += [Line("wanted", flat(line), 1.6, dashed=True) for line in drawn.wanted]
@@ -195,7 +207,11 @@ def _figure(drawn: Drawn, title: str, right: Sequence[float], up: Sequence[float
             shapes.append(Line("arrow", flat(np.stack([mark.start, mark.pose[:3]])), 1.2, tip=True, dashed=True))
         shapes += _axes(mark.pose, 0.13 * span, flat)
         shapes.append(Word("arrow", (8.0, _HEIGHT - 8 - 14 * place), mark.told))
-    shapes += [Word("word", (x, y + 15), name, anchor="middle") for name, base in drawn.bases.items() for x, y in flat(base[:3])]
+    shapes += [
+        Word("word", (x, y + 15), name, anchor="middle")
+        for name, base in drawn.bases.items()
+        for x, y in flat(base[:3])
+    ]
     shapes.append(Word("word", (8.0, 15.0), title, 12.5))
     shapes += _compass(basis)
     return Figure(_WIDTH, _HEIGHT, tuple(shapes), f"The robot {title}")

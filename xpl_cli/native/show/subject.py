@@ -1,0 +1,98 @@
+"""An adapter that is looked at: its block, compiled, and its robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl import checkpoint, get_embodiment
+from xpl.convert import NativeError, compile_interface
+from xpl.convert.gaps import absent, filled, gaps
+from xpl.embodiment import UnknownEmbodimentError
+from xpl_cli.basics.errors import ExitCode, UserError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from xpl import Embodiment
+    from xpl.convert import Interface
+    from xpl_cli.packages.package import Package
+
+
+@dataclass(frozen=True)
+class Subject:
+    """An adapter that is looked at.
+
+    Attributes:
+        package: the adapter.
+        config: deploy.yml with overrides.
+        native: its block, without gaps; None if it has none.
+        interface: compiled from that.
+        robot: the robot of this configuration.
+        notes: what had to be filled in.
+    """
+
+    package: Package
+    config: Mapping[str, Any]
+    native: Mapping[str, Any] | None
+    interface: Interface | None
+    robot: Embodiment
+    notes: tuple[str, ...]
+
+    @property
+    def action_type(self) -> str:
+        """Joint or ee."""
+        return str(self.config.get(sdk.Deploy.ACTION_TYPE) or sdk.DEPLOY_DEFAULTS[sdk.Deploy.ACTION_TYPE])
+
+    @property
+    def cameras(self) -> list[str]:
+        """The cameras that its block reads."""
+        return [camera for item in self.interface.images for camera in item.cameras] if self.interface else []
+
+    @property
+    def reach(self) -> int:
+        """Observations back to which it looks."""
+        declared = (self.package.manifest.get("temporal") or {}).get("history") or 1
+        return max(declared, self.interface.span if self.interface else 1)
+
+
+def subject(package: Package, overrides: Mapping[str, Any]) -> Subject:
+    """Return an adapter with its block compiled.
+
+    Raises:
+        UserError: if its block does not fit the robot.
+    """
+    config = package.config(overrides)
+    try:
+        body = get_embodiment(str(config.get(sdk.Deploy.ENV_CFG_TYPE)))
+    except UnknownEmbodimentError as error:
+        raise UserError(str(error)) from None
+    told = package.manifest.get("native")
+    if not told:
+        return Subject(package, config, None, None, body, ())
+    made = Subject(package, config, told, None, body, tuple(_holes(package.path, config, told)))
+    folders = _folders(package.path, config)
+    try:
+        native = filled(told, body, made.action_type, absent(told, folders)) if made.notes else told
+        chunk = (package.manifest.get("temporal") or {}).get("chunk")
+        return replace(made, native=native, interface=compile_interface(native, body, made.action_type, folders, chunk))
+    except NativeError as error:
+        raise UserError(f"{package.path}: {error}", code=ExitCode.NOT_RUN) from None
+
+
+def _holes(path: Path, config: Mapping[str, Any], native: Mapping[str, Any]) -> list[str]:
+    """Return what is open in a block, or not there, and was filled in."""
+    found = [f"open: {gap.where} ({gap.reason}); a plain value stands there" for gap in gaps(native)]
+    lacking = absent(native, _folders(path, config))
+    return [*found, *(f"{file} is not there: its normalisation is left out" for file in lacking)]
+
+
+def _folders(path: Path, config: Mapping[str, Any]) -> list[Path]:
+    """Return where files of statistics may lie: the package, and the checkpoint if there is one."""
+    try:
+        found = checkpoint.resolve(dict(config), path)
+    except checkpoint.CheckpointError:
+        return [path]
+    return [path, found if found.is_dir() else found.parent]
