@@ -24,8 +24,11 @@ _TALLEST: Final = 24_000
 _PAPER, _INK, _SOFT, _ALARM, _RULE = (252, 252, 251), (27, 31, 36), (93, 100, 109), (184, 40, 28), (222, 225, 229)
 _PICTURE: Final = (300, 225)
 """Width and height in which a picture is drawn."""
+_STEP: Final = 800
+"""Pixels that whatever is drawn next needs at most, but for long words."""
 _COLUMNS: Final = (36, 330, 150, 60, 190, 200, 400)
 _LINE: Final = 20
+_MOST_LINES: Final = 20
 
 
 class _Paper:
@@ -34,9 +37,19 @@ class _Paper:
     def __init__(self) -> None:
         from PIL import Image, ImageDraw
 
-        self.image = Image.new("RGB", (_WIDTH, _TALLEST), _PAPER)
+        self.image = Image.new("RGB", (_WIDTH, 4 * _STEP), _PAPER)
         self.pen = ImageDraw.Draw(self.image)
         self.top = _EDGE
+
+    def room(self) -> bool:
+        """Make room for what is drawn next; tell whether there is some."""
+        if self.top > self.image.height - _STEP:
+            from PIL import Image, ImageDraw
+
+            made = Image.new("RGB", (_WIDTH, 2 * self.image.height), _PAPER)
+            made.paste(self.image)
+            self.image, self.pen = made, ImageDraw.Draw(made)
+        return self.top < _TALLEST
 
     def words(self, text: str, left: float, top: float, size: float = 14, colour: tuple[int, int, int] = _INK) -> None:
         from PIL import ImageFont
@@ -44,7 +57,8 @@ class _Paper:
         self.pen.text((left, top), text, colour, font=ImageFont.load_default(size))
 
     def lines(self, text: str, size: float = 14, colour: tuple[int, int, int] = _INK, width: int = 170) -> None:
-        for line in textwrap.wrap(text, width) or [""]:
+        self.room()
+        for line in textwrap.wrap(text, width)[:_MOST_LINES] or [""]:
             self.words(line, _EDGE, self.top, size, colour)
             self.top += round(size * 1.45)
 
@@ -55,13 +69,9 @@ class _Paper:
         self.lines(text, 20)
         self.top += 4
 
-    @property
-    def is_full(self) -> bool:
-        return self.top > _TALLEST - 700
-
     def png(self) -> bytes:
         buffer = io.BytesIO()
-        self.image.crop((0, 0, _WIDTH, min(_TALLEST, self.top + _EDGE))).save(buffer, "png", optimize=True)
+        self.image.crop((0, 0, _WIDTH, self.top + _EDGE)).save(buffer, "png")
         return buffer.getvalue()
 
 
@@ -88,7 +98,7 @@ def sheet(seen: Seen) -> bytes:
         paper.heading("Action")
         paper.lines(f"{seen.action_from}. {seen.action_words}. First and last step.", 14, _SOFT)
         _table(paper, phrases.ACTION_HEADS, seen.action)
-    if seen.figures and not paper.is_full:
+    if seen.figures and paper.room():
         paper.heading("Robot")
         paper.lines(ROBOT, 14, _SOFT)
         left = float(_EDGE)
@@ -107,7 +117,7 @@ ROBOT: Final = (
 
 def _view(paper: _Paper, view: View) -> None:
     """Draw the camera's picture, what people would see, and the numbers."""
-    if paper.is_full:
+    if not paper.room():
         return
     titles = (f"camera: {view.camera}", f"model: {view.input} {phrases.when(view)}", "its numbers as they are")
     shown = (view.taken, view.seen, view.raw)
@@ -119,11 +129,12 @@ def _view(paper: _Paper, view: View) -> None:
         paper.words(title, left, top, 15)
         made = _fitted(picture)
         paper.image.paste(made, (left, top + 22))
-        lines = textwrap.wrap(told, 46)
+        lines = textwrap.wrap(told, 46)[:_MOST_LINES]
         for number, line in enumerate(lines):
             paper.words(line, left, top + 26 + made.height + 16 * number, 12.5, _SOFT)
         bottom = max(bottom, top + 30 + made.height + 16 * len(lines))
-    for number, note in enumerate(line for one in view.notes for line in textwrap.wrap(one, 42)):
+    notes = [line for one in view.notes for line in textwrap.wrap(one, 42)]
+    for number, note in enumerate(notes[:_MOST_LINES]):
         paper.words(note, _EDGE + 3 * (_PICTURE[0] + 30), top + 24 + 26 * number, 20, _ALARM)
     paper.top = bottom + _GAP
 
@@ -140,13 +151,13 @@ def _fitted(picture: np.ndarray) -> Image.Image:
 def _table(paper: _Paper, heads: Sequence[str], numbers: Sequence[Number]) -> None:
     _row(paper, heads, _SOFT)
     for number in numbers:
-        if paper.is_full:
+        if not paper.room():
             return
         _row(paper, phrases.row(number), _INK)
 
 
 def _row(paper: _Paper, cells: Sequence[str], colour: tuple[int, int, int]) -> None:
-    lines = [textwrap.wrap(cell, max(4, width // 7)) for cell, width in zip(cells, _COLUMNS, strict=True)]
+    lines = [textwrap.wrap(cell, max(4, width // 7))[:_MOST_LINES] for cell, width in zip(cells, _COLUMNS, strict=True)]
     left = _EDGE
     for cell, width in zip(lines, _COLUMNS, strict=True):
         for place, line in enumerate(cell):
