@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,28 @@ from xpl import _spec as spec
 Step = Mapping[str, Any]
 Answers = Sequence[Sequence[Step]]
 """Of each question its chunk of action steps."""
+Given = Sequence[Sequence[Step | None]]
+"""The same; None for steps that are not known."""
 Differences = Mapping[str, float]
 """By number of an action, such as left_ee_joint_state[0], the largest difference over all questions and steps."""
+
+
+@dataclass(frozen=True)
+class Thread:
+    """One episode of one environment.
+
+    Attributes:
+        observations: that were shown, oldest first.
+        asked: places in them of the questions, in their order.
+        native: the native answers to these.
+        given: the adapter's.
+    """
+
+    observations: Sequence[Any]
+    asked: Sequence[int]
+    native: Answers
+    given: Answers
+
 
 _PLACES = (slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM))
 
@@ -39,11 +60,11 @@ def spreads(native: Answers) -> dict[str, float]:
     return result
 
 
-def differences(native: Answers, given: Answers, spread: Mapping[str, float]) -> dict[str, float]:
+def differences(native: Answers, given: Given, spread: Mapping[str, float]) -> dict[str, float]:
     """Return how far answers are from the native ones.
 
-    Quaternions of either sign are the same rotation. A key that is missing, a chunk of another length, or a number that
-    is not finite is infinitely far.
+    Quaternions of either sign are the same rotation. Steps that are not known, and numbers that are NaN, are left out,
+    unless most are. A key that is missing, a chunk of another length, or a number that is infinite is infinitely far.
 
     Args:
         native: the native answers.
@@ -52,7 +73,15 @@ def differences(native: Answers, given: Answers, spread: Mapping[str, float]) ->
     """
     if [len(chunk) for chunk in native] != [len(chunk) for chunk in given]:
         return dict.fromkeys(spread, np.inf)
-    wanted, found = columns(native), columns(given)
+    pairs = [
+        (wanted, step)
+        for one, other in zip(native, given, strict=True)
+        for wanted, step in zip(one, other, strict=True)
+    ]
+    known = [(wanted, step) for wanted, step in pairs if step is not None]
+    if 2 * len(known) < len(pairs):
+        return dict.fromkeys(spread, np.inf)
+    wanted, found = columns([[one for one, _ in known]]), columns([[other for _, other in known]])
     result = {}
     for key, values in wanted.items():
         other = found.get(key)
@@ -63,8 +92,13 @@ def differences(native: Answers, given: Answers, spread: Mapping[str, float]) ->
                 result[part] = np.inf
                 continue
             far = np.abs(_nearer(key, other, values)[:, index] - values[:, index]) / spread[part]
-            result[part] = float(far.max(initial=0.0)) if np.isfinite(far).all() else np.inf
+            result[part] = _largest(far)
     return result
+
+
+def _largest(far: np.ndarray) -> float:
+    known = far[~np.isnan(far)]
+    return float(known.max(initial=0.0)) if 3 * len(known) >= len(far) else np.inf
 
 
 def _groups(key: str, width: int) -> Sequence[slice]:

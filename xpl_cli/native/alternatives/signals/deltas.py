@@ -1,0 +1,54 @@
+"""Action steps as differences to a state, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import rotation
+
+_PLACE, _TURN = slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM)
+
+MODES = ("fixed", "body")
+"""Where a change of pose is applied: in the frame of the pose, or in the moving one."""
+
+
+def apart(step: Mapping[str, Any], base: Mapping[str, Any], mode: str) -> dict[str, Any]:
+    """Return by key what leads from the fields of `base` to those of a step."""
+    return {key: _apart(key, np.asarray(value, np.float64), _of(base, key), mode) for key, value in step.items()}
+
+
+def together(change: Mapping[str, Any], base: Mapping[str, Any], mode: str) -> dict[str, Any]:
+    """Return the step that a change of the fields of `base` leads to."""
+    return {key: _together(key, np.asarray(value, np.float64), _of(base, key), mode) for key, value in change.items()}
+
+
+def _of(base: Mapping[str, Any], key: str) -> Any:
+    return np.asarray(base[key], np.float64)
+
+
+def is_pose(key: str) -> bool:
+    """Tell whether a field is a pose."""
+    return key.endswith(spec.State.EE_POSE)
+
+
+def _apart(key: str, value: Any, base: Any, mode: str) -> Any:
+    if not is_pose(key):
+        return value - base
+    place, back = value[_PLACE] - base[_PLACE], rotation.conjugate(base[_TURN])
+    if mode == "body":
+        return np.concatenate((rotation.rotate(back, place), rotation.multiply(back, value[_TURN])))
+    return np.concatenate((place, rotation.multiply(value[_TURN], back)))
+
+
+def _together(key: str, change: Any, base: Any, mode: str) -> Any:
+    if not is_pose(key):
+        return base + change
+    if mode == "body":
+        place, turn = rotation.rotate(base[_TURN], change[_PLACE]), rotation.multiply(base[_TURN], change[_TURN])
+    else:
+        place, turn = change[_PLACE], rotation.multiply(change[_TURN], base[_TURN])
+    return np.concatenate((base[_PLACE] + place, turn))
