@@ -31,7 +31,10 @@ PLANTED = {
 }
 """For each contract of pyproject.toml an import that it forbids, and the file where it is planted."""
 
-ALWAYS = ("xpl", "xpl_cli.audit", "xpl_cli.audit.rules", "xpl_cli.standard", "xpl_cli.basics", "xpl_cli.native")
+ALWAYS = (
+    *("xpl", "xpl_cli.audit", "xpl_cli.audit.rules"),
+    *("xpl_cli.standard", "xpl_cli.basics", "xpl_cli.native", "xpl_cli.packages"),
+)
 """What a rule of any gate may import; of `xpl_cli.audit` what stands in the package itself."""
 
 OWN = {

@@ -12,6 +12,7 @@ import sys
 import unicodedata
 from contextlib import contextmanager
 from dataclasses import MISSING, asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,12 +25,15 @@ from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import schemas, spec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from xpl_cli.scaffold.template import Files
 
 POLICY_TEMPLATE = f"policy/{spec.CURRENT}"
 """Template of new adapters: kind of package and spec version."""
+
+_NATIVE = spec.data("package", spec.NEWEST)["files"]["native"]
+"""The file that is written only where it was asked for."""
 
 State = Literal["written", "unchanged", "replaced"]
 
@@ -80,19 +84,47 @@ def check(answers: Answers, template: str = POLICY_TEMPLATE) -> None:
     """Check all answers.
 
     Raises:
-        UserError: with the first answer that is not allowed, and the nearest ones that are.
+        UserError: with every answer that is not allowed, and the nearest ones that are.
     """
-    check_name(answers.name)
-    _check_asked(answers, template)
+    found: list[UserError] = []
+    for refuse in _checks(answers, template):
+        try:
+            refuse()
+        except UserError as error:
+            found.append(error)
+    if len(found) > 1:
+        told = [f"{error} ({error.hint})" if error.hint else str(error) for error in found]
+        raise UserError("; ".join(told), hint="all of them at once: mend each and run it again")
+    if found:
+        raise found[0]
+
+
+def _checks(answers: Answers, template: str) -> Iterator[Callable[[], None]]:
+    """Yield a check for each thing that may be wrong with answers."""
+    yield partial(check_name, answers.name)
+    for question in _not_asked(answers, template):
+        yield partial(_refuse_newer, question, template)
     for question, allowed in choices().items():
-        check_choice(f"--{question.replace('_', '-')}", getattr(answers, question), allowed)
-    kinds.check_fits(answers.kind, template, {name: name in _chosen(answers) for name in _OPTIONAL})
+        yield partial(check_choice, _option(question), getattr(answers, question), allowed)
+    yield partial(kinds.check_kind, answers.kind, template)
+    if answers.kind in kinds.kinds(template):
+        for question in _chosen(answers):
+            yield partial(kinds.check_fits, answers.kind, template, question)
     for question in ("chunk", "history"):
-        if getattr(answers, question) < 1:
-            raise UserError(f"--{question} must be at least 1, got {getattr(answers, question)}")
-    kinds.check_ensembling(answers.ensembling, answers.chunk)
-    kinds.check_cameras(answers.cameras, answers.embodiment)
-    kinds.check_python(answers.python)
+        yield partial(_check_count, question, getattr(answers, question))
+    yield partial(kinds.check_ensembling, answers.ensembling, answers.chunk)
+    if answers.embodiment in spec.embodiments():
+        yield partial(kinds.check_cameras, answers.cameras, answers.embodiment)
+    yield partial(kinds.check_python, answers.python)
+
+
+def _check_count(question: str, given: int) -> None:
+    if given < 1:
+        raise UserError(f"{_option(question)} must be at least 1, got {given}")
+
+
+def _option(question: str) -> str:
+    return f"--{question.replace('_', '-')}"
 
 
 def check_choice(option: str, given: str, allowed: Sequence[str]) -> None:
@@ -144,7 +176,7 @@ def render(answers: Answers, template: str = POLICY_TEMPLATE) -> Files:
     version = templates.parts(template)[1]
     training = spec.data("package", version)["files"]["training"]
     said = context.context(answers, template, _asked(answers, template))
-    leave_out = training if said["evaluation_only"] else ()
+    leave_out = [*(training if said["evaluation_only"] else ()), *([] if answers.native_reference else [_NATIVE])]
     files = templates.render(template, said, leave_out, answers.kind)
     return locked(files, template, _asked(answers, template))
 
@@ -293,9 +325,17 @@ def _chosen(answers: Answers) -> list[str]:
     return [name for name, default in _OPTIONAL.items() if getattr(answers, name) != default]
 
 
-def _check_asked(answers: Answers, template: str) -> None:
+def _not_asked(answers: Answers, template: str) -> list[str]:
+    """Return the questions that were answered, and that the template does not ask."""
     questions = templates.questions(template)
-    for question in _chosen(answers):
-        if question not in questions:
-            version = templates.parts(template)[1]
-            raise UserError(f"--{question} needs a newer standard than {version}", hint="leave --spec out")
+    return [question for question in _chosen(answers) if question not in questions]
+
+
+def _refuse_newer(question: str, template: str) -> None:
+    kind, version = templates.parts(template)
+    asking = [one for one in spec.versions() if question in templates.questions(f"{kind}/{one}")]
+    current = spec.CURRENT in asking
+    raise UserError(
+        f"{_option(question)} needs a newer standard than {version}",
+        hint="leave --spec out" if current else f"--spec {asking[0]}" if asking else None,
+    )

@@ -23,6 +23,8 @@ class Answers:
         history: observations kept per environment.
         ensembling: decay of temporal ensembling, None for none.
         cameras: cameras that the policy reads, as in `cam_head` or `cam_head:640x480`.
+        block: conversions are compiled from a native block in policy.yml, where the kind can have one.
+        native_reference: a native.py, which answers through the authors' own code.
     """
 
     name: str
@@ -36,3 +38,5 @@ class Answers:
     history: int = 1
     ensembling: float | None = None
     cameras: tuple[str, ...] = ()
+    block: bool = False
+    native_reference: bool = False

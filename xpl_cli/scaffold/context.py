@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.scaffold import kinds
+from xpl_cli.packages.conventions import applying
+from xpl_cli.scaffold import block, kinds
 from xpl_cli.scaffold import template as templates
 from xpl_cli.scaffold.template import as_yaml
 from xpl_cli.standard import spec
@@ -34,6 +36,8 @@ def context(answers: Answers, template: str, asked: Mapping[str, Any]) -> dict[s
     settings = _settings(version)
     kind = kinds.kinds(template)[answers.kind]
     environment = kind.python(answers.python)
+    inputs = kinds.inputs(kind, answers.cameras, answers.embodiment, answers.action_type, version)
+    native = _native(answers, version) if answers.block and kind.block else None
     scripts = {name: _arguments(names, settings) for name, names in package["scripts"].items()}
     return {
         **asdict(answers),
@@ -52,14 +56,51 @@ def context(answers: Answers, template: str, asked: Mapping[str, Any]) -> dict[s
         "families": manifest["family"]["enum"],
         "temporal_kinds": manifest["temporal"]["properties"]["kind"]["enum"],
         "managers": manifest["environment"]["properties"]["manager"]["enum"],
-        "inputs": kinds.inputs(kind, answers.cameras, answers.embodiment, answers.action_type, version),
-        "has_gripper": spec.embodiments(version)[answers.embodiment]["end_effector"]["kind"] == _GRIPPER,
+        "inputs": inputs,
+        "has_gripper": _has_gripper(answers, version),
+        "native": native and {name: list(map(_flow, entries)) for name, entries in native.items()},
+        "conventions": _conventions(answers, version, inputs, native) if answers.native_reference else {},
+        "action_keys": ", ".join(map(json.dumps, block.keys(answers, version))),
         "gripper_commands": _gripper_commands(version),
         "environment": environment,
         "environment_as_json": {key: json.dumps(value, ensure_ascii=False) for key, value in environment.items()},
         "scripts": scripts,
         "usage": {name: " ".join([name, *(item["shown"] for item in items)]) for name, items in scripts.items()},
     }
+
+
+def _native(answers: Answers, version: str) -> dict[str, list[Any]]:
+    """Return the images and the parts of the native block."""
+    return {"images": block.images(answers), "parts": block.parts(answers, version)}
+
+
+def _conventions(
+    answers: Answers, version: str, inputs: Mapping[str, Any], native: Mapping[str, Any] | None
+) -> dict[str, str]:
+    """Return the conventions that native.py has to name, with what each is about."""
+    manifest: dict[str, Any] = {
+        "inputs": inputs,
+        "action_types": [answers.action_type],
+        "gripper": _has_gripper(answers, version),
+        "temporal": {"history": answers.history},
+    }
+    if native is not None:
+        vector, history = {"parts": native["parts"]}, {"length": answers.history}
+        manifest["native"] = {"images": native["images"], "state": [vector], "history": history, "action": vector}
+    words = spec.schema("native", version)["$defs"]["convention"]["oneOf"]
+    return {word["const"]: word["description"] for word in words if word["const"] in applying(manifest)}
+
+
+def _has_gripper(answers: Answers, version: str) -> bool:
+    return bool(spec.embodiments(version)[answers.embodiment]["end_effector"]["kind"] == _GRIPPER)
+
+
+def _flow(value: Any) -> str:
+    """Return a value as YAML writes it on one line."""
+    import yaml
+
+    text: str = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=math.inf)
+    return text.strip()
 
 
 def _settings(version: str) -> dict[str, Any]:

@@ -37,6 +37,7 @@ class Kind:
     Attributes:
         about: what the adapter is built on, in one line.
         refuses: option that does not fit to the reason.
+        block: whether its conversions can be compiled from a native block.
         environment: `requirements` of its Python, and the version `python` if it needs a certain one; with
             `only_if_asked` the tool's own Python has them.
         evaluation_only: nothing is trained here.
@@ -46,6 +47,7 @@ class Kind:
 
     about: str
     refuses: Mapping[str, str] = field(default_factory=dict)
+    block: bool = False
     environment: Mapping[str, Any] = field(default_factory=dict)
     evaluation_only: bool = False
     optional: tuple[str, ...] = ()
@@ -89,25 +91,26 @@ def kinds(template: str) -> dict[str, Kind]:
     return {name: Kind(**told) for name, told in spec.read_yaml(path).items()}
 
 
-def check_fits(kind: str, template: str, given: Mapping[str, bool]) -> None:
-    """Check that a template has a kind, and that the options given fit it.
-
-    Args:
-        kind: its name.
-        template: name of the template.
-        given: question to whether it was answered with something else than its default.
+def check_kind(kind: str, template: str) -> None:
+    """Check that a template has a kind.
 
     Raises:
-        UserError: with the reason, and a kind that takes the option.
+        UnknownNameError: with the nearest one.
+    """
+    one_of("--kind", kind, kinds(template))
+
+
+def check_fits(kind: str, template: str, option: str) -> None:
+    """Check that an option fits a kind of a template.
+
+    Raises:
+        UserError: with the reason, and the kinds that take the option.
     """
     known = kinds(template)
-    one_of("--kind", kind, known)
-    for option, reason in known[kind].refuses.items():
-        if given.get(option):
-            takes = ", ".join(name for name, other in known.items() if option not in other.refuses)
-            raise UserError(
-                f"--{option} does not fit --kind {kind}: {reason}", hint=f"kinds that take --{option}: {takes}"
-            )
+    reason = known[kind].refuses.get(option)
+    if reason is not None:
+        takes = ", ".join(name for name, other in known.items() if option not in other.refuses)
+        raise UserError(f"--{option} does not fit --kind {kind}: {reason}", hint=f"kinds that take --{option}: {takes}")
 
 
 def camera(text: str) -> Camera:

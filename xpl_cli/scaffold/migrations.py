@@ -72,6 +72,11 @@ def _cameras_and_gripper(document: Document) -> None:
         document.add("gripper", "gripper: null # hands only", after="action_types")
 
 
+@migration("v1.2")
+def _native(document: Document) -> None:
+    """Declare nothing: an adapter without a native block stays as it is."""
+
+
 def _cameras(inputs: Any) -> Iterator[str]:
     """Yield the cameras that a manifest reads."""
     groups = inputs if isinstance(inputs, Mapping) else {}

@@ -112,11 +112,14 @@ def plan(folder: Path, to: str = spec.CURRENT) -> Plan:
     return _Merging(folder, kept, to).plan()
 
 
-def _rendered(kept: lock.Lock) -> Files:
-    """Render what a package came from, or would come from now."""
-    if template.parts(kept.template)[0] == package.ENV:
-        return environment.render_env(environment.recorded_env(kept), kept.template)
-    return adapter.render(adapter.recorded(kept), kept.template)
+def _rendered(kept: lock.Lock, by: str) -> Files:
+    """Render what a package came from, or would come from now, by a template.
+
+    What the package's own template did not ask is as that template had it, not as a newer one would have it by default.
+    """
+    if template.parts(by)[0] == package.ENV:
+        return environment.render_env(environment.recorded_env(kept), by)
+    return adapter.render(adapter.recorded(kept), by)
 
 
 def _told(steps: list[Step | None]) -> tuple[Step, ...]:
@@ -138,8 +141,7 @@ class _Merging:
         newer = f"{kind}/{self.to}"
         if not template.exists(newer) or not template.exists(self.kept.template):
             raise UserError(f"{self.folder} came from {self.kept.template}, and there is no template {newer}")
-        base = _rendered(self.kept)
-        theirs = _rendered(replace(self.kept, template=newer))
+        base, theirs = _rendered(self.kept, self.kept.template), _rendered(self.kept, newer)
         self._compare_with_lock(base)
         labels = merge.Labels("yours", self.kept.template, newer)
         steps: list[Step | None] = []

@@ -10,9 +10,9 @@ from xpl_cli.audit.static.native.places import standing
 from xpl_cli.audit.static.reading import inside, read
 from xpl_cli.audit.static.source import Source
 from xpl_cli.native import names
-from xpl_cli.native.applying import applying
 from xpl_cli.native.reading import Place, Reading, read_tree
 from xpl_cli.native.reading import Source as Told
+from xpl_cli.packages.conventions import applying
 
 _FOREIGN = re.compile(r"@|://")
 _LINE = re.compile(r"(?P<path>[^\s:#]+)(?::|#L)(?P<line>[0-9]{1,7})(?:-L?[0-9]{1,7})?(?![\w.])")

@@ -3,7 +3,8 @@ r"""Subjects of rules: small overlays on the scaffold that a rule must catch (`b
 A subject is a folder `conformance/<gate>/<slug>/{bad,good}/<case>/`. Its files replace or join those of a freshly
 scaffolded adapter or, for rules about environments, environment; an optional `overlay.yml`, not copied, says more:
 
-    scaffold: {embodiment: franka_single, action_type: ee}   # its options; `false`: start from nothing
+    scaffold: {embodiment: franka_single, action_type: ee}   # its options; `false`: start from nothing; by default it
+                                                             # has no native block, so that methods can convert
     spec: v1.2                                               # version of the scaffold; the newest that is frozen
     remove: [install.sh]                                     # files of the scaffold that are left out
     edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold
@@ -117,7 +118,8 @@ def _rendered(kind: str, version: str, options: tuple[tuple[str, Any], ...], nam
         given = {**environment.env_defaults(template), **dict(options), "name": name}
         return environment.render_env(environment.EnvAnswers(**given), template)
     template = scaffold.policy_template(version)
-    return scaffold.render(Answers(**{**scaffold.defaults(template), **dict(options), "name": name}), template)
+    given = {**scaffold.defaults(template), "block": False, **dict(options), "name": name}
+    return scaffold.render(Answers(**given), template)
 
 
 def _read(folder: Path, *, good: bool, target: str) -> Subject:

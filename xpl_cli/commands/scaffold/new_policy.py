@@ -35,6 +35,12 @@ def new_policy(
     cameras: str | None = typer.Option(
         None, metavar="NAME,...", help="Cameras that it reads, with the smallest image: cam_head:640x480, or any size."
     ),
+    code: bool = typer.Option(
+        False, "--code", help="Convert in encode and decode, not by the native block of policy.yml (v1.2)."
+    ),
+    native_reference: bool = typer.Option(
+        False, "--native-reference", help="Also write native.py, by which the adapter is compared with the model."
+    ),
     python: str | None = typer.Option(None, help="The policy's own Python: a version, or the path of an interpreter."),
     sources: list[Path] = typer.Option(
         [],
@@ -59,8 +65,8 @@ def new_policy(
     from xpl_cli.basics.errors import UserError
     from xpl_cli.scaffold import adapter
 
-    adapter.check_name(name)
     if sources:
+        adapter.check_name(name)
         given = _given(
             embodiment=embodiment,
             action_type=action_type,
@@ -73,6 +79,8 @@ def new_policy(
             history=history,
             ensembling=ensembling,
             cameras=cameras,
+            code=code or None,
+            native_reference=native_reference or None,
             python=python,
             spec=version,
         )
@@ -92,8 +100,11 @@ def new_policy(
         history=history,
         ensembling=ensembling,
         cameras=[name.strip() for name in cameras.split(",")] if cameras else None,
+        block=False if code else None,
+        native_reference=native_reference or None,
     )
-    if not as_json and not dry_run:
+    if not as_json and not dry_run and _is_asked():
+        adapter.check_name(name)
         chosen.update(_ask(chosen))
     answers = adapter.answers_of(name=name, **{**adapter.defaults(template), **chosen})
     adapter.check(answers, template)
@@ -117,15 +128,18 @@ def _next(target: Path, *, install: bool) -> list[str]:
     return [*([f"xpl install {path}"] if install else []), f"xpl audit {path}"]
 
 
-def _ask(given: dict[str, Any]) -> dict[str, Any]:
-    """Ask a person at a terminal for what was not given; anything that is no terminal is never asked."""
+def _is_asked() -> bool:
+    """Tell whether there is a person at a terminal; anything else is never asked."""
     import os
     import sys
 
+    return sys.stdin.isatty() and sys.stdout.isatty() and not os.environ.get("CI")
+
+
+def _ask(given: dict[str, Any]) -> dict[str, Any]:
+    """Ask a person for what was not given."""
     from xpl_cli.scaffold import adapter
 
-    if not (sys.stdin.isatty() and sys.stdout.isatty()) or os.environ.get("CI"):
-        return {}
     suggested, allowed = adapter.defaults(), adapter.choices()
     return {
         question: typer.prompt(
