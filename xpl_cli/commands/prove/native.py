@@ -1,4 +1,4 @@
-"""`xpl native`: what the model says through its authors' own code."""
+"""`xpl native`: what the model itself reads and says."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from xpl_cli.commands.run.serve import PATIENCE_HELP, POLICY, POLICY_ENV, SETTIN
 if TYPE_CHECKING:
     from xpl_cli.native.record import Recorded
 
-app = typer.Typer(help="What the model says through its authors' own code.", no_args_is_help=True)
+app = typer.Typer(help="What the model itself reads and says.", no_args_is_help=True)
 
 
 @app.callback()
 def native() -> None:
-    """What the model says through its authors' own code."""
+    """What the model itself reads and says."""
 
 
 @app.command()
