@@ -76,7 +76,7 @@ def answers(config):
 
     def answer(episode):
         now = episode.observations[-1]
-        image = now["vision"]["cam_head"]["color"][::2, ::2, ::-1] / 127.5 - 1
+        image = now["vision"]["cam_head"]["color"][1::2, 1::2, ::-1] / 127.5 - 1
         joints = np.asarray(now["state"]["arm_joint_state"], np.float64)
         finger = 0.04 * float(now["state"]["ee_joint_state"][0])
         state = np.concatenate([joints / SPAN, [2 * finger / 0.04 - 1]]).astype(np.float32)
@@ -121,7 +121,6 @@ BLOCK: dict[str, Any] = {
         "normalize": {"rule": "min_max", "values": {"min": [-0.1] * 7 + [0.0], "max": [0.1] * 7 + [1.0]}},
     },
 }
-"""What is right: nearest of half the size takes the odd pixels, and the authors take the even ones, see `block`."""
 
 
 def block(**changes: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import base64
 import binascii
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
@@ -95,6 +95,10 @@ class Session:
     takes: int
     calls: tuple[Call, ...]
     answers: tuple[tuple[Answer, ...], ...] = ()
+
+    def with_answers(self, answers: tuple[tuple[Answer, ...], ...], takes: int | None = None) -> Session:
+        """Return the session with other answers, and as many takes of each question."""
+        return replace(self, answers=answers, takes=self.takes if takes is None else takes)
 
     @cached_property
     def robot(self) -> Embodiment:

@@ -192,7 +192,7 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
         raise UserError(f"{names.CODE} {done.ended}", code=ExitCode.NOT_RUN)
     given = [_stacked(answer["result"]) for answer in done.answers[1 : whole + 1]]
     recordings = [tuple(given[start : start + len(asking)]) for start in range(0, whole, len(asking))]
-    return [_answered(session, answers) for answers in recordings], done.answers[-1]["result"]
+    return [session.with_answers(answers) for answers in recordings], done.answers[-1]["result"]
 
 
 def _told(call: Call, session: Session) -> dict[str, Any]:
@@ -224,18 +224,6 @@ def _stacked(told: Sequence[Sequence[Any]]) -> tuple[Answer, ...]:
         if len(lengths) > 1:
             raise UserError(f"{names.CODE} answers one question by chunks of {sorted(lengths)} steps; expected as many")
     return tuple(pairs.stacked(takes) for takes in told)
-
-
-def _answered(session: Session, answers: tuple[tuple[Answer, ...], ...]) -> Session:
-    return Session(
-        session.embodiment,
-        session.action_type,
-        session.seed,
-        session.cameras,
-        session.takes,
-        session.calls,
-        answers,
-    )
 
 
 def _noise(recordings: Sequence[Sequence[Session]]) -> dict[str, float]:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.environments.stage import Stage
     from xpl_cli.audit.offline.configurations import Configurations
     from xpl_cli.audit.offline.motion import Motions
+    from xpl_cli.audit.offline.parity.fact import Parity
     from xpl_cli.audit.offline.rehearsal import Rehearsal
     from xpl_cli.audit.offline.semantics import Semantics
     from xpl_cli.audit.physics.simulation import Simulation
@@ -34,6 +35,7 @@ def all_providers() -> dict[str, Callable[..., Any]]:
         "configurations": configurations,
         "motions": motions,
         "mypy": mypy,
+        "parity": parity,
         "probe": probe,
         "profile": profile,
         "rehearsal": rehearsal,
@@ -92,6 +94,13 @@ def rehearsal(probe: Probe) -> Rehearsal:
 
     probe.ready()
     return rehearse(probe)
+
+
+def parity(probe: Probe) -> Parity:
+    """What the adapter answers to the questions of its native pairs."""
+    from xpl_cli.audit.offline.parity.fact import Parity
+
+    return Parity(probe)
 
 
 def stage(path: Path, options: Options) -> Iterator[Stage]:

@@ -1,0 +1,73 @@
+"""XPL261: Native pairs are not of the native code and weights that are there now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.served.probe import Probe
+from xpl_cli.basics.errors import UserError
+from xpl_cli.native import names, pairs, provenance, record
+
+
+@rule(code="XPL261", requirement="XPL-NAT-6", profile="full")
+def native_provenance(probe: Probe) -> Iterator[Finding]:
+    """Native pairs are not of the native code and weights that are there now.
+
+    ## What it does
+    Reads native_pairs.json and compares what it was recorded with to what is there: native.py and the files of the
+    package that it imported, the checkpoint that deploy.yml names, the script that makes the observations, and the
+    robots and action types that the manifest declares.
+
+    ## Why it matters
+    Parity with answers of other code, or of other weights, proves nothing about these.
+
+    ## Example
+    native.py is mended, and the pairs stay.
+
+    ## Use instead
+    `xpl native record POLICY` after every change of native.py or of the weights.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    package = probe.package
+    if not (package.path / names.PAIRS).exists():
+        there = (package.path / names.CODE).exists()
+        raise NotApplicable(f"{names.CODE} was never recorded" if there else f"there is no {names.CODE}")
+    try:
+        recorded = pairs.read(package.path)
+    except UserError as error:
+        yield _finding("the native pairs cannot be used", "a file that `xpl native record` wrote", str(error))
+        return
+    for problem in provenance.code_problems(package.path, recorded.provenance["native"]):
+        yield _finding(
+            f"the native pairs are of other native code: {problem}",
+            "the files that were asked",
+            problem,
+        )
+    settings = {**recorded.provenance["settings"], **probe.options.overrides}
+    before, now = recorded.provenance["weights"], provenance.weights(package, package.config(settings))
+    if (before or {}).get("digest") != (now or {}).get("digest"):
+        yield _finding("the native pairs are of other weights than those that are served", _told(before), _told(now))
+    covered = {(session.embodiment, session.action_type) for session in recorded.sessions}
+    lacking = [
+        f"{session.embodiment} {session.action_type}"
+        for session in record.sessions(package, settings)
+        if (session.embodiment, session.action_type) not in covered
+    ]
+    if lacking:
+        yield _finding(
+            f"the native pairs leave out what the manifest declares: {', '.join(lacking)}",
+            "pairs of every robot and action type",
+            f"pairs of {', '.join(' '.join(one) for one in sorted(covered))}",
+        )
+
+
+def _told(weights: dict[str, str] | None) -> str:
+    return "none" if weights is None else f"{weights['name']}, {weights['digest'][:12]}"
+
+
+def _finding(message: str, expected: str, got: str) -> Finding:
+    fix = Fix("advice", "`xpl native record POLICY` asks native.py anew; look at what changes")
+    return Finding(message, path=names.PAIRS, expected=expected, got=got, fix=fix)

@@ -1,0 +1,157 @@
+"""Answers the same questions with one word of the native block after another: an errand (`xpl.worker.errand`).
+
+What an audit looks for the mistake with, where an adapter and its model differ. The model is loaded once; only its
+conversions are compiled again. That says something of adapters whose conversions are those of the block alone.
+
+    as `xpl.worker.inprocess.load` reads, further "blocks", "calls" (as in `xpl.worker.native`), "seconds"
+    one map for the load, whose result is None, or the reason why the block does not convert here; one for each block
+    in its order, as far as the seconds reach: its result is the chunk of every question
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Callable, NoReturn
+
+import numpy as np
+
+from xpl.convert import Interface, compile_interface
+from xpl.policy import Policy
+from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.inprocess import load
+
+_MOST_BYTES = 256 << 20
+"""What remembered answers and pictures may hold, each."""
+
+
+def unfit(model: Any) -> str | None:
+    """Return why a model's conversions are not those of its native block, None if they are."""
+    if not isinstance(model, Policy) or model.interface is None:
+        return "the adapter has no native block"
+    own = [name for name in ("encode", "decode") if getattr(type(model), name) is not getattr(Policy, name)]
+    return f"the adapter converts in code: {', '.join(own)}" if own else None
+
+
+def variants(model: Policy, blocks: Sequence[Mapping[str, Any]], order: Mapping[str, Any]) -> Iterator[bytes]:
+    """Yield the answers under each block, packed.
+
+    Args:
+        model: the adapter's; its `interface` is exchanged.
+        blocks: native blocks; pictures that the first one makes are remembered.
+        order: `calls`, `seconds`, `policy_dir`.
+    """
+    until = time.monotonic() + order["seconds"]
+    asked_alike = not blocks[0].get("recurrent") and blocks[0].get("sampling", "none") == "none" if blocks else False
+    if asked_alike:  # equal inputs have equal answers
+        model.predict = _remembering(model.predict)  # type: ignore[method-assign]
+    pictures = _Pictures(blocks[0]) if blocks else None
+    folders = [Path(order["policy_dir"])]
+    for block in blocks:
+        if time.monotonic() > until:
+            return
+        try:
+            interface = compile_interface(block, model.embodiment, model.action_type, folders, model.chunk)
+            if pictures is not None:
+                pictures.take_over(interface, block)
+            _renew(model, interface)
+            yield result(list(_answers(model, order["calls"])))
+        except FAILURES as error:
+            yield failed(error)
+
+
+def _renew(model: Policy, interface: Interface) -> None:
+    """Make a model as it was when it was loaded, with other conversions."""
+    model.reset()
+    model._episodes.clear()  # noqa: SLF001 - which seed the generators
+    model.interface = interface
+
+
+def _answers(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
+    for call in calls:
+        if "reset" in call:
+            model.reset()
+        if "show" in call:
+            model.update_obs_batch([observation for _, observation in call["show"]])
+        if "ask" in call:
+            yield from model.get_action_batch(call["ask"])
+
+
+def _remembering(predict: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the model with a memory: a block that changes commands alone asks it nothing new."""
+    known: dict[str, Any] = {}
+    held = 0
+
+    def remembered(inputs: Any, envs: list[int]) -> Any:
+        nonlocal held
+        key = _digest(inputs)
+        if key not in known:
+            answer = predict(inputs, envs)
+            held += getattr(answer, "nbytes", 1 << 16)
+            if held > _MOST_BYTES:
+                return answer
+            known[key] = answer
+        return known[key]
+
+    return remembered
+
+
+def _digest(inputs: Mapping[str, Any]) -> str:
+    state = hashlib.blake2b(digest_size=16)
+    for name in sorted(inputs):
+        value = inputs[name]
+        if isinstance(value, np.ndarray):
+            state.update(f"{name} {value.dtype.str} {value.shape}".encode())
+            state.update(np.ascontiguousarray(value))
+        else:
+            state.update(f"{name} {value!r}".encode())
+    return state.hexdigest()
+
+
+class _Pictures:
+    """Model pictures of the first block, for the many blocks that change something else."""
+
+    def __init__(self, block: Mapping[str, Any]) -> None:
+        self._entries = [json.dumps(entry, sort_keys=True) for entry in block.get("images", ())]
+        self._made: dict[tuple[str, int], np.ndarray] = {}
+        self._held = 0
+
+    def take_over(self, interface: Interface, block: Mapping[str, Any]) -> None:
+        """Have inputs of an interface that are as in the first block look here first."""
+        for item, entry in zip(interface.images, block.get("images", ())):
+            text = json.dumps(entry, sort_keys=True)
+            if text in self._entries:
+                item.encode = self._remembering(text, item.encode)  # type: ignore[method-assign]
+
+    def _remembering(self, text: str, encode: Callable[[Any], np.ndarray]) -> Callable[[Any], np.ndarray]:
+        def remembered(obs: Any) -> np.ndarray:
+            key = (text, id(obs))  # all observations live as long as this process
+            if key not in self._made:
+                made = encode(obs)
+                self._held += made.nbytes
+                if self._held > _MOST_BYTES:
+                    return made
+                self._made[key] = made
+            return self._made[key]
+
+        return remembered
+
+
+def main(asked: str, answers: str) -> NoReturn:
+    """Ask as one file says, write the answers to another, and end."""
+    carry_out(asked, answers, _all)
+
+
+def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+    try:
+        model = load(order)
+    except FAILURES as error:
+        yield failed(error)
+        return
+    why = unfit(model)
+    yield result(why)
+    if why is None:
+        yield from variants(model, order["blocks"], order)

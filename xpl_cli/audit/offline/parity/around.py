@@ -1,0 +1,117 @@
+"""An adapter's answers where what it is shown, or what it commands, is changed around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, Self
+
+from xpl.client import PolicyServerError
+from xpl_cli.audit.offline.parity.played import RefusedError, checked
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import AbstractContextManager
+
+    from xpl_cli.audit.offline.parity.course import Course
+    from xpl_cli.audit.served.session import Session as Client
+    from xpl_cli.native.alternatives.signals import Signal
+    from xpl_cli.native.pairs import Chunk, Question
+
+
+class Around:
+    """Plays signals on a served adapter. Signals that show the same share one play.
+
+    Args:
+        course: the questions.
+        given: the adapter's own answers to all of them.
+        connect: yields a client of a model that was just built.
+        once: connect once, since a reset makes the model forget.
+    """
+
+    def __init__(
+        self,
+        course: Course,
+        given: Sequence[Chunk],
+        connect: Callable[[], AbstractContextManager[Client]],
+        *,
+        once: bool,
+    ) -> None:
+        self._course = course
+        self._given = given
+        self._connect = connect
+        self._once = once
+        self._opened = ExitStack()
+        self._client: Client | None = None
+        self._plays: dict[tuple[int, tuple[int, ...]], dict[int, Chunk] | None] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
+    def answers(self, signal: Signal, wanted: Sequence[int]) -> dict[int, list[Any]] | None:
+        """Return the answers to some questions, and those before them, with a change; None if it is refused.
+
+        A step that the change cannot tell is None.
+        """
+        numbers = self._course.with_earlier(wanted)
+        given = self._shown(signal, numbers)
+        if given is None or signal.commanded is None:
+            return None if given is None else {number: list(chunk) for number, chunk in given.items()}
+        found: dict[int, list[Any]] = {}
+        for episode in self._course.episodes(numbers):
+            questions = [self._course.session.questions[number] for number in episode]
+            places = [question.asked[-1] for question in questions]
+            changed = signal.commanded([given[number] for number in episode], self._course.seen(questions[-1]), places)
+            found.update(zip(episode, changed, strict=True))
+        return found
+
+    def _shown(self, signal: Signal, numbers: Sequence[int]) -> dict[int, Chunk] | None:
+        if signal.shown is None:
+            return {number: self._given[number] for number in numbers}
+        key = (id(signal.shown), tuple(numbers))
+        if key not in self._plays:
+            try:
+                self._plays[key] = self._played(self._connected(), signal, numbers)
+            except RefusedError:
+                self._plays[key] = None
+        return self._plays[key]
+
+    def _connected(self) -> Client:
+        """Return the client for one play."""
+        if self._client is None or not self._once:
+            self._opened.close()
+            self._client = self._opened.enter_context(self._connect())
+        return self._client
+
+    def _played(self, client: Client, signal: Signal, numbers: Sequence[int]) -> dict[int, Chunk]:
+        assert signal.shown is not None  # noqa: S101 - see who asks
+        found: dict[int, Chunk] = {}
+        for episode in self._course.episodes(numbers):
+            questions = [self._course.session.questions[number] for number in episode]
+            if signal.windowed:
+                for question in questions:
+                    shown = signal.shown(self._course.seen(question))
+                    found.update(self._episode(client, shown, {len(shown) - 1: question}))
+            else:
+                shown = signal.shown(self._course.seen(questions[-1]))
+                found.update(self._episode(client, shown, {question.asked[-1]: question for question in questions}))
+        return found
+
+    def _episode(
+        self, client: Client, shown: Sequence[Mapping[str, Any]], asked: Mapping[int, Question]
+    ) -> dict[int, Chunk]:
+        """Play one episode, and return its answers by the numbers of the questions."""
+        client.reset()
+        found = {}
+        for place, observation in enumerate(shown):
+            question = asked.get(place)
+            if question is not None:
+                found[question.number] = checked(client.infer(observation), question, self._course.session)
+                continue
+            told = client.update_obs(observation)
+            if isinstance(told, PolicyServerError):
+                raise RefusedError(next(iter(asked.values())), told)
+        return found

@@ -1,0 +1,139 @@
+"""The parity fact: what an adapter answers to the questions of its native pairs, session by session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.audit.offline.parity import distribution, judgement
+from xpl_cli.audit.offline.parity.judgement import Judgement
+from xpl_cli.audit.offline.parity.played import RefusedError, overrides, play
+from xpl_cli.audit.offline.parity.search import Found, Search
+from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.basics.errors import UserError
+from xpl_cli.native import names, reading
+from xpl_cli.native import pairs as recording
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from xpl_cli.audit.offline.parity.distribution import Shift
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.native.pairs import Chunk, Pairs, Session
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A session beside its native answers.
+
+    Attributes:
+        session: the native ones.
+        given: the adapter's, as many takes of each question; empty where it refused one.
+        refusal: the question that it refused, and how; None if it answered all.
+    """
+
+    session: Session
+    given: list[list[Chunk]]
+    refusal: RefusedError | None = None
+
+    @property
+    def name(self) -> str:
+        """Robot and action type."""
+        return f"{self.session.embodiment}, {self.session.action_type}"
+
+    @property
+    def too_long(self) -> tuple[int, int] | None:
+        """Steps of a chunk that the native one does not have, and of the native one; None if there are none."""
+        for question, takes in zip(self.session.questions, self.given, strict=False):
+            native = len(self.session.chunk(question))
+            longest = max(map(len, takes))
+            if longest > native:
+                return longest, native
+        return None
+
+
+class Parity:
+    """Native pairs and the adapter that they are compared with.
+
+    Args:
+        probe: the adapter.
+    """
+
+    def __init__(self, probe: Probe) -> None:
+        self.probe = probe
+        self._path: Path = probe.package.path
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """The pairs of the package.
+
+        Raises:
+            NotApplicable: if it has neither pairs nor native.py.
+            NotRun: if native.py was never recorded, or the file cannot be used.
+        """
+        if not (self._path / names.PAIRS).exists():
+            if not (self._path / names.CODE).exists():
+                raise NotApplicable(f"there is no {names.CODE}: the conversions are unproven")
+            raise NotRun(f"{names.CODE} was never recorded: `xpl native record` asks it and writes {names.PAIRS}")
+        try:
+            return recording.read(self._path)
+        except UserError as error:
+            raise NotRun(str(error)) from None
+
+    @cached_property
+    def conventions(self) -> tuple[int, int]:
+        """How many conventions native.py names, and how many of them are assumed."""
+        try:
+            read = reading.read_file(self._path)
+        except UserError:
+            return 0, 0
+        return len(read.conventions), len(read.assumed)
+
+    @cached_property
+    def tolerance(self) -> float:
+        """Share of the span of the native answers that an adapter's may be off by."""
+        return judgement.tolerance(self.probe.package.manifest)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Keys of deploy.yml that the pairs were recorded with."""
+        settings: Mapping[str, Any] = self.pairs.provenance["settings"]
+        return settings
+
+    @cached_property
+    def compared(self) -> list[Compared]:
+        """All sessions, each played by a server of its own.
+
+        Raises:
+            NotRun: if it does not start.
+        """
+        return [self._compare(session) for session in self.pairs.sessions]
+
+    def judge(self, compared: Compared) -> Judgement:
+        """Return the judgement of a session with one take of each question."""
+        given = [takes[0] for takes in compared.given]
+        return Judgement(compared.session, given, self.tolerance, self.pairs.noise)
+
+    def shift(self, compared: Compared) -> Shift | None:
+        """Return what of a session with many takes is distributed otherwise."""
+        return distribution.shift(compared.session, compared.given, self.tolerance)
+
+    def cause(self, compared: Compared) -> Found | None:
+        """Return the single change that explains best how a session differs, None if none does."""
+        if compared.session.takes == 1:
+            return Search(self.probe, self.judge(compared), self.settings).run()
+        means, given, noise = distribution.centre(compared.session, compared.given)
+        judged = Judgement(means, given, max(self.tolerance, 4 * noise), {})  # one answer of a change is as noisy
+        return None if judged.deviation is None else Search(self.probe, judged, self.settings).run()
+
+    def _compare(self, session: Session) -> Compared:
+        self.probe.options.clock.check()
+        # What was asked of this audit counts for more than what was recorded with; the session is what it is.
+        settings = {**self.settings, **self.probe.options.overrides}
+        with self.probe.own_server(overrides(session, settings)) as server, self.probe.connected(server.url) as client:
+            try:
+                return Compared(session, play(client, session))
+            except RefusedError as refusal:
+                return Compared(session, [], refusal)

@@ -1,0 +1,152 @@
+"""Whether an adapter's answers equal the native ones: by number of each key, as a share of what the native ones span.
+
+A difference counts if it is above the tolerance, and above what two recordings of the native answers are apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl_cli.native.difference import differences, spreads
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from xpl_cli.native.pairs import Chunk, Question, Session
+
+_ROUNDING = 4 * float(np.finfo(np.float32).eps)
+"""Share of a number that its float32 may be off by, on both sides."""
+
+
+def tolerance(manifest: Mapping[str, Any]) -> float:
+    """Return the share of the span that answers may be off by: what the native block says, or the default."""
+    usual: float = spec.schema("native", spec.NEWEST)["properties"]["tolerance"]["default"]
+    return float((manifest.get("native") or {}).get("tolerance", usual))
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """The worst number of a session's answers, where it differs first.
+
+    Attributes:
+        part: the number, such as left_ee_joint_state[0].
+        question, step: the first question and step in which it differs.
+        native, given: what the two say there.
+        share: largest difference, as a share of the span.
+        span: of the native answers.
+        allowed: share that is allowed.
+        parts: all numbers that differ, the farthest first.
+        pairs: how many questions have a number that differs.
+    """
+
+    part: str
+    question: Question
+    step: int
+    native: float
+    given: float
+    share: float
+    span: float
+    allowed: float
+    parts: tuple[str, ...]
+    pairs: int
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A session's native answers beside those of an adapter.
+
+    Args:
+        session: the native ones.
+        given: the adapter's chunk of each question.
+        share: of the span that is allowed.
+        noise: by key, what two recordings of the native answers are apart.
+    """
+
+    session: Session
+    given: Sequence[Chunk]
+    share: float
+    noise: Mapping[str, float]
+
+    @cached_property
+    def native(self) -> list[Chunk]:
+        """The native chunks; of one that is longer than the adapter's, which hands on the beginning, as much."""
+        chunks = [self.session.chunk(question) for question in self.session.questions]
+        return [chunk[: len(other)] for chunk, other in zip(chunks, self.given, strict=True)]
+
+    @cached_property
+    def spread(self) -> dict[str, float]:
+        """By number, the span of the native answers that its differences are measured by."""
+        return spreads(self.native)
+
+    @cached_property
+    def allowed(self) -> dict[str, float]:
+        """By number, the share of the span that is allowed."""
+        largest: dict[str, float] = {}
+        for chunk in self.native:
+            for step in chunk:
+                for key, values in step.items():
+                    largest[key] = max(largest.get(key, 0.0), float(np.abs(values).max()))
+        result = {}
+        for part, span in self.spread.items():
+            key = part.partition("[")[0]
+            result[part] = self.share + (2 * self.noise.get(key, 0.0) + _ROUNDING * largest[key]) / span
+        return result
+
+    @property
+    def tolerance(self) -> float:
+        """The largest share that is allowed of any number."""
+        return max(self.allowed.values(), default=self.share)
+
+    @cached_property
+    def shares(self) -> dict[str, float]:
+        """By number, how far the adapter's answers are from the native ones."""
+        return differences(self.native, self.given, self.spread)
+
+    @cached_property
+    def off(self) -> list[bool]:
+        """For each question, whether a number of its answer differs."""
+        return [self._differs(number) for number in range(len(self.native))]
+
+    def _differs(self, number: int) -> bool:
+        found = differences(self.native[number : number + 1], self.given[number : number + 1], self.spread)
+        return any(share > self.allowed[part] for part, share in found.items())
+
+    @property
+    def deviation(self) -> Deviation | None:
+        """What differs most, None if nothing does."""
+        parts = sorted(
+            (part for part, share in self.shares.items() if share > self.allowed[part]),
+            key=lambda part: -self.shares[part],
+        )
+        if not parts:
+            return None
+        part = parts[0]
+        number, step = self._first(part)
+        key, _, rest = part.partition("[")
+        index = int(rest[:-1])
+        chunk, other = self.native[number], self.given[number]
+        there = step < min(len(chunk), len(other))
+        return Deviation(
+            part=part,
+            question=self.session.questions[number],
+            step=step,
+            native=float(chunk[step][key][index]) if there else float("nan"),
+            given=float(other[step][key][index]) if there else float("nan"),
+            share=self.shares[part],
+            span=self.spread[part],
+            allowed=self.allowed[part],
+            parts=tuple(parts),
+            pairs=sum(self.off),
+        )
+
+    def _first(self, part: str) -> tuple[int, int]:
+        """Return the first question and step in which a number differs."""
+        for number, (chunk, other) in enumerate(zip(self.native, self.given, strict=True)):
+            for step, (one, two) in enumerate(zip(chunk, other, strict=False)):
+                if differences([[one]], [[two]], self.spread)[part] > self.allowed[part]:
+                    return number, step
+        return 0, 0

@@ -1,0 +1,87 @@
+"""Plays the questions of native pairs to a served adapter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+from xpl.action import ActionError, check_chunk
+from xpl.client import PolicyServerError
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.served.session import Session as Client
+    from xpl_cli.native.pairs import Chunk, Question, Session
+
+Observation = Mapping[str, Any]
+
+
+class RefusedError(Exception):
+    """The adapter answers a question by an error, or by what is no chunk."""
+
+    def __init__(self, question: Question, answer: Any) -> None:
+        super().__init__(str(answer))
+        self.question = question
+        self.answer = answer
+
+
+def overrides(session: Session, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of deploy.yml that an adapter is served with for a session."""
+    return {
+        **settings,
+        sdk.Deploy.ENV_CFG_TYPE: session.embodiment,
+        sdk.Deploy.ACTION_TYPE: session.action_type,
+        sdk.Deploy.SEED: session.seed,
+    }
+
+
+def play(client: Client, session: Session) -> list[list[Chunk]]:
+    """Return the answers to all questions of a session, as many takes of each as it has.
+
+    One environment is shown and asked about as a client of one environment does it, several as a batch.
+
+    Raises:
+        RefusedError: if an answer is an error or no chunk.
+    """
+    questions: Iterator[Question] = iter(session.questions)
+    found: list[list[Chunk]] = []
+    newest: tuple[int, ...] = ()
+    for call in session.calls:
+        if call.reset:
+            client.reset()
+        elif call.show:
+            newest = tuple(env for env, _ in call.show)
+            observations = session.scene.observations(call.show)
+            told = client.update_obs(observations[0]) if len(newest) == 1 else client.update_obs_batch(observations)
+            if isinstance(told, PolicyServerError):
+                raise RefusedError(next(questions), told)
+        else:
+            asked = [next(questions) for _ in call.ask]
+            takes = [_asked(client, session, asked, alone=call.ask == newest) for _ in range(session.takes)]
+            found += [list(chunks) for chunks in zip(*takes, strict=True)]
+    return found
+
+
+def _asked(client: Client, session: Session, asked: Sequence[Question], *, alone: bool) -> list[Chunk]:
+    if len(asked) == 1 and alone:
+        return [checked(client.get_action(), asked[0], session)]
+    answer = client.get_action_batch([question.env for question in asked])
+    if isinstance(answer, PolicyServerError) or not isinstance(answer, (list, tuple)) or len(answer) != len(asked):
+        raise RefusedError(asked[0], answer)
+    return [checked(chunk, question, session) for chunk, question in zip(answer, asked, strict=True)]
+
+
+def checked(chunk: Any, question: Question, session: Session) -> Chunk:
+    """Return a chunk that is one.
+
+    Raises:
+        RefusedError: if it is none.
+    """
+    if isinstance(chunk, PolicyServerError):
+        raise RefusedError(question, chunk)
+    try:
+        check_chunk(chunk, session.robot, session.action_type)
+    except ActionError as error:
+        raise RefusedError(question, error) from None
+    kept: Chunk = list(chunk)
+    return kept
