@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -32,10 +32,12 @@ class Choices:
     Attributes:
         gripper: values of a closed and of an open gripper.
         cameras: the data's or the model's name of a camera to the standard's.
+        statistics: which entry of a file of statistics counts, where it holds those of several data sets.
     """
 
     gripper: tuple[float, float] | None = None
     cameras: Mapping[str, str] = field(default_factory=dict)
+    statistics: str | None = None
 
 
 def native(trained: Trained, robot: Embodiment | None, choices: Choices) -> Tree:
@@ -51,7 +53,10 @@ def native(trained: Trained, robot: Embodiment | None, choices: Choices) -> Tree
         block[sdk.Obs.INSTRUCTION] = trained.instruction
     if trained.history is not None:
         block["history"] = trained.history
-    block["action"] = {**_vector(trained.action, robot, choices), "reference": trained.reference, **trained.extra}
+    action = _vector(trained.action, robot, choices)
+    if trained.exempt and robot is not None and isinstance(action["parts"], list):
+        _exempt(action["parts"], robot, trained)
+    block["action"] = {**action, "reference": trained.reference, **trained.extra}
     block["sampling"] = trained.sampling
     if trained.recurrent is not None:
         block["recurrent"] = trained.recurrent
@@ -69,9 +74,10 @@ def temporal(trained: Trained) -> Tree:
         kind = "history"
     else:
         kind = "single_step" if isinstance(chunk, Told) and chunk.value == 1 else "chunk"
-    tree: dict[str, Tree] = {"kind": kind, "chunk": chunk}
+    tree: dict[str, Tree] = {"kind": kind, "chunk": replace(chunk, stand_in=1) if isinstance(chunk, Open) else chunk}
     if history is not None:
-        tree["history"] = history["length"]
+        length = history["length"]
+        tree["history"] = replace(length, stand_in=1) if isinstance(length, Open) else length
     if trained.ensembling is not None:
         tree["ensembling"] = trained.ensembling
     return tree
@@ -102,11 +108,30 @@ def inputs(block: Mapping[str, Tree], robot: Embodiment | None) -> dict[str, lis
 def smallest(trained: Trained, block: Mapping[str, Tree]) -> dict[str, dict[str, Any]]:
     """Return `cameras` of the manifest: the size that each was trained on, null where any will do."""
     result: dict[str, dict[str, Any]] = {}
-    for view, entry in zip(trained.views, block.get("images", ()), strict=True):
+    sizes = {str(plain(view.input)): view.size for view in trained.views}
+    for entry in block.get("images", ()):
+        height, width = sizes[str(plain(entry["input"]))] or (None, None)
         for name in _of(entry["cameras"]):
-            height, width = view.size or (None, None)
             result.setdefault(name, {"width": width, "height": height})
     return result
+
+
+def _exempt(parts: list[Tree], robot: Embodiment, trained: Trained) -> None:
+    """Say of each part of an action what it is counted from, where that is not the whole's."""
+    place = 0
+    arms = dict(zip(layout.sides(robot), robot.arms, strict=True))
+    for part in parts:
+        ((kind, how),) = part.items()
+        arm = arms[plain(how["arm"])]
+        width = arm.dof if kind == "joints" else arm.ee_dim
+        kept = set(trained.exempt[place : place + width])
+        place += width
+        if len(kept) > 1:
+            how["reference"] = Open("some of its numbers are deltas, and some are not")
+        elif kept == {True} and kind == "joints":
+            how["reference"] = "absolute"
+        elif kept == {False} and kind == "gripper":
+            how["reference"] = trained.reference
 
 
 def _of(tree: Tree) -> list[Any]:
@@ -127,6 +152,8 @@ def _views(trained: Trained, robot: Embodiment | None, choices: Choices) -> list
     result: list[Tree] = []
     for view in trained.views:
         own = [next(by_name) for _ in view.names]
+        if view.optional and any(isinstance(camera, Open) for camera in own):
+            continue
         entry: dict[str, Tree] = {"input": view.input, "cameras": _together(own)}
         if view.steps:
             entry["steps"] = list(view.steps)
@@ -156,7 +183,12 @@ def _together(own: list[Told | Open]) -> Told | Open:
 
 def _vector(vector: Vector, robot: Embodiment | None, choices: Choices) -> dict[str, Tree]:
     entry: dict[str, Tree] = {} if vector.input is None else {"input": vector.input}
-    entry["parts"] = vector.parts if vector.parts is not None else layout.parts(vector.numbers, robot, choices.gripper)
+    if vector.parts is None:
+        entry["parts"] = layout.parts(vector.numbers, robot, choices.gripper)
+    elif callable(vector.parts):
+        entry["parts"] = Open("the robot is not known") if robot is None else vector.parts(robot, choices.gripper)
+    else:
+        entry["parts"] = vector.parts
     if vector.normalize is not None:
         entry["normalize"] = vector.normalize
     if vector.pad is not None:

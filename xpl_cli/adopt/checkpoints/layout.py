@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _SIDES: Final = {"left": "left", "l": "left", "right": "right", "r": "right"}
 _GRIPPER: Final = re.compile(r"grip|finger|jaw|claw")
+_HAND: Final = re.compile(r"hand")
 _JOINT: Final = re.compile(r"joint|motor|waist|shoulder|elbow|forearm|wrist|axis_?\d|^j\d$|servo|arm_?\d")
 _POSITION: Final = re.compile(r"(?:^|_)(?:pos_?)?([xyz])$")
 _AXIS_ANGLE: Final = re.compile(r"(?:axis_?angle|rotvec)_?([123012xyz])$")
@@ -173,6 +174,14 @@ def _part(members: list[_Name], arm: Arm, where: Evidence, of: _Slice) -> Tree |
         if not is_gripper(arm) or len(members) > 2:
             return None
         return {"gripper": {"arm": said, **_ends(of, len(members))}}
+    if kind == "hand" and len(members) == arm.ee_dim:
+        return {"hand": {"arm": said}}
+    return _pose(members, said, where)
+
+
+def _pose(members: list[_Name], said: Told, where: Evidence) -> Tree | None:
+    """Return the position or rotation that some names mean together; None where they mean none."""
+    kind = members[0].kind
     if kind == "position" and [member.word for member in members] == ["x", "y", "z"]:
         return {"position": {"arm": said, **_point()}}
     form = _FORMS[kind](members) if kind in _FORMS else None
@@ -237,8 +246,8 @@ def _meaning(name: str, robot: Embodiment) -> _Name:
     ):
         if (found := pattern.search(bare)) is not None:
             return _Name(side, kind, found[1])
-    if _GRIPPER.search(bare):
-        return _Name(side, "gripper", bare)
+    if _GRIPPER.search(bare) or _HAND.search(bare):
+        return _Name(side, "gripper" if is_gripper(robot.arms[0]) else "hand", bare)
     if _JOINT.search(bare):  # before roll, pitch and yaw, which are joints too (wrist_roll)
         return _Name(side, "joint", _joint(bare, robot))
     if (found := _EULER.search(bare)) is not None:

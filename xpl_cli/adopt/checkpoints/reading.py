@@ -225,6 +225,14 @@ class Folder:
             line = "" if error.problem_mark is None else f":{error.problem_mark.line + 1}"
             raise UserError(f"{self.path / name}{line} is not YAML: {error.problem}") from None
 
+    def text(self, name: str) -> str:
+        """Return the text of a file.
+
+        Raises:
+            UserError: if it cannot be read, is too large, or is not UTF-8.
+        """
+        return self._text(name)
+
     def header(self, name: str) -> dict[str, tuple[str, list[int], int, int]]:
         """Return what a safetensors file says it holds: name to dtype, shape, first and last byte of its numbers.
 

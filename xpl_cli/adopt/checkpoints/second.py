@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.adopt.checkpoints import layout
-from xpl_cli.adopt.checkpoints.lerobot.types import CODE
+from xpl_cli.adopt.checkpoints.makers.lerobot.types import CODE
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, leaves, plain
 from xpl_cli.adopt.facts import Confidence
 
@@ -32,7 +32,7 @@ def context(trained: Trained, block: Mapping[str, Tree], robot: Embodiment, chec
         trained: what was read.
         block: the native block made of it.
         robot: the robot.
-        checkpoint: where the checkpoint lies, relative to the package.
+        checkpoint: its name.
 
     Raises:
         UnsaidError: if something that it needs is open, or is no joint, gripper or hand.
@@ -117,9 +117,11 @@ def _conventions(trained: Trained, block: Mapping[str, Tree], checkpoint: str) -
     if images:
         yield "image_channels", repr(f"{CODE}/cameras/opencv/configuration_opencv.py:62")
         yield "image_range", repr(f"{CODE}/policies/utils.py:130")
-        if any("steps" in view for view in images):
-            yield "image_size", _source(images[0]["steps"][0]["resize"]["to"], checkpoint)
-            yield "image_filter", _source(images[0]["steps"][0]["resize"]["filter"], checkpoint)
+        steps = next((view["steps"] for view in images if "steps" in view), None)
+        itself = "assumed: the policy's own class resizes images"
+        yield "image_size", _source(steps[0]["resize"]["to"], checkpoint) if steps else repr(itself)
+        if steps:
+            yield "image_filter", _source(steps[0]["resize"]["filter"], checkpoint)
         yield "image_orientation", repr("assumed: LeRobot turns no image, and the data shows what its cameras showed")
         yield "camera", _weakest([view["cameras"] for view in images], checkpoint)
     if joints:
@@ -151,7 +153,9 @@ def _source(told: Tree, checkpoint: str) -> str:
     first = told.evidence[0]
     if told.confidence is Confidence.CERTAIN and first.file:
         place = f"{first.file}:{first.line}" if first.line else first.file
-        return repr(f"{checkpoint}/{place}" if "/" not in first.file else place)
+        folder, _, name = place.partition("/")
+        # Not in the package: by the name of the checkpoint, or of the data set.
+        return repr(f"{checkpoint}@checkpoint:{place}" if not name else f"{folder}@dataset:{name}")
     if first.file.startswith(CODE):
-        return repr(f"{first.file}{f':{first.line}' if first.line else ''} {first.what}")
+        return repr(f"{first.file} {first.what}")
     return repr(f"assumed: {first}"[:110])

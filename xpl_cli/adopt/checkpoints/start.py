@@ -28,11 +28,12 @@ VERSION: Final = spec.NEWEST
 """The standard of what is begun from a checkpoint: the first that has a native block."""
 
 _NATIVE: Final = "native"
-_LEROBOT: Final = {
-    "manager": "uv",
-    "python": ">=3.10",
-    "requirements": ["numpy>=1.24", "lerobot>=0.4"],
+_ENVIRONMENTS: Final = {
+    "lerobot": {"manager": "uv", "python": ">=3.10", "requirements": ["numpy>=1.24", "lerobot>=0.4"]}
 }
+"""Makers whose library runs any of their checkpoints, so that the whole adapter is written."""
+_ANY: Final = "any"
+"""Template for every other one."""
 _SNAPSHOT: Final = re.compile(r"models--(?P<owner>[^/]+?)--(?P<name>[^/]+)/snapshots/(?P<commit>[0-9a-f]{40})$")
 
 
@@ -106,7 +107,7 @@ def begin(paths: Sequence[Path], wanted: Wanted) -> Start:
     Raises:
         UserError: if the folders hold nothing that is known, or the robot is not.
     """
-    trained, folder = registry.read(paths)
+    trained, folder = registry.read(paths, wanted.choices.statistics)
     robot, told = _robot(trained, wanted.embodiment)
     tree = block.native(trained, robot, wanted.choices)
     action_type = wanted.action_type or _action_type(plain(tree["action"]["parts"]))
@@ -152,7 +153,8 @@ class _Draft:
     @property
     def history(self) -> int:
         """Observations that the model sees."""
-        return int(plain(self.trained.history)["length"]) if self.trained.history else 1
+        length = plain(self.trained.history)["length"] if self.trained.history else 1
+        return length if isinstance(length, int) else 1
 
     @property
     def draws(self) -> bool:
@@ -178,12 +180,10 @@ def _robot(trained: Trained, given: str | None) -> tuple[Embodiment, Told]:
         else:
             return robot, likely([robot.name], *trained.robot.evidence)
     width = trained.action.numbers.width
-    fitting = [name for name in known if _joints(get_embodiment(name)) == width]
-    called = f"the data calls it {trained.robot.value!r}" if trained.robot else "nothing in the files names it"
-    raise UserError(
-        f"which robot is it? {called}; an action has {width} numbers",
-        hint=f"--embodiment NAME; with {width} joints and grippers: {', '.join(fitting) or 'none'}",
-    )
+    fitting = [name for name in known if _joints(get_embodiment(name)) == width] or list(known)
+    called = f"the files call it {trained.robot.value!r}" if trained.robot else "nothing in the files names it"
+    size = f"; an action has {width} numbers" if width else ""
+    raise UserError(f"which robot is it? {called}{size}", hint=f"--embodiment NAME: {', '.join(fitting)}")
 
 
 def _joints(robot: Embodiment) -> int:
@@ -212,8 +212,9 @@ def _sections(draft: _Draft) -> dict[str, Tree]:
         "action_types": [draft.action_type],
         "deterministic": seeded,
         "evaluation_only": True,
-        "environment": dict(_LEROBOT),
     }
+    if trained.maker in _ENVIRONMENTS:
+        result["environment"] = dict(_ENVIRONMENTS[trained.maker])
     if trained.rate is not None:
         result["control_frequency"] = trained.rate
     if trained.upstream is not None:
@@ -227,10 +228,11 @@ def _sections(draft: _Draft) -> dict[str, Tree]:
 
 def _rendered(draft: _Draft) -> Files:
     """Return the package as the template has it."""
-    from xpl_cli.scaffold import adapter
+    from xpl_cli.scaffold import adapter, kinds
 
     template = adapter.policy_template(VERSION)
     trained = draft.trained
+    whole = trained.maker in _ENVIRONMENTS
     chunk, ensembling = plain(trained.chunk), trained.ensembling
     answers = adapter.answers_of(
         **{
@@ -241,13 +243,14 @@ def _rendered(draft: _Draft) -> Files:
             "chunk": chunk if isinstance(chunk, int) else 1,
             "family": trained.family.value,
             "eval_only": True,
-            "kind": trained.maker,
+            "kind": trained.maker if whole else kinds.DEFAULT,
             "history": draft.history,
             "ensembling": ensembling.value if ensembling is not None else None,
             "cameras": list(block.smallest(trained, draft.tree)),
         }
     )
-    adapter.check(answers, template)
+    if whole:
+        adapter.check(answers, template)
     return adapter.render(answers, template)
 
 
@@ -270,15 +273,32 @@ def _code(draft: _Draft, notes: list[str]) -> Files:
         "draws": draft.draws,
         "history": draft.history,
     }
+    if maker not in _ENVIRONMENTS:
+        return {sdk.File.MODEL_PY: _template(_ANY, sdk.File.MODEL_PY, {**said, **_shapes(draft)})}
     files = {sdk.File.MODEL_PY: _template(maker, sdk.File.MODEL_PY, said)}
-    place = f"{sdk.CHECKPOINT_DIRECTORY}/{draft.checkpoint}"
     try:
-        said |= second.context(draft.trained, draft.tree, draft.robot, place)
+        said |= second.context(draft.trained, draft.tree, draft.robot, draft.checkpoint)
     except second.UnsaidError as problem:
         notes.append(f"native.py is not written: {problem}")
     else:
         files[CODE] = _template(maker, CODE, said)
     return files
+
+
+def _shapes(draft: _Draft) -> dict[str, Any]:
+    """Return what the model that is still to be called takes and answers."""
+    block_ = plain(dict(draft.tree))
+    names = [str(entry["input"]) for key in ("images", "state") for entry in block_.get(key, ())]
+    action, chunk = block_["action"], plain(draft.trained.chunk)
+    pad = action.get("pad")
+    text = block_.get(sdk.Obs.INSTRUCTION)
+    return {
+        "about": draft.trained.about,
+        "placeholder": spec.data("package", VERSION)["placeholder"],
+        "inputs": [*names, *([str(text["input"])] if text else [])],
+        "chunk": chunk if isinstance(chunk, int) else 1,
+        "width": pad if isinstance(pad, int) else draft.trained.action.numbers.width or 1,
+    }
 
 
 def _template(maker: str, name: str, said: Mapping[str, Any]) -> bytes:

@@ -43,10 +43,17 @@ class Open:
     Attributes:
         reason: why it is not known, and who would know.
         seen: places that may help.
+        stand_in: what the manifest holds meanwhile where it has no form for what is open; such a place is marked.
     """
 
     reason: str
     seen: tuple[Evidence, ...] = ()
+    stand_in: Any = None
+
+    @property
+    def value(self) -> Any:
+        """What the manifest holds."""
+        return {UNKNOWN: self.reason} if self.stand_in is None else self.stand_in
 
 
 def certain(value: Any, *evidence: Evidence) -> Told:
@@ -66,10 +73,8 @@ def assumed(value: Any, why: str) -> Told:
 
 def plain(tree: Tree) -> Any:
     """Return a tree as the manifest holds it."""
-    if isinstance(tree, Told):
+    if isinstance(tree, (Told, Open)):
         return tree.value
-    if isinstance(tree, Open):
-        return {UNKNOWN: tree.reason}
     if isinstance(tree, dict):
         return {key: plain(value) for key, value in tree.items()}
     if isinstance(tree, list):
@@ -95,4 +100,4 @@ def findings(tree: Tree, key: str) -> Iterator[Fact | Question]:
         if isinstance(leaf, Told):
             yield Fact(name, leaf.value, leaf.confidence, leaf.evidence)
         else:
-            yield Question(name, leaf.reason, seen=leaf.seen, stand_in={UNKNOWN: leaf.reason})
+            yield Question(name, leaf.reason, seen=leaf.seen, stand_in=leaf.value)

@@ -24,6 +24,7 @@ class View:
         size: height and width that the model was trained on, None where nothing says.
         steps: changes of geometry.
         rest: the other keys of an entry of `native.images`: channels, layout, dtype, range, mean, std, stack.
+        optional: whether the model goes without it where the robot has no such camera.
     """
 
     input: Tree
@@ -32,6 +33,7 @@ class View:
     size: tuple[int, int] | None = None
     steps: Sequence[Tree] = ()
     rest: dict[str, Tree] = field(default_factory=dict)
+    optional: bool = False
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Vector:
         input: the model's name for it; None for the answer.
         normalize: `normalize` of the block; None where nothing is said.
         pad: width of the model's vector.
-        parts: its parts, where the maker's files tell them; else they are found by the names of its numbers.
+        parts: its parts, where the maker's files tell them, or what makes them for a robot; else they are found by the
+            names of its numbers.
     """
 
     numbers: Numbers
@@ -76,6 +79,7 @@ class Trained:
         robot: what the maker calls the robot.
         upstream: the code that runs it.
         code: conversions that the block cannot say.
+        exempt: for each number of an action whether it stays absolute where others are deltas; empty where grippers do.
         notes: what could not be read, and why; what would tell more.
     """
 
@@ -97,4 +101,5 @@ class Trained:
     robot: Told | None = None
     upstream: dict[str, Any] | None = None
     code: Sequence[Told] = ()
+    exempt: Sequence[bool] = ()
     notes: Sequence[str] = ()

@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, plain
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -83,9 +84,11 @@ def _commented(line: str, indent: str, tree: Tree) -> Iterator[str]:
 def _comment(tree: Tree) -> str:
     if isinstance(tree, Told):
         return _one_line(f"{tree.confidence}: {'; '.join(map(str, tree.evidence))}")
-    if isinstance(tree, Open) and tree.seen:
-        return _one_line(f"seen: {'; '.join(map(str, tree.seen))}")
-    return ""
+    if not isinstance(tree, Open):
+        return ""
+    marked = [] if tree.stand_in is None else [f"{spec.data('package')['placeholder']}: {tree.reason}"]
+    seen = [f"seen: {'; '.join(map(str, tree.seen))}"] if tree.seen else []
+    return _one_line("; ".join([*marked, *seen]))
 
 
 def _one_line(words: str) -> str:

@@ -45,14 +45,16 @@ def begin(
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
 
-    known = ("embodiment", sdk.Deploy.ACTION_TYPE, "gripper", "camera")
+    known = ("embodiment", sdk.Deploy.ACTION_TYPE, "gripper", "camera", "statistics")
     refused = [f"--{option.replace('_', '-')}" for option in options if option not in known]
     if refused:
         raise UserError(
             f"{', '.join(refused)} {'does' if len(refused) == 1 else 'do'} not go with --from: {_TAKEN}",
             hint="leave them out; what it does not say can be changed in policy.yml afterwards",
         )
-    choices = start.block.Choices(_gripper(options.get("gripper")), _cameras(options.get("camera") or ()))
+    choices = start.block.Choices(
+        _gripper(options.get("gripper")), _cameras(options.get("camera") or ()), options.get("statistics")
+    )
     wanted = start.Wanted(name, options.get("embodiment"), options.get(sdk.Deploy.ACTION_TYPE), choices)
     begun = start.begin(paths, wanted)
     target = parent / name

@@ -54,6 +54,9 @@ def new_policy(
     camera: list[str] = typer.Option(
         [], metavar="NAME=CAMERA", help="With --from: which of the standard's cameras one of the checkpoint's is."
     ),
+    statistics: str | None = typer.Option(
+        None, metavar="NAME", help="With --from: whose statistics count, where a file holds those of several data sets."
+    ),
     version: str | None = typer.Option(
         None, "--spec", metavar="VERSION", help="Version of the standard; the newest by default."
     ),
@@ -72,6 +75,7 @@ def new_policy(
             action_type=action_type,
             gripper=gripper,
             camera=camera or None,
+            statistics=statistics,
             chunk=chunk,
             family=family,
             eval_only=eval_only or None,
@@ -86,8 +90,9 @@ def new_policy(
         )
         from_checkpoint.begin(name, sources, parent, given, overwrite=overwrite, dry_run=dry_run, as_json=as_json)
         return
-    if gripper or camera:
-        raise UserError("--gripper and --camera say what a checkpoint leaves open", hint="give its folder with --from")
+    if gripper or camera or statistics:
+        told = "--gripper, --camera and --statistics say what a checkpoint leaves open"
+        raise UserError(told, hint="give its folder with --from")
     template = adapter.policy_template(version)
     chosen = _given(
         embodiment=embodiment,

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.adopt.checkpoints.layout import Numbers, Range
-from xpl_cli.adopt.checkpoints.lerobot import statistics
-from xpl_cli.adopt.checkpoints.lerobot.types import CODE, LICENSE, REPOSITORY, TYPES, Type
+from xpl_cli.adopt.checkpoints.makers.lerobot import statistics
+from xpl_cli.adopt.checkpoints.makers.lerobot.types import CODE, LICENSE, REPOSITORY, TYPES, Type
 from xpl_cli.adopt.checkpoints.reading import Document
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
 from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
@@ -19,8 +19,8 @@ from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
-    from xpl_cli.adopt.checkpoints.lerobot.dataset import Dataset
-    from xpl_cli.adopt.checkpoints.lerobot.statistics import Statistics
+    from xpl_cli.adopt.checkpoints.makers.lerobot.dataset import Dataset
+    from xpl_cli.adopt.checkpoints.makers.lerobot.statistics import Statistics
     from xpl_cli.adopt.checkpoints.reading import Folder
 
 NAME: Final = "lerobot"
@@ -74,6 +74,7 @@ class _Reader:
         self.after = statistics.of_processor(folder, _AFTER, "unnormalizer_processor") or older
         self.steps = folder.json(_BEFORE) if folder.has(_BEFORE) else Document(_BEFORE, {})
         self.notes: list[str] = []
+        self.exempt: list[bool] = []
         if older is not None:
             self.notes.append(
                 "the checkpoint has no processors: LeRobot 0.4 and newer want them; its "
@@ -113,6 +114,7 @@ class _Reader:
             rate=self.data.rate if self.data else None,
             robot=self.data.robot if self.data else None,
             upstream={"repository": REPOSITORY, "revision": None, "license": LICENSE},
+            exempt=self.exempt,
             notes=self.notes,
         )
 
@@ -245,9 +247,8 @@ class _Reader:
                 kept = self.steps.texts("steps", index, "config", "exclude_joints") or []
                 where = Evidence(_BEFORE, self.steps.line("steps", "config", "enabled"), f"enabled: {enabled}")
                 if enabled:
-                    self.notes.append(
-                        f"relative actions: parts that stay absolute (exclude_joints): {', '.join(kept) or 'none'}"
-                    )
+                    names = self.steps.texts("steps", index, "config", "action_names") or []
+                    self.exempt = _exempt(shape[0], kept, names)
                     return certain("delta_state", where)
         if self.config.get(bool, "use_delta_joint_actions_aloha", default=False):
             return certain("delta_state", self.config.seen("use_delta_joint_actions_aloha"))
@@ -314,7 +315,16 @@ class _Reader:
         )
 
 
+def _exempt(width: int, kept: list[str], names: list[str]) -> list[bool]:
+    """Return for each number of an action whether it stays absolute (RelativeActionsProcessorStep._build_mask)."""
+    words = [word.lower() for word in kept if word]
+    if not words or not names:
+        return [False] * width
+    found = [any(word in name.lower() for word in words) for name in names[:width]]
+    return [*found, *[False] * (width - len(found))]
+
+
 def _code(known: Type) -> Evidence:
     """Return where LeRobot's own code says what a type does."""
-    file, _, what = known.why.partition(": ")
+    file, _, what = known.why.partition(": ")  # with its line
     return Evidence(f"{CODE}/{file}", None, what)

@@ -23,7 +23,7 @@ class Type:
         family: kind, by the standard's words.
         sampling: none, seeded or free.
         why: what says so: file, and the words there.
-        resizes: whether the policy brings images to its size itself; "" if not, else what says so.
+        resizes: what says that the policy brings images to its size itself; "" if it does not.
         horizon: key of config.json that counts the steps of an answer, where it is not `n_action_steps`.
         recurrent: whether it keeps a state of its own from question to question.
     """
@@ -37,55 +37,62 @@ class Type:
 
 
 TYPES: Final = {
-    "act": Type("act", "none", "policies/act/modeling_act.py: at inference the latent is zero"),
+    "act": Type("act", "none", "policies/act/modeling_act.py:454: at inference the latent is zero"),
     "diffusion": Type(
-        "diffusion", "seeded", "policies/diffusion/modeling_diffusion.py: conditional_sample draws noise"
+        "diffusion", "seeded", "policies/diffusion/modeling_diffusion.py:224: conditional_sample draws noise"
     ),
-    "multi_task_dit": Type("diffusion", "seeded", "policies/multi_task_dit/modeling_multi_task_dit.py: draws noise"),
+    "multi_task_dit": Type(
+        "diffusion", "seeded", "policies/multi_task_dit/modeling_multi_task_dit.py:701: draws noise"
+    ),
     "vqbet": Type(
         "imitation",
         "seeded",
-        "policies/vqbet/modeling_vqbet.py: codes are drawn (multinomial)",
+        "policies/vqbet/modeling_vqbet.py:493: codes are drawn",
         horizon="action_chunk_size",
     ),
     "tdmpc": Type(
-        "reinforcement_learning", "seeded", "policies/tdmpc/modeling_tdmpc.py: plan draws trajectories", recurrent=True
+        "reinforcement_learning",
+        "seeded",
+        "policies/tdmpc/modeling_tdmpc.py:211: plan draws trajectories",
+        recurrent=True,
     ),
     "pi0": Type(
         "vla",
         "seeded",
-        "policies/pi0/modeling_pi0.py: sample_actions draws noise",
-        "policies/pi0/modeling_pi0.py: _preprocess_images letterboxes to image_resolution, 0..1 to -1..1",
+        "policies/pi0/modeling_pi0.py:621: sample_actions draws noise",
+        "policies/pi0/modeling_pi0.py:1153: _preprocess_images letterboxes to image_resolution, 0..1 to -1..1",
     ),
     "pi05": Type(
         "vla",
         "seeded",
-        "policies/pi05/modeling_pi05.py: sample_actions draws noise",
-        "policies/pi05/modeling_pi05.py: _preprocess_images letterboxes to image_resolution, 0..1 to -1..1",
+        "policies/pi05/modeling_pi05.py:618: sample_actions draws noise",
+        "policies/pi05/modeling_pi05.py:1131: _preprocess_images letterboxes to image_resolution, 0..1 to -1..1",
     ),
     "pi0_fast": Type(
         "vla",
         "none",
-        "policies/pi0_fast/modeling_pi0_fast.py: greedy decoding at temperature 0",
+        "policies/pi0_fast/modeling_pi0_fast.py:649: greedy decoding at temperature 0",
         "policies/pi0_fast/modeling_pi0_fast.py: _preprocess_images letterboxes to image_resolution",
     ),
     "smolvla": Type(
         "vla",
         "seeded",
-        "policies/smolvla/modeling_smolvla.py: sample_actions draws noise",
-        "policies/smolvla/modeling_smolvla.py: prepare_images letterboxes to resize_imgs_with_padding, 0..1 to -1..1",
+        "policies/smolvla/modeling_smolvla.py:609: sample_actions draws noise",
+        "policies/smolvla/modeling_smolvla.py:403: prepare_images letterboxes to resize_imgs_with_padding",
     ),
     "xvla": Type(
         "vla",
         "seeded",
-        "policies/xvla/modeling_xvla.py: generate_actions draws noise",
+        "policies/xvla/modeling_xvla.py:252: generate_actions draws noise",
         "policies/xvla/modeling_xvla.py: _prepare_images",
     ),
     "groot": Type(
         "vla",
         "seeded",
-        "policies/groot/modeling_groot.py: flow matching",
+        "policies/groot/action_head/flow_matching_action_head.py:303: flow matching",
         "policies/groot/processor_groot.py: Eagle's own",
     ),
-    "wall_x": Type("vla", "seeded", "policies/wall_x/modeling_wall_x.py: flow matching", "policies/wall_x: Qwen's own"),
+    "wall_x": Type(
+        "vla", "seeded", "policies/wall_x/modeling_wall_x.py:176: flow matching", "policies/wall_x: Qwen's own"
+    ),
 }

@@ -1,0 +1,178 @@
+"""Diffusion Policy (real-stanford): the configuration that hydra writes beside the checkpoints.
+
+Source: real-stanford/diffusion_policy diffusion_policy/workspace/base_workspace.py (payload), diffusion_policy/policy/
+(predict_action), diffusion_policy/config/. The model's inputs are those of `policy.predict_action`, which normalises
+and crops itself with what is in the pickled payload. That is not opened: unpickling runs code.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.adopt.checkpoints import names
+from xpl_cli.adopt.checkpoints.layout import Numbers
+from xpl_cli.adopt.checkpoints.reading import Document
+from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.facts import Evidence
+from xpl_cli.basics.errors import UserError
+
+if TYPE_CHECKING:
+    from xpl_cli.adopt.checkpoints.reading import Folder
+
+NAME: Final = "diffusion_policy"
+CODE: Final = "real-stanford/diffusion_policy@5ba07ac:diffusion_policy"
+_CONFIG: Final = ".hydra/config.yaml"
+_REFERENCE: Final = re.compile(r"\$\{([\w.]+)\}")
+_ROTATIONS: Final = {"rotation_6d": 6, "axis_angle": 3, "quaternion": 4}
+
+
+def inner(folder: Folder) -> Folder | None:
+    """Return the folder of a run, which holds .hydra; None if it is none."""
+    if not folder.has(_CONFIG):
+        return None
+    config = folder.yaml(_CONFIG)
+    return (
+        folder
+        if any(isinstance(config.at(*path), dict) for path in (("shape_meta",), ("task", "shape_meta")))
+        or config.at("task", "shape_meta")
+        else None
+    )
+
+
+def read(folder: Folder) -> Trained:
+    """Return what a run says.
+
+    Raises:
+        UserError: if the configuration is not what it should be.
+    """
+    raw = folder.yaml(_CONFIG)
+    config = Document(raw.file, _resolved(raw.value, raw.value, 0), "", folder.path / _CONFIG)
+    meta = ("shape_meta",) if isinstance(config.at("shape_meta"), dict) else ("task", "shape_meta")
+    views, states = [], []
+    for name in config.get(dict, *meta, "obs"):
+        shape = [int(one) for one in config.numbers(*meta, "obs", name, "shape") or []]
+        kind = config.get(str, *meta, "obs", name, "type", default="low_dim")
+        where = Evidence(_CONFIG, None, f"shape_meta/obs/{name}: {kind} {shape}")
+        if kind == "rgb" and len(shape) == 3:
+            views.append(_view(str(name), (shape[1], shape[2]), where))
+        else:
+            states.append(_vector(str(name), shape, where))
+    action = config.numbers(*meta, "action", "shape")
+    if not action or len(action) != 1:
+        raise UserError(f"{config.place()}: expected shape_meta/action/shape with one number, got {action}")
+    absolute = config.at("task", "abs_action")
+    return Trained(
+        maker=NAME,
+        about=f"Diffusion Policy{_named(config)}",
+        family=certain("diffusion", Evidence(_CONFIG, None, f"_target_: {config.at('_target_')}")),
+        views=views,
+        states=states,
+        action=_action(int(action[0]), config),
+        reference=_reference(absolute),
+        chunk=_count(config, "n_action_steps", "how many steps predict_action returns"),
+        sampling=likely("seeded", Evidence(f"{CODE}/policy", None, "conditional_sample draws noise")),
+        history=_history(config),
+        rate=None,
+        upstream={
+            "repository": "https://github.com/real-stanford/diffusion_policy",
+            "revision": None,
+            "license": "MIT",
+        },
+        notes=_weights(folder),
+    )
+
+
+def _resolved(value: Any, root: Any, depth: int) -> Any:
+    """Return a configuration with `${a.b}` replaced by what stands there; `${eval:...}` stays, for it is code."""
+    if depth > 20:
+        return value
+    if isinstance(value, dict):
+        return {key: _resolved(entry, root, depth + 1) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_resolved(entry, root, depth + 1) for entry in value]
+    found = _REFERENCE.fullmatch(value) if isinstance(value, str) else None
+    if found is None:
+        return value
+    there = Document("", root).at(*found[1].split("."))
+    return value if there is None else _resolved(there, root, depth + 1)
+
+
+def _view(name: str, size: tuple[int, int], where: Evidence) -> View:
+    eye = Evidence(f"{CODE}/dataset", None, "images are float32 in 0..1, channel first")
+    filter_ = Open("how images of another size are brought to it: the environment's own runner knows", (where,))
+    return View(
+        input=certain(name, where),
+        names=[name],
+        evidence=where,
+        size=size,
+        steps=[{"resize": {"to": certain(list(size), where), "filter": filter_}}],
+        rest={"channels": likely("rgb", eye), "layout": likely("chw", eye), "dtype": likely("float32", eye)},
+    )
+
+
+def _vector(name: str, shape: list[int], where: Evidence) -> Vector:
+    width = shape[0] if len(shape) == 1 else 0
+    if width < 1:
+        raise UserError(f"{_CONFIG}: expected a shape with one number for {name}, got {shape}")
+    word = re.sub(r"^robot\d?_", "", name)
+    return Vector(Numbers(width, where, names.of_groups([(word, width)]), where), certain(name, where), _inside())
+
+
+def _action(width: int, config: Document) -> Vector:
+    where = Evidence(_CONFIG, None, f"shape_meta/action/shape: [{width}]")
+    form = config.get(str, "task", "dataset", "rotation_rep", default="")
+    turned = _ROTATIONS.get(form, 0)
+    if config.at("task", "abs_action") and turned and width % (3 + turned + 1) == 0:
+        arms = width // (3 + turned + 1)
+        told = Evidence(_CONFIG, None, f"abs_action, rotation_rep: {form}")
+        sides = [""] if arms == 1 else [f"robot{index}_" for index in range(arms)]
+        groups = [
+            (f"{side}{part}", count)
+            for side in sides
+            for part, count in (("eef_pos", 3), ("eef_rot", turned), ("gripper", 1))
+        ]
+        if arms == 1:
+            return Vector(Numbers(width, where, names.of_groups(groups), told), None, _inside())
+    return Vector(Numbers(width, where), None, _inside())
+
+
+def _inside() -> Told:
+    return likely(None, Evidence(f"{CODE}/policy", None, "predict_action normalises by the policy's own normalizer"))
+
+
+def _reference(absolute: object) -> Tree:
+    where = Evidence(_CONFIG, None, f"task/abs_action: {absolute}")
+    if absolute is True:
+        return certain("absolute", where)
+    return Open("absolute, or steps of the authors' controller (deltas of robosuite are cumulative)", (where,))
+
+
+def _count(config: Document, name: str, reason: str) -> Told | Open:
+    found = config.at(name)
+    if isinstance(found, int) and not isinstance(found, bool) and found > 0:
+        return certain(found, Evidence(_CONFIG, None, f"{name}: {found}"))
+    return Open(f"{reason}: {name} is {found!r}")
+
+
+def _history(config: Document) -> dict[str, Tree] | None:
+    length = _count(config, "n_obs_steps", "how many observations it sees")
+    if isinstance(length, Told) and length.value == 1:
+        return None
+    runner = Evidence(f"{CODE}/gym_util/multistep_wrapper.py", None, "stack_last_n_obs repeats the first one")
+    return {"length": length, "pad": likely("repeat", runner)}
+
+
+def _named(config: Document) -> str:
+    name = config.at("task_name") or config.at("task", "name")
+    return f", trained on {name}" if isinstance(name, str) and "$" not in name else ""
+
+
+def _weights(folder: Folder) -> list[str]:
+    found = folder.names("checkpoints/*.ckpt")[:3]
+    if not found:
+        return ["no checkpoints/*.ckpt beside .hydra"]
+    members = folder.members(found[0])
+    held = f"a zip of {len(members)} members, {members[0]} among them" if members else "no zip"
+    return [f"{found[0]}: {held}; its payload is a pickle (dill) and is not opened, since that runs code"]

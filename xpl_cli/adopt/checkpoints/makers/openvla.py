@@ -1,0 +1,188 @@
+"""OpenVLA and OpenVLA-OFT: `dataset_statistics.json`, or `norm_stats` in config.json, and the heads beside the weights.
+
+Source: openvla/openvla prismatic/extern/hf/modeling_prismatic.py (predict_action), prismatic/extern/hf/
+configuration_prismatic.py; moojink/openvla-oft experiments/robot/openvla_utils.py and prismatic/vla/constants.py. The
+model's images are what its processor gets: 224 x 224 bytes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.adopt.checkpoints.layout import Numbers, Range
+from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.facts import Evidence
+from xpl_cli.basics.errors import UserError
+
+if TYPE_CHECKING:
+    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+
+NAME: Final = "openvla"
+CODE: Final = "openvla/openvla@c8f03f4:prismatic"
+OFT: Final = "moojink/openvla-oft@213c5ff"
+_CONFIG: Final = "config.json"
+_STATISTICS: Final = "dataset_statistics.json"
+_POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw", "gripper")
+"""What seven numbers of an action of the Open X-Embodiment data are (EEF_POS): deltas, and the gripper."""
+_CHUNKS: Final = {"libero": 8, "aloha": 25, "bridge": 5}
+"""NUM_ACTIONS_CHUNK of openvla-oft by the platform in the name of the data (prismatic/vla/constants.py)."""
+_ALOHA: Final = 14
+
+
+def inner(folder: Folder) -> Folder | None:
+    """Return the folder of a checkpoint of OpenVLA; None if it is none."""
+    if not folder.has(_CONFIG):
+        return None
+    return folder if folder.json(_CONFIG).at("model_type") == "openvla" else None
+
+
+def read(folder: Folder, key: str | None = None) -> Trained:
+    """Return what a checkpoint says.
+
+    Args:
+        folder: which holds config.json.
+        key: unnorm_key, where the statistics are those of several data sets.
+
+    Raises:
+        UserError: if a file is not what it should be, or several data sets leave a choice.
+    """
+    config = folder.json(_CONFIG)
+    own = folder.has(_STATISTICS)
+    stats = folder.json(_STATISTICS) if own else config
+    above = () if own else ("norm_stats",)
+    chosen = _key(stats, stats.get(dict, *above, default={}), key)
+    heads = [
+        name
+        for pattern in ("*action_head*", "proprio_projector*", "noisy_action_projector*")
+        for name in folder.names(pattern)
+    ]
+    path = (*above, chosen, "action")
+    action = _numbers(stats, path)
+    reads_state = any(name.startswith("proprio") for name in heads)
+    return Trained(
+        maker=NAME,
+        about=f"OpenVLA{'-OFT' if heads else ''}, trained on {chosen}",
+        family=certain("vla", config.seen("model_type")),
+        views=[_view(config, wrist=reads_state, oft=bool(heads))],
+        states=[_state(stats, (*above, chosen, "proprio"))] if reads_state else [],
+        action=Vector(action, None, _rule(stats, path, oft=bool(heads), is_action=True)),
+        reference=_reference(action),
+        chunk=_chunk(chosen, heads),
+        sampling=_sampling(heads),
+        instruction={
+            "input": likely("prompt", Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, "get_vla_action")),
+            "template": likely(
+                "In: What action should the robot take to {instruction}?\nOut:",
+                Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, "prompt = ..."),
+            ),
+            "case": likely("lower", Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, "task_label.lower()")),
+        },
+        robot=None,
+        upstream={
+            "repository": "https://github.com/moojink/openvla-oft" if heads else "https://github.com/openvla/openvla",
+            "revision": None,
+            "license": "MIT",
+        },
+        code=[
+            likely(
+                "images pass through JPEG; then a centre of 0.9 of their area is cut out between pixels",
+                Evidence(
+                    f"{OFT}:experiments/robot/openvla_utils.py", None, "resize_image_for_policy, center_crop_image"
+                ),
+            )
+        ],
+        notes=[f"unnorm_key is {chosen}, of {stats.file}"],
+    )
+
+
+def _key(stats: Document, found: dict[str, object], key: str | None) -> str:
+    names = [str(name) for name in found]
+    if key in names:
+        return str(key)
+    if len(names) == 1 and key is None:
+        return names[0]
+    if not names:
+        raise UserError(f"{stats.place()}: expected statistics of a data set, got none")
+    told = f"--statistics {key}: there are {', '.join(names[:40])}" if key else f"there are {', '.join(names[:40])}"
+    raise UserError(f"{stats.place()}: {told}", hint="--statistics NAME says which is the unnorm_key")
+
+
+def _numbers(stats: Document, path: tuple[str, ...]) -> Numbers:
+    low, high = (stats.numbers(*path, word) for word in ("q01", "q99"))
+    if not low or not high or len(low) != len(high):
+        raise UserError(f"{stats.place(*path)}: expected q01 and q99 of {path[-1]}, as many of each")
+    where = stats.seen(*path, what=f"{path[-1]}: {len(low)} numbers")
+    within = Range(tuple(low), tuple(high), stats.seen(*path, "q01", what=f"{path[-1]} q01..q99"))
+    if len(low) == len(_POSE):
+        named = Evidence(f"{CODE}/vla/datasets/rlds/oxe/configs.py", None, "ActionEncoding.EEF_POS")
+        return Numbers(len(low), where, _POSE, named, within)
+    return Numbers(len(low), where, range=within)
+
+
+def _rule(stats: Document, path: tuple[str, ...], *, oft: bool, is_action: bool) -> Tree:
+    there = stats.seen(*path, what="/".join(path))
+    width = len(stats.numbers(*path, "q01") or [])
+    entry: dict[str, Tree] = {"file": certain(stats.file, there), "key": "/".join(path)}
+    mask = stats.at(*path, "mask")
+    if isinstance(mask, list) and len(mask) == width and all(isinstance(one, bool) for one in mask):
+        entry["only"] = certain(mask, stats.seen(*path, "mask"))
+    if oft:
+        place = Evidence(f"{OFT}:prismatic/vla/constants.py", None, "ACTION_PROPRIO_NORMALIZATION_TYPE")
+        words: dict[str, Tree] = (
+            {"rule": likely("min_max", place)}
+            if width == _ALOHA
+            else {"rule": likely("quantiles", place), "names": {"low": "q01", "high": "q99"}}
+        )
+        epsilon = Evidence(f"{OFT}:prismatic/extern/hf/modeling_prismatic.py", None, "+ 1e-8")
+        clip = {} if is_action else {"clip": [-1, 1]}
+        return {**words, **entry, "epsilon": likely(1e-8, epsilon), **clip}
+    place = Evidence(
+        f"{CODE}/extern/hf/modeling_prismatic.py", None, "0.5 * (normalized_actions + 1) * (q99 - q01) + q01"
+    )
+    return {"rule": likely("quantiles", place), **entry, "names": {"low": "q01", "high": "q99"}}
+
+
+def _view(config: Document, *, wrist: bool, oft: bool) -> View:
+    sizes = config.numbers("image_sizes") or []
+    size = [int(one) for one in sizes[:2]] if len(sizes) >= 2 else [224, 224]
+    told = config.seen("image_sizes") if sizes else Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, "224")
+    code = Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, "resize_image_for_policy: lanczos3, antialias")
+    steps = [{"resize": {"to": certain(size, told), "filter": likely("lanczos", code), "antialias": True}}]
+    rest: dict[str, Tree] = {
+        "channels": likely("rgb", Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, 'convert("RGB")')),
+        "layout": "hwc",
+        "dtype": "uint8",
+    }
+    if wrist and oft:  # with proprioception OFT reads wrists too; how many is an option of the run
+        rest["stack"] = Open("num_images_in_input of the run: one image, or the wrists' too (stack: views)")
+    where = Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, 'obs["full_image"]')
+    return View(likely("full_image", where), ["primary"], where, (size[0], size[1]), steps, rest)
+
+
+def _state(stats: Document, path: tuple[str, ...]) -> Vector:
+    where = Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, 'obs["state"]')
+    return Vector(_numbers(stats, path), likely("state", where), _rule(stats, path, oft=True, is_action=False))
+
+
+def _reference(action: Numbers) -> Tree:
+    if action.width != len(_POSE):
+        return Open(
+            "what actions are counted from: absolute joints in ALOHA data, deltas in others", (action.evidence,)
+        )
+    where = Evidence(f"{CODE}/vla/datasets/rlds/oxe/configs.py", None, "EEF_POS: delta XYZ, delta rotation")
+    return likely("cumulative", where)
+
+
+def _chunk(chosen: str, heads: list[str]) -> Told | Open:
+    if not heads:
+        return likely(1, Evidence(f"{CODE}/extern/hf/modeling_prismatic.py", None, "predict_action returns one action"))
+    platform = next((name for name in _CHUNKS if name in chosen.lower()), None)
+    where = Evidence(f"{OFT}:prismatic/vla/constants.py", None, f"NUM_ACTIONS_CHUNK of {platform}")
+    return likely(_CHUNKS[platform], where) if platform else Open("NUM_ACTIONS_CHUNK of prismatic/vla/constants.py")
+
+
+def _sampling(heads: list[str]) -> Tree:
+    if any(name.startswith("noisy") for name in heads):
+        return likely("seeded", Evidence(heads[0], None, "diffusion draws noise (torch.randn)"))
+    return assumed("none", "do_sample is False in predict_action")

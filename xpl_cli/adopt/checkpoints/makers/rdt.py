@@ -1,0 +1,140 @@
+"""RDT-1B and its fine-tunings: `config.json` of RDTRunner, whose vectors have one place for each quantity.
+
+Source: thu-ml/RoboticsDiffusionTransformer models/rdt_runner.py, models/hub_mixin.py, configs/state_vec.py (places),
+scripts/agilex_model.py (images, grippers).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.adopt.checkpoints import layout
+from xpl_cli.adopt.checkpoints.layout import Numbers
+from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.facts import Evidence
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
+    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+
+NAME: Final = "rdt"
+CODE: Final = "thu-ml/RoboticsDiffusionTransformer@deb71d8"
+_CONFIG: Final = "config.json"
+_VECTOR: Final = Evidence(f"{CODE}:configs/state_vec.py", None, "STATE_VEC_IDX_MAPPING")
+_STARTS: Final = {"right": (0, 10), "left": (50, 60)}
+"""First place of an arm's joints and of its gripper. A single arm has the right one's places."""
+_SIGLIP: Final = 384
+_GREY: Final = 127
+_CAMERAS: Final = ("exterior", "right_wrist", "left_wrist")
+
+
+def inner(folder: Folder) -> Folder | None:
+    """Return the folder of a checkpoint of RDT; None if it is none."""
+    if not folder.has(_CONFIG):
+        return None
+    config = folder.json(_CONFIG)
+    return folder if config.at("pred_horizon") and config.at("state_token_dim") and config.at("config", "rdt") else None
+
+
+def read(folder: Folder) -> Trained:
+    """Return what a checkpoint says.
+
+    Raises:
+        UserError: if config.json is not what it should be.
+    """
+    config = folder.json(_CONFIG)
+    width = config.get(int, "state_token_dim")
+    step = Evidence(f"{CODE}:scripts/agilex_model.py", None, "RoboticsDiffusionTransformerModel.step")
+    numbers = Numbers(width, config.seen("state_token_dim"))
+    return Trained(
+        maker=NAME,
+        about="a policy of RDT",
+        family=certain("vla", config.seen("pred_horizon")),
+        views=[_view(step)],
+        states=[Vector(numbers, likely("states", step), _plain(), parts=_Places(width))],
+        action=Vector(numbers, None, _plain(), parts=_Places(width)),
+        reference=likely(
+            "absolute", Evidence(f"{CODE}:scripts/agilex_model.py", None, "_unformat_action_to_joint: qpos")
+        ),
+        chunk=certain(config.get(int, "pred_horizon"), config.seen("pred_horizon")),
+        sampling=likely("seeded", Evidence(f"{CODE}:models/rdt_runner.py", None, "conditional_sample draws noise")),
+        instruction={"input": likely("text_embeds", step)},
+        history=_history(config),
+        upstream={
+            "repository": "https://github.com/thu-ml/RoboticsDiffusionTransformer",
+            "revision": None,
+            "license": "MIT",
+        },
+        code=[
+            likely("the instruction is embedded by T5-XXL", step),
+            likely("action_mask names the places that the robot has, and ctrl_freqs its rate", step),
+        ],
+    )
+
+
+def _plain() -> Told:
+    return likely(None, Evidence(f"{CODE}:README.md", None, "RDT normalises nothing but the gripper, to 0..1"))
+
+
+def _history(config: Document) -> dict[str, Tree] | None:
+    shape = config.numbers("img_pos_embed_config", 0, 1) or []
+    if len(shape) != 3 or shape[0] < 2:
+        return None
+    where = config.seen("img_pos_embed_config", what=f"images: {int(shape[0])} observations of {int(shape[1])} cameras")
+    return {"length": certain(int(shape[0]), where), "of": ["images"]}
+
+
+def _view(step: Evidence) -> View:
+    box = {
+        "to": likely([_SIGLIP, _SIGLIP], Evidence(f"{CODE}:README.md", None, "siglip-so400m-patch14-384")),
+        "fill": likely(_GREY, Evidence(f"{CODE}:scripts/agilex_model.py", None, "expand2square with image_mean")),
+        "filter": assumed("bicubic", "the image processor of SigLIP resamples bicubic, after padding"),
+        "antialias": True,
+    }
+    order = Evidence(f"{CODE}:scripts/agilex_model.py", None, "order: ext, right_wrist, left_wrist")
+    rest: dict[str, Tree] = {
+        "stack": certain("views", order),
+        "channels": likely("rgb", order),
+        "layout": likely("chw", step),
+        "dtype": likely("float32", step),
+        "mean": [0.5, 0.5, 0.5],
+        "std": [0.5, 0.5, 0.5],
+    }
+    return View(likely("images", step), _CAMERAS, order, None, [{"letterbox": box}], rest)
+
+
+class _Places:
+    """Makes the parts of a vector of RDT for a robot: joints and grippers at their places, nothing elsewhere."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+
+    def __call__(self, robot: Embodiment, gripper: tuple[float, float] | None) -> Tree:
+        """Return the parts; a gripper is 0..1, open at 1 (right_gripper_open), unless the user says otherwise."""
+        parts: list[Any] = []
+        place = 0
+        arms = dict(zip(layout.sides(robot), robot.arms, strict=True))
+        for side, (joints, hand) in _STARTS.items():
+            name = (
+                side if side in arms else next(iter(arms)) if side == next(iter(_STARTS)) and len(arms) == 1 else None
+            )
+            if name is None:
+                continue
+            arm = arms[name]
+            if not layout.is_gripper(arm):
+                return Open("RDT has no places for hands with several fingers", (_VECTOR,))
+            place = _skip(parts, place, joints)
+            parts.append({"joints": {"arm": likely(name, _VECTOR), "unit": likely("rad", _VECTOR)}})
+            place = _skip(parts, place + arm.dof, hand)
+            closed, opened = gripper or (0.0, 1.0)
+            parts.append({"gripper": {"arm": name, "closed": likely(closed, _VECTOR), "open": likely(opened, _VECTOR)}})
+            place += 1
+        _skip(parts, place, self.width)
+        return parts
+
+
+def _skip(parts: list[Any], place: int, until: int) -> int:
+    if until > place:
+        parts.append({"fill": {"width": until - place}})
+    return until

@@ -1,0 +1,137 @@
+"""StarVLA: `config.yaml` and `dataset_statistics.json` of a run, two folders above its `.pt`.
+
+Source: starVLA/starVLA starVLA/model/framework/share_tools.py (read_mode_config), deployment/model_server/
+policy_norm_processor.py. Weights are pickles, which are not opened.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.adopt.checkpoints.layout import Numbers, Range
+from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.facts import Evidence
+from xpl_cli.basics.errors import UserError
+
+if TYPE_CHECKING:
+    from xpl_cli.adopt.checkpoints.reading import Document, Folder
+
+NAME: Final = "starvla"
+CODE: Final = "starVLA/starVLA@0ed0aad"
+_CONFIG: Final = "config.yaml"
+_STATISTICS: Final = "dataset_statistics.json"
+_DATA: Final = ("datasets", "vla_data")
+_HORIZONS: Final = (
+    ("framework", "action_model", "action_horizon"),
+    ("framework", "action_horizon"),
+    ("framework", "action_model", "future_action_window_size"),
+)
+
+
+def inner(folder: Folder) -> Folder | None:
+    """Return the folder of a run of StarVLA; None if it is none."""
+    if not (folder.has(_CONFIG) and folder.has(_STATISTICS)):
+        return None
+    config = folder.yaml(_CONFIG)
+    return folder if isinstance(config.at("framework"), dict) and config.at(*_DATA) else None
+
+
+def read(folder: Folder, key: str | None = None) -> Trained:
+    """Return what a run says.
+
+    Args:
+        folder: which holds config.yaml.
+        key: which entry of the statistics counts, where there are several.
+
+    Raises:
+        UserError: if a file is not what it should be, or several entries leave a choice.
+    """
+    config, stats = folder.yaml(_CONFIG), folder.json(_STATISTICS)
+    found = [str(name) for name in stats.get(dict)]
+    if key not in found and not (key is None and len(found) == 1):
+        told = f"--statistics {key}: there are {', '.join(found)}" if key else f"there are {', '.join(found) or 'none'}"
+        raise UserError(f"{stats.place()}: {told}", hint="--statistics NAME says which counts")
+    chosen = key or found[0]
+    framework = config.get(str, "framework", "name", default="")
+    mix = config.get(str, *_DATA, "data_mix", default="")
+    reads_state = bool(config.at(*_DATA, "include_state"))
+    where = config.seen("framework", "name")
+    return Trained(
+        maker=NAME,
+        about=f"a policy of StarVLA ({framework or 'no framework named'}), trained on {mix or chosen}",
+        family=certain("vla", where),
+        views=[_view(config)],
+        states=[_vector(stats, chosen, "state", certain("state", config.seen(*_DATA, "include_state")))]
+        if reads_state
+        else [],
+        action=_vector(stats, chosen, "action", None),
+        reference=_reference(config),
+        chunk=_chunk(config),
+        sampling=Open("none, seeded or free: it depends on the framework's action head", (where,)),
+        instruction={
+            "input": likely("lang", Evidence(f"{CODE}:deployment/model_server", None, "examples have a lang"))
+        },
+        upstream={"repository": "https://github.com/starVLA/starVLA", "revision": None, "license": "MIT"},
+        notes=[
+            _weights(folder),
+            f"cameras, groups and the rule of normalisation are in the data config of {mix or 'the run'}",
+        ],
+    )
+
+
+def _view(config: Document) -> View:
+    path = next((path for path in ((*_DATA, "obs_image_size"), (*_DATA, "image_size")) if config.at(*path)), None)
+    size = config.numbers(*path) if path else None
+    where = config.seen(*path) if path else Evidence(_CONFIG, None, "no obs_image_size")
+    steps: list[Tree] = []
+    if size and len(size) == 2:
+        code = Evidence(f"{CODE}:deployment/model_server/policy_wrapper.py", None, "training_obs_image_size")
+        steps.append(
+            {"resize": {"to": certain([int(one) for one in size], where), "filter": Open("the filter", (code,))}}
+        )
+    rest: dict[str, Tree] = {
+        "channels": likely("rgb", Evidence(f"{CODE}:starVLA/dataloader", None, "images are PIL images in RGB")),
+        "layout": "hwc",
+        "dtype": "uint8",
+    }
+    views = Evidence(_CONFIG, None, "a list of views, in the order of the data config's video keys")
+    rest["stack"] = Open("how many views, and how they are put together", (views,))
+    shown = (int(size[0]), int(size[1])) if size and len(size) == 2 else None
+    return View(likely("image", views), ["of the data config"], views, shown, steps, rest)
+
+
+def _vector(stats: Document, chosen: str, kind: str, name: Tree) -> Vector:
+    path = (chosen, kind)
+    low, high = (stats.numbers(*path, word) or [] for word in ("min", "max"))
+    if not low or len(low) != len(high):
+        raise UserError(f"{stats.place(*path)}: expected min and max of {kind}, as many of each")
+    within = Range(tuple(low), tuple(high), stats.seen(*path, "min", what=f"{kind} min..max"))
+    numbers = Numbers(len(low), stats.seen(*path, what=f"{kind}: {len(low)} numbers"), range=within)
+    told = ", ".join(word for word in ("min", "max", "q01", "q99", "mean", "std") if stats.at(*path, word))
+    rule = Open("min_max, quantiles or mean_std: the data config says it by key", (stats.seen(*path, what=told),))
+    return Vector(numbers, name, rule)
+
+
+def _reference(config: Document) -> Tree:
+    told = config.get(str, *_DATA, "action_type", default="")
+    where = config.seen(*_DATA, "action_type")
+    if told.startswith("delta"):
+        return likely("cumulative", where)
+    if told.startswith("abs"):
+        return likely("absolute", where)
+    return Open("what actions are counted from", (where,) if told else ())
+
+
+def _chunk(config: Document) -> Told | Open:
+    for path in _HORIZONS:
+        steps = config.get(int, *path, default=0)
+        if steps > 0:
+            later = path[-1].startswith("future")  # the present step comes before them
+            return likely(steps + later, config.seen(*path))
+    return Open("how many steps an answer has: config.yaml names no action_horizon")
+
+
+def _weights(folder: Folder) -> str:
+    found = [name for pattern in ("checkpoints/*.pt", "final_model/*.pt") for name in folder.names(pattern)]
+    return f"{', '.join(found[:3]) or 'no .pt found'}: a pickle, which is not opened, since that runs code"
