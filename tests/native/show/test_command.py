@@ -155,6 +155,16 @@ def test_what_is_open_and_what_is_missing_is_told(tmp_path: Path) -> None:
     assert "stats.json is not there: its normalisation is left out" in found.notes
 
 
+def test_what_kinematics_says_of_samples_is_on_the_page(tmp_path: Path) -> None:
+    """Or why it says nothing."""
+    rows = [{"file": "rows.npz", "key": "pose", "parts": [{"position": {"arm": "left"}}]}]
+    what = subject(package.load(sights.made(tmp_path / "P", sights.block(samples=rows))), {})
+    found = seen.look(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
+    assert len(found.witness) == 1
+    assert "names the file rows.npz, which is in none of" in found.witness[0]
+    assert "names the file rows.npz" in page.page(found)
+
+
 def test_pairs_are_shown_where_there_are_some(tmp_path: Path) -> None:
     """What native.py answered, in the model's own words."""
     folder = parity.made(tmp_path / "Foo")

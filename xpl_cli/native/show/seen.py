@@ -12,8 +12,10 @@ from xpl.convert import NativeError
 from xpl.observation import ObservationError
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.native import names, pairs
+from xpl_cli.native.kinematics import declared
 from xpl_cli.native.show import numbers, robot, views, watched
 from xpl_cli.native.show.scene import Scene
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -64,6 +66,7 @@ class Seen:
         action_words: what the block says of the whole action.
         figures: the robot.
         notes: what people should know: what is open, what code does, what differs.
+        witness: what the robot's kinematics says of `native.samples`, a sentence for each part.
     """
 
     policy: str
@@ -80,6 +83,7 @@ class Seen:
     action_words: str = ""
     figures: Sequence[Figure] = ()
     notes: Sequence[str] = ()
+    witness: Sequence[str] = ()
 
     def document(self) -> dict[str, Any]:
         """Return all numbers as JSON."""
@@ -101,6 +105,7 @@ class Seen:
                 "words": self.action_words,
                 "numbers": [number.document() for number in self.action],
             },
+            "kinematics": list(self.witness),
         }
 
 
@@ -235,7 +240,19 @@ def _filled(seen: Seen, what: Subject, inputs: Mapping[str, Any], said: _Said) -
         action_from=said.told,
         action_words=_action_words(native, len(said.steps)),
         figures=robot.figures(what.robot, state, read, said.steps),
+        witness=_witness(what),
     )
+
+
+def _witness(what: Subject) -> list[str]:
+    """Return what kinematics says of the samples; nothing where there are none."""
+    if not (what.package.manifest.get("native") or {}).get("samples"):
+        return []
+    manifest, folder = what.package.manifest, what.package.path
+    try:
+        return [verdict.sentence for verdict in declared.verdicts(manifest, spec.declared(manifest), [folder])]
+    except (declared.NoWitnessError, NativeError) as error:
+        return [str(error)]
 
 
 def _inputs(interface: Interface, scene: Scene) -> dict[str, Any]:

@@ -86,18 +86,7 @@ def sheet(seen: Seen) -> bytes:
         paper.heading("Pictures")
         for view in seen.views:
             _view(paper, view)
-    for vector in seen.vectors:
-        paper.heading(f"State: {vector.input}")
-        paper.lines(vector.words, 14, _SOFT)
-        _table(paper, phrases.HEADS, vector.numbers)
-    for name, text in seen.texts.items():
-        paper.heading(f"Instruction: {name}")
-        paper.lines(f"standard: {seen.instruction!r}")
-        paper.lines(f"model: {text!r}")
-    if seen.action:
-        paper.heading("Action")
-        paper.lines(f"{seen.action_from}. {seen.action_words}. First and last step.", 14, _SOFT)
-        _table(paper, phrases.ACTION_HEADS, seen.action)
+    _words(paper, seen)
     if seen.figures and paper.room():
         paper.heading("Robot")
         paper.lines(ROBOT, 14, _SOFT)
@@ -113,6 +102,26 @@ ROBOT: Final = (
     "Grey: the joints of the state. Red, green, blue: x, y, z of the pose that the model reads. Violet: from where its "
     "numbers count. Orange: the way that is commanded, and the joints at its end."
 )
+
+
+def _words(paper: _Paper, seen: Seen) -> None:
+    """Write what is told in numbers and words."""
+    for vector in seen.vectors:
+        paper.heading(f"State: {vector.input}")
+        paper.lines(vector.words, 14, _SOFT)
+        _table(paper, phrases.HEADS, vector.numbers)
+    for name, text in seen.texts.items():
+        paper.heading(f"Instruction: {name}")
+        paper.lines(f"standard: {seen.instruction!r}")
+        paper.lines(f"model: {text!r}")
+    if seen.action:
+        paper.heading("Action")
+        paper.lines(f"{seen.action_from}. {seen.action_words}. First and last step.", 14, _SOFT)
+        _table(paper, phrases.ACTION_HEADS, seen.action)
+    if seen.witness:
+        paper.heading("What the robot's kinematics says of native.samples")
+        for sentence in seen.witness:
+            paper.lines(sentence)
 
 
 def _view(paper: _Paper, view: View) -> None:
