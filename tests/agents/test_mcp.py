@@ -78,8 +78,8 @@ CALLS = [
     ("audit", {"paths": ["policy/Foo"], "gate": ["static"]}),
     ("audit", {"paths": ["Nowhere"]}),
     ("audit", {"paths": ["policy/Foo"], "gate": ["statics"]}),
-    ("explain", {"name": "XPL101"}),
-    ("explain", {"name": "batch-by-positio"}),
+    ("explain", {"names": ["XPL101", "XPL203"]}),
+    ("explain", {"names": ["batch-by-positio"]}),
     ("status", {"packages": ["policy/Foo"]}),
 ]
 
@@ -162,7 +162,7 @@ def test_a_wrong_call_is_answered_and_the_server_goes_on(project: Path) -> None:
             ("explain", {"name": "XPL101", "loud": True}),
             ("audit", {"paths": "policy/Foo"}),
             ("explain", {}),
-            ("explain", {"name": "XPL101"}),
+            ("explain", {"names": ["XPL101", "XPL203"]}),
         ]
         return [await client.call_tool(name, arguments) for name, arguments in calls]
 
@@ -208,7 +208,7 @@ def test_a_call_that_is_given_up_ends_its_command(project: Path) -> None:
             return all(" mcp " in f"{command} " for command in processes(mark).values())
 
         await anyio.to_thread.run_sync(wait_until, only_the_server, "the audit has ended")
-        answer = await client.call_tool("explain", {"name": "XPL101"})
+        answer = await client.call_tool("explain", {"names": ["XPL101", "XPL203"]})
         assert not answer.is_error
 
     talk(project, give_up, **{MARK: mark})

@@ -151,6 +151,16 @@ def test_explain_prints_the_whole_documentation(workspace: Path) -> None:
     assert told["documentation"] == registry.find("XPL203").documentation
 
 
+def test_explain_takes_several_rules(workspace: Path) -> None:
+    """In the order in which they were named, each once; the JSON form lists what one alone is."""
+    shown = xpl("explain", "XPL203", "XPL101", "batch-order", cwd=workspace).stdout
+    assert shown.index("XPL203 batch-order") < shown.index("XPL101 required-files")
+    assert shown.count("XPL203 batch-order") == 1
+    told = json.loads(xpl("explain", "XPL203", "XPL101", "--json", cwd=workspace).stdout)
+    assert (told["schema"], [rule["code"] for rule in told["rules"]]) == ("xpl.explanations/1", ["XPL203", "XPL101"])
+    assert told["rules"][0]["documentation"] == registry.find("XPL203").documentation
+
+
 def test_rules_lists_every_rule(workspace: Path) -> None:
     """The list and its JSON form name each rule once."""
     listed = json.loads(xpl("rules", "--json", cwd=workspace).stdout)

@@ -166,6 +166,7 @@ def _answer(*words: str) -> dict[str, Any]:
         ["status", "policy/Foo", "policy/Bare"],
         ["audit", "policy/Foo", "--gate", "static"],
         ["explain", "XPL101"],
+        ["explain", "XPL101", "batch-order"],
         ["rules"],
         ["metrics", "--all"],
         ["env", "list"],

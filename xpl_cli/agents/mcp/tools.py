@@ -56,7 +56,7 @@ OFFERS: Final[Mapping[str, Offer]] = {
             *("profile", "stub-missing", "task", "episodes", "isolate", "set", "python", "policy-env"),
         ),
     ),
-    "explain": Offer("explain", ("name",), reads_only=True),
+    "explain": Offer("explain", ("names",), reads_only=True),
     "status": Offer("status", ("packages",), reads_only=True),
     "eval_summary": Offer("report", ("runs", "out")),
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.formats.listing import Context
     from xpl_cli.audit.rules.model import TargetReport
+    from xpl_cli.audit.rules.registry import Rule
     from xpl_cli.packages.targets import Target
+    from xpl_cli.standard.spec import Requirement
 
 _GATES = ("static", "offline", "mujoco")
 _FAIL_ON = ("fail", "warn")
@@ -220,35 +222,41 @@ def _repeated(option: str, values: list[str]) -> tuple[str, ...]:
 
 
 def explain(
-    name: str = typer.Argument(..., metavar="RULE", help="Code or slug of a rule, such as XPL101."),
+    names: list[str] = typer.Argument(..., metavar="RULE...", help="Codes or slugs of rules, such as XPL101 XPL203."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Explain a rule: what it checks, why, and what to do instead."""
+    """Explain rules: what each checks, why, and what to do instead."""
     from xpl_cli.audit.rules.registry import find
     from xpl_cli.basics import console
     from xpl_cli.standard import spec
 
-    rule = find(name)
-    requirement = spec.requirement(rule.requirement)
+    found = list({rule.code: rule for rule in map(find, names)}.values())
+    proven = {rule.code: spec.requirement(rule.requirement) for rule in found}
     if as_json:
-        console.answer(
-            "xpl.explain/1",
-            {
-                "code": rule.code,
-                "slug": rule.slug,
-                "gate": rule.gate.value,
-                "requirement": {"id": requirement.id, "level": requirement.level, "text": requirement.text},
-                "severity": rule.severity,
-                "documentation": rule.documentation,
-            },
-            [f"xpl spec show {requirement.id}"],
-        )
+        told = [_explained(rule, proven[rule.code]) for rule in found]
+        following = list(dict.fromkeys(f"xpl spec show {rule.requirement}" for rule in found))
+        if len(told) == 1:
+            console.answer("xpl.explain/1", told[0], following)
+        else:
+            console.answer("xpl.explanations/1", {"rules": told}, following)
         return
     from rich.markdown import Markdown
 
-    proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
-    head = f"# {rule.code} {rule.slug}\n\n{proves}"
-    console.rich(Markdown(f"{head}\n\n{rule.documentation}"))
+    for rule in found:
+        requirement = proven[rule.code]
+        proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
+        console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n{proves}\n\n{rule.documentation}"))
+
+
+def _explained(rule: Rule, requirement: Requirement) -> dict[str, Any]:
+    return {
+        "code": rule.code,
+        "slug": rule.slug,
+        "gate": rule.gate.value,
+        "requirement": {"id": requirement.id, "level": requirement.level, "text": requirement.text},
+        "severity": rule.severity,
+        "documentation": rule.documentation,
+    }
 
 
 def rules(as_json: bool = typer.Option(False, "--json", help="Print a JSON object.")) -> None:
