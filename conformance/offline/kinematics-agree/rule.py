@@ -1,0 +1,68 @@
+"""XPL262: Joints and poses that the authors recorded together agree in the conventions that are declared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from xpl import _spec as sdk
+from xpl.convert import NativeError
+from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
+from xpl_cli.audit.static.manifests import key_line
+from xpl_cli.audit.static.source import Source
+from xpl_cli.native.kinematics import declared, witness
+from xpl_cli.native.kinematics.witness import Verdict
+
+
+@rule(code="XPL262", requirement="XPL-NAT-7")
+def kinematics_agree(source: Source) -> Iterator[Finding | Proof]:
+    """Joints and poses that were recorded together contradict each other in the conventions that are declared.
+
+    ## What it does
+    Reads the rows that `native.samples` names, computes from their joints where the flange was, and compares with their
+    poses: as declared, and in every other form, order, point, frame and unit. Nothing of the adapter runs.
+
+    ## Why it matters
+    A quaternion that is not reordered, rotation columns read as rows or a tool centre point taken for the flange pass
+    every check of shape. The robot itself knows better: joints and pose of one moment fit in one convention.
+
+    ## Example
+    `form: quaternion_wxyz`, where authors' rows fit to 0.0 degrees as `quaternion_xyzw`, and to 131 as declared.
+
+    ## Use instead
+    The words that the finding names. If another tool or frame is left over, say so in `encode`, and under `code`.
+
+    ## Fix safety
+    No automatic fix: what the model was trained on decides.
+    """
+    try:
+        found = declared.verdicts(source.manifest, source.version, [source.path])
+    except declared.NoWitnessError as error:
+        raise NotApplicable(str(error)) from None
+    except NativeError as error:
+        what = {"expected": "rows that fit the block and the robot", "got": "other ones"}
+        yield _finding(source, str(error), "mend native.samples", **what)
+        return
+    if all(verdict.outcome == witness.OPEN for verdict in found):
+        raise NotApplicable(f"kinematics cannot tell: {found[0].because}")
+    for verdict in found:
+        if verdict.outcome in {witness.DIFFERS, witness.ANSWERS, witness.UNEXPLAINED}:
+            yield _of(source, verdict)
+    yield Proof({verdict.where: verdict.document() for verdict in found})
+
+
+def _of(source: Source, verdict: Verdict) -> Finding:
+    if verdict.outcome == witness.UNEXPLAINED:
+        expected = "poses where the joints put them"
+        advice = "compare frame and tool with the authors' robot; what no word says is done in encode and decode"
+    else:
+        expected = verdict.change
+        advice = f"say {verdict.change} in native, where the authors' code agrees"
+    evidence = verdict.document()
+    return _finding(source, verdict.sentence, advice, expected=expected, got=verdict.replaced, evidence=evidence)
+
+
+def _finding(source: Source, message: str, advice: str, **more: Any) -> Finding:
+    name = sdk.File.POLICY_YML
+    line = key_line(source, name, "native")
+    return Finding(message, path=name, line=line, column=1, fix=Fix("advice", advice), **more)
