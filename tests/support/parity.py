@@ -175,7 +175,7 @@ def made(
         changes: keys of policy.yml.
     """
     answers = {**adapter.defaults(), "name": folder.name, "embodiment": "franka_single", "action_type": "joint"}
-    adapter.write(adapter.render(Answers(**answers)), folder)
+    adapter.write(adapter.render(Answers(**answers)), folder, overwrite=True)
     (folder / "policy.yml").write_text(yaml.safe_dump(manifest(folder.name, native, **changes), sort_keys=False))
     (folder / "network.py").write_text(NETWORK)
     (folder / "model.py").write_text(model)

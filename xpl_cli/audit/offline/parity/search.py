@@ -8,11 +8,11 @@ finding without a cause is still a finding.
 
 from __future__ import annotations
 
+import functools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
@@ -20,14 +20,15 @@ from xpl.client import ClientError
 from xpl.convert import NativeError
 from xpl_cli.audit.offline.parity import blocks
 from xpl_cli.audit.offline.parity.around import Around
+from xpl_cli.audit.offline.parity.contest import Contest
 from xpl_cli.audit.offline.parity.course import Course
 from xpl_cli.audit.offline.parity.played import overrides
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.native.alternatives.block import alternatives
 from xpl_cli.native.alternatives.signals import Signal, signals
 from xpl_cli.native.difference import differences
-from xpl_cli.native.explain import Explanation, Tried, explain
-from xpl_cli.native.record import span
+from xpl_cli.native.explain import Explanation, Tried
+from xpl_cli.native.record import is_free, span
 
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.parity.judgement import Judgement
@@ -36,13 +37,12 @@ if TYPE_CHECKING:
 
 SEARCH_S: Final = 60.0
 """Longest search, s."""
-_FEW: Final = 3
-"""Questions on which changes are tried before they are on all."""
-_MOST: Final = (24, 8, None)
-"""Changes that go on, of those tried on one question, on a few and on all: so many that leave least, or mend most."""
-_PROMISING: Final = 0.5
-"""Share of the difference that a change may leave to be tried on all questions."""
-_INFINITE: Final = float("inf")
+
+
+_APART: Final = Signal(
+    0, "each environment asked by itself", "recurrent", shown=lambda seen: [dict(obs) for obs in seen]
+)
+"""Changes nothing of what is shown."""
 
 
 @dataclass(frozen=True)
@@ -106,45 +106,75 @@ class Search:
             return None
         converts_by_it = True
 
-        def asked(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
+        contest = Contest(self._course, self._judgement, self._course.everything)
+
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
             nonlocal converts_by_it
             tried = [self._native, *(changes[number].block for number in chosen)]
             found = blocks.answers(self._probe, self._course, self._config, tried, wanted, self._left)
-            converts_by_it = found is not None
+            converts_by_it = converts_by_it and found is not None
             for number, given in zip(chosen, (found or [])[1:], strict=False):
-                yield Tried(changes[number].words, changes[number].convention, self._remaining(given))
+                yield Tried(changes[number].words, changes[number].convention, contest.remaining(given))
 
-        explained = self._staged(len(changes), asked)
+        explained = contest.held(len(changes), ask)
         return explained if converts_by_it else None
 
     # -- changes around the adapter ------------------------------------------------------------------------------------
 
     def _by_signals(self) -> Explanation | None:
         """Return what changes of what is shown and commanded explain; None if the adapter cannot be served for it."""
-        changes = list(self._signals())
+        flags = [] if self._repeats else ["--renew"]
         try:
-            flags = [] if self._repeats else ["--renew"]
             with ExitStack() as opened, self._probe.own_server(self._config, flags) as server:
-                around = opened.enter_context(
-                    Around(
-                        self._course,
-                        self._judgement.given,
-                        lambda: self._probe.connected(server.url),
-                        once=self._repeats,
-                    )
-                )
-
-                def asked(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
-                    for number in chosen:
-                        if self._left <= 0:
-                            return
-                        signal = changes[number]
-                        given = around.answers(signal, wanted)
-                        yield Tried(signal.words, signal.convention, self._remaining(given))
-
-                return self._staged(len(changes), asked)
+                connect = functools.partial(self._probe.connected, server.url)
+                around = Around(self._course, self._judgement.given, connect, once=self._repeats)
+                return self._played(opened.enter_context(around))
         except (NotRun, ClientError):
             return None
+
+    def _played(self, around: Around) -> Explanation | None:
+        """Return what changes explain that are played one environment at a time, each in an episode of its own.
+
+        That alone may make a difference: then no change of what is shown says anything.
+        """
+        contest = Contest(self._course, self._judgement, self._replayable)
+        if not contest.differs:
+            return None
+        apart = around.answers(_APART, self._replayable)
+        alone = Tried(_APART.words, _APART.convention, contest.remaining(apart))
+        same = self._is_as_before(apart)
+        changes = [one for one in self._signals() if one.shown is None or (same and not self._breaks(one))]
+
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
+            for number in chosen:
+                if self._left <= 0:
+                    return
+                signal = changes[number]
+                given = around.answers(signal, wanted)
+                yield Tried(signal.words, signal.convention, contest.remaining(given))
+
+        if not same and contest.explained([alone]).cause is not None:
+            return contest.explained([alone])
+        return contest.held(len(changes), ask)
+
+    @property
+    def _replayable(self) -> list[int]:
+        """The questions whose answers are the same when they are played again; a model may draw otherwise later."""
+        questions = self._judgement.session.questions
+        return [question.number for question in questions if self._repeats or question.episode == 0]
+
+    def _is_as_before(self, answers: Mapping[int, Sequence[Any]] | None) -> bool:
+        """Tell whether answers to the questions that can be played again are those of the whole session."""
+        judgement, numbers = self._judgement, self._replayable
+        if answers is None:
+            return False
+        given = [judgement.given[number] for number in numbers]
+        found = differences(given, [answers[number] for number in numbers], judgement.spread)
+        return all(share <= judgement.allowed[part] for part, share in found.items())
+
+    def _breaks(self, signal: Signal) -> bool:
+        """Tell whether a change leaves out questions, after which a model that draws would draw otherwise."""
+        return signal.windowed and not self._repeats
 
     def _signals(self) -> Iterator[Signal]:
         inputs = self._manifest.get("inputs") or {}
@@ -170,68 +200,10 @@ class Search:
 
     @property
     def _repeats(self) -> bool:
-        """Whether an episode that is played again has the same answers, so that a reset is enough between two."""
-        return bool(self._manifest.get("deterministic", True)) and self._native.get("sampling", "none") == "none"
+        """Whether a reset is enough between two plays: the model draws nothing, or nothing that could be had again."""
+        draws = not self._manifest.get("deterministic", True) or self._native.get("sampling", "none") != "none"
+        return is_free(self._manifest) or not draws
 
     @property
     def _left(self) -> float:
         return max(0.0, self._until - time.monotonic())
-
-    def _staged(self, count: int, asked: Callable[[Sequence[int], Sequence[int]], Iterator[Tried]]) -> Explanation:
-        """Try changes on a few questions, the best of them on all, and return what explains the difference.
-
-        Args:
-            count: number of changes.
-            asked: tries changes by their numbers on questions by theirs, as far as the time reaches.
-        """
-        good: Sequence[int] = range(count)
-        tried: list[Tried] = []
-        for wanted, most in zip((self._chosen[:1], self._chosen, self._course.everything), _MOST, strict=True):
-            tried = list(asked(good, wanted)) if good else []
-            if most is not None:
-                good = [good[place] for place in self._promising(tried, wanted, most)]
-        return explain(self._judgement.shares, tried, self._judgement.tolerance)
-
-    @cached_property
-    def _chosen(self) -> list[int]:
-        """The questions on which changes are tried first: one that tells much, one that is right, another one."""
-        judgement = self._judgement
-        worst = {
-            number: max(self._remaining({number: judgement.given[number]}).values())
-            for number in self._course.everything
-        }
-        wrong = [number for number, is_off in enumerate(judgement.off) if is_off]
-        right = [number for number, is_off in enumerate(judgement.off) if not is_off]
-        largest = max(worst[number] for number in wrong)
-        telling = [number for number in wrong if worst[number] >= _PROMISING * largest]
-        return list(dict.fromkeys([telling[0], *right[:1], *telling[1:], *wrong]))[:_FEW]
-
-    def _promising(self, tried: Sequence[Tried], wanted: Sequence[int], most: int) -> list[int]:
-        """Return the places of the changes that are worth more questions: that leave least, or mend most numbers."""
-        judgement = self._judgement
-        before = self._remaining({number: judgement.given[number] for number in self._course.with_earlier(wanted)})
-        largest = max(before.values())
-        left = [max(one.remaining.values()) / largest if largest < _INFINITE else _INFINITE for one in tried]
-        mended = [
-            sum(value > judgement.allowed[part] >= one.remaining[part] for part, value in before.items())
-            for one in tried
-        ]
-        worth = [place for place in range(len(tried)) if left[place] <= _PROMISING or mended[place]]
-        best = sorted(worth, key=lambda place: left[place])[:most]
-        widest = sorted(worth, key=lambda place: -mended[place])[:most]
-        return sorted({*best, *widest})
-
-    def _remaining(self, given: Mapping[int, Sequence[Any]] | None) -> dict[str, float]:
-        """Return how far answers to some questions are from the native ones; steps that are not known do not count."""
-        judgement = self._judgement
-        native, other = [], []
-        for number, chunk in (given or {}).items():
-            wanted = judgement.native[number]
-            known = [place for place, step in enumerate(chunk) if step is not None and place < len(wanted)]
-            native.append([wanted[place] for place in known])
-            other.append([chunk[place] for place in known])
-            if len(chunk) != len(wanted):
-                return dict.fromkeys(judgement.spread, _INFINITE)
-        if not any(native):
-            return dict.fromkeys(judgement.spread, _INFINITE)
-        return differences(native, other, judgement.spread)

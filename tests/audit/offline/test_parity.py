@@ -1,0 +1,329 @@
+"""Parity: an adapter's served answers beside those of the model's own pipeline, and the cause of a difference."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support import parity
+from xpl import Policy
+from xpl.wire import packed
+from xpl.worker import variants
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.offline.parity import distribution
+from xpl_cli.audit.offline.parity.course import Course
+from xpl_cli.audit.offline.parity.fact import Compared, Parity
+from xpl_cli.audit.offline.parity.judgement import Judgement, tolerance
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Finding, Outcome, Result
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.native import names, pairs, record, script
+from xpl_cli.native.pairs import Session
+from xpl_cli.packages import package
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+FEW = settings(max_examples=15, derandomize=True, deadline=None)
+DIMS = {"ee_pose": 7, "ee_joint_state": 1}
+
+
+def session(seed: int, takes: int = 1, steps: int = 3, noise: float = 0.0) -> Session:
+    """Return a session with made-up poses; takes of a question differ by noise."""
+    rng = np.random.default_rng(seed)
+    answers = []
+    for call in script.brief():
+        told = []
+        for _ in call.ask:
+            poses = rng.normal(size=(1, steps, 7)) + noise * rng.normal(size=(takes, steps, 7))
+            poses[..., 3:] /= np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
+            openings = np.clip(rng.random((1, steps, 1)) + noise * rng.normal(size=(takes, steps, 1)), 0, 1)
+            told.append({"ee_pose": poses.astype(np.float32), "ee_joint_state": openings.astype(np.float32)})
+        answers += [tuple(told)] if told else []
+    return Session("franka_single", "ee", 0, {"cam_head": (12, 16)}, takes, script.brief(), tuple(answers))
+
+
+def chunks(native: Session, take: int = 0) -> list[pairs.Chunk]:
+    """Return the native answers as an adapter's."""
+    return [
+        [{key: values.copy() for key, values in step.items()} for step in native.chunk(question, take)]
+        for question in native.questions
+    ]
+
+
+# -- what differs ------------------------------------------------------------------------------------------------------
+
+
+@FEW
+@given(st.integers(0, 1000), st.integers(0, 3), st.integers(0, 2), st.integers(0, 6))
+def test_any_number_that_differs_is_found_where_it_differs_first(seed: int, number: int, step: int, index: int) -> None:
+    """Equal answers have no deviation, nor has a quaternion of the other sign."""
+    native = session(seed)
+    given = chunks(native)
+    for chunk in given[::2]:
+        for one in chunk:
+            one["ee_pose"][3:] *= -1
+    assert Judgement(native, given, 1e-4, {}).deviation is None
+    given[number][step]["ee_pose"][index] += 0.01
+    found = Judgement(native, given, 1e-4, {}).deviation
+    assert found is not None
+    assert (found.part, found.question.number, found.step) == (f"ee_pose[{index}]", number, step)
+    assert (found.pairs, found.parts) == (1, (found.part,))
+    assert found.given - found.native == pytest.approx(0.01, abs=1e-5) or index >= 3
+    assert found.share == pytest.approx(0.01 / found.span, rel=1e-3)
+
+
+def test_what_two_recordings_differ_by_is_no_difference() -> None:
+    """Twice the noise, besides the tolerance."""
+    native = session(1)
+    given = chunks(native)
+    given[0][0]["ee_pose"][0] += 0.01
+    assert Judgement(native, given, 1e-4, {"ee_pose": 0.004}).deviation is not None
+    assert Judgement(native, given, 1e-4, {"ee_pose": 0.006}).deviation is None
+    assert tolerance({"native": {"tolerance": 0.02}}) == 0.02
+    assert tolerance({}) == tolerance({"native": {"action": {}}}) == 1e-4
+
+
+def test_a_chunk_may_be_the_beginning_of_the_native_one_and_no_more() -> None:
+    """What an adapter hands on is compared; what the model never said is told."""
+    native = session(2)
+    shorter = [chunk[:2] for chunk in chunks(native)]
+    assert Judgement(native, shorter, 1e-4, {}).deviation is None
+    assert Compared(native, [[chunk] for chunk in shorter]).too_long is None
+    assert Compared(native, [[chunk * 2] for chunk in chunks(native)]).too_long == (6, 3)
+
+
+def test_questions_that_are_asked_again_keep_what_was_before_them() -> None:
+    """The same episodes, with all that was asked earlier in them; nothing of other environments."""
+    course = Course(session(0))
+    assert course.everything == [0, 1, 2, 3]
+    assert course.with_earlier([2]) == [0, 2]
+    assert [call for call in course.calls([2]) if call.show or call.ask] == [
+        script.Call(show=((0, 0),)),
+        script.Call(ask=(0,)),
+        script.Call(show=((0, 1),)),
+        script.Call(show=((0, 2),)),
+        script.Call(ask=(0,)),
+    ]
+    assert [call.reset for call in course.calls([3])].count(True) == 2
+    assert course.calls(course.everything) == list(course.session.calls)
+
+
+# -- in distribution ---------------------------------------------------------------------------------------------------
+
+
+@FEW
+@given(st.integers(0, 10_000), st.sampled_from([0.0, 0.02, 0.3]))
+def test_answers_of_the_same_model_are_distributed_alike(seed: int, noise: float) -> None:
+    """Also where a number is constant, or clipped."""
+    both = session(seed, takes=64, noise=noise)
+    given = [[chunks(both, take)[number] for take in range(32, 64)] for number in range(len(both.questions))]
+    halves = tuple(tuple({key: values[:32] for key, values in one.items()} for one in told) for told in both.answers)
+    assert distribution.shift(both.with_answers(halves, takes=32), given, 1e-4) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda values: values + 0.05, "mean"),
+        (lambda values: 1 - values, "mean"),
+        (lambda values: values.mean(0, keepdims=True) + 4 * (values - values.mean(0, keepdims=True)), "spread"),
+        (lambda values: np.repeat(values.mean(0, keepdims=True), 32, 0), "spread"),
+    ],
+    ids=["moved", "turned", "wider", "constant"],
+)
+def test_answers_of_another_model_are_not(change: Callable[[np.ndarray], np.ndarray], what: str) -> None:
+    """Moved, turned round, wider, or always the same."""
+    both = session(5, takes=64, noise=0.02)
+    halves = tuple(tuple({key: values[:32] for key, values in one.items()} for one in told) for told in both.answers)
+    others = [{key: values[32:] for key, values in one.items()} for told in both.answers for one in told]
+    for one in others:
+        one["ee_joint_state"] = change(one["ee_joint_state"])
+    given = [[[{k: v[t, s] for k, v in one.items()} for s in range(3)] for t in range(32)] for one in others]
+    found = distribution.shift(both.with_answers(halves, takes=32), given, 1e-4)
+    assert found is not None
+    assert (found.part, found.parts, found.what) == ("ee_joint_state[0]", ("ee_joint_state[0]",), what)
+
+
+# -- served ------------------------------------------------------------------------------------------------------------
+
+
+def audited(folder: Path, **options: Any) -> Result:
+    """Return the result of XPL260."""
+    report = engine.audit(folder, "policy", Options(gates=(Gate.OFFLINE,), names=("XPL260",), **options))
+    return report.gates[0].results[0]
+
+
+def recorded(folder: Path) -> Path:
+    """Record a package."""
+    record.record(package.load(folder), record.Options())
+    return folder
+
+
+def only(result: Result) -> Finding:
+    """Return the only finding of a result that failed."""
+    assert result.outcome is Outcome.FAIL, result.reason
+    (finding,) = result.findings
+    return finding
+
+
+def test_an_adapter_that_says_what_its_model_says_is_proven(tmp_path: Path) -> None:
+    """With the numbers that a verdict prints."""
+    folder = recorded(parity.made(tmp_path / "Foo"))
+    result = audited(folder)
+    assert (result.outcome, result.findings) == (Outcome.PASS, ())
+    assert result.proof is not None
+    assert {key: result.proof[key] for key in ("pairs", "assumed")} == {"pairs": 20, "assumed": 2}
+
+
+SAMPLER = """import numpy as np
+
+from xpl import Policy
+
+from .network import Network
+
+
+class Model(Policy):
+    def load(self, config):
+        self.network = Network()
+        self.own = np.random.default_rng()
+
+    def predict(self, inputs, envs):
+        rows = zip(inputs["image"], inputs["state"], inputs["prompt"])
+        return np.stack([np.tanh(self.network(*row) + DRAWN) for row, env in zip(rows, envs)])
+"""
+NATIVE_SAMPLER = parity.NATIVE.replace(
+    "said = network(image.astype(np.float32), state, prompt)",
+    "said = np.tanh(network(image.astype(np.float32), state, prompt) + 0.1 * episode.rng.normal(size=(4, 8)))",
+)
+
+
+@pytest.mark.parametrize(
+    ("drawn", "sound"),
+    [("0.1 * self.rng(env).normal(size=(4, 8))", True), ("0.0", False)],
+    ids=["seeded", "silent"],
+)
+def test_a_model_that_takes_a_seed_is_compared_draw_by_draw(
+    drawn: str, sound: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The generator that native code is handed draws what the adapter's draws."""
+    model = SAMPLER.replace("DRAWN", drawn)
+    monkeypatch.setattr(Parity, "cause", lambda *_: None)
+    folder = recorded(parity.made(tmp_path / "Foo", parity.block(sampling="seeded"), model=model, code=NATIVE_SAMPLER))
+    assert audited(folder).outcome is (Outcome.PASS if sound else Outcome.FAIL)
+
+
+@pytest.mark.slow
+def test_a_model_that_takes_none_is_compared_in_distribution(tmp_path: Path) -> None:
+    """Another generator is no difference, a gripper that is turned round is one, with its cause."""
+    native = NATIVE_SAMPLER.replace("episode.rng", "np.random.default_rng()")
+    model = SAMPLER.replace("DRAWN", "0.1 * self.own.normal(size=(4, 8))")
+    block = parity.block(sampling="free")
+    folder = recorded(parity.made(tmp_path / "Foo", block, model=model, code=native, deterministic=False))
+    assert pairs.read(folder).sessions[0].takes == record.TAKES
+    assert audited(folder).outcome is Outcome.PASS
+    block["action"]["parts"][1]["gripper"].update(closed=1.0, open=0.0)
+    parity.made(folder, block, model=model, code=native, deterministic=False)
+    finding = only(audited(folder))
+    assert "ee_joint_state[0] is not distributed as the native model's" in finding.message
+    assert "with `gripper: closed and open exchanged (action)`" in finding.message
+
+
+KEEPS = parity.MODEL.replace(
+    '        rows = zip(inputs["image"], inputs["state"], inputs["prompt"])\n',
+    '        state = inputs["state"] + 0.1 * getattr(self, "before", 0.0)\n'
+    "        self.before = state[:1].mean()\n"
+    '        rows = zip(inputs["image"], state, inputs["prompt"])\n',
+)
+EXCHANGES = parity.MODEL.replace('inputs["prompt"])', 'inputs["prompt"][::-1])')
+
+
+@pytest.mark.parametrize(
+    ("model", "cause"),
+    [
+        pytest.param(KEEPS, None, id="keeps", marks=pytest.mark.slow),
+        pytest.param(EXCHANGES, "each environment asked by itself", id="exchanges"),
+    ],
+)
+def test_what_shows_in_later_questions_and_in_batches_is_seen(model: str, cause: str | None, tmp_path: Path) -> None:
+    """State that outlives an episode, inputs of another environment: no conversion is suspected of either."""
+    folder = recorded(parity.made(tmp_path / "Foo", model=model))
+    finding = only(audited(folder))
+    assert finding.evidence is not None
+    assert 0 < finding.evidence["pairs_off"] < 20
+    assert (finding.evidence.get("cause") or {}).get("words") == cause
+
+
+def test_an_adapter_that_refuses_a_question_is_told_so(tmp_path: Path) -> None:
+    """With the question and its error."""
+    model = parity.MODEL.replace("rows = zip", "assert not inputs['prompt'][0].startswith('Task: open'); rows = zip")
+    finding = only(audited(recorded(parity.made(tmp_path / "Foo", model=model))))
+    assert "does not answer what the native model answers" in finding.message
+    assert "AssertionError" in str(finding.got)
+
+
+def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
+    """Never recorded, or damaged; a version of the standard that does not ask for it."""
+    folder = parity.made(tmp_path / "Foo")
+    result = audited(folder)
+    assert (result.outcome, "was never recorded" in str(result.reason)) == (Outcome.NOT_RUN, True)
+    (folder / names.PAIRS).write_text("{}")
+    result = audited(folder)
+    assert (result.outcome, "missing" in str(result.reason)) == (Outcome.NOT_RUN, True)
+    for name in (names.CODE, names.PAIRS):
+        (folder / name).unlink()
+    result = audited(folder)
+    assert result.outcome is Outcome.NOT_APPLICABLE
+    assert result.reason == "there is no native.py: the conversions are unproven"
+
+
+# -- one word after another --------------------------------------------------------------------------------------------
+
+
+class Counting(Policy):
+    """Counts its calls, and answers what it is shown."""
+
+    calls = 0
+
+    def predict(self, inputs: Any, envs: Sequence[int]) -> Any:
+        """Return the state as the answer."""
+        self.calls += 1
+        return inputs["state"][:, None, :]
+
+
+class Encoding(Counting):
+    """Converts by itself."""
+
+    def encode(self, obs: Any, env: int) -> Any:
+        """Return nothing."""
+
+
+def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> None:
+    """And each block gets the answers that it would have got by itself."""
+    native = {"state": parity.BLOCK["state"], "action": parity.BLOCK["action"]}
+    manifest = {"temporal": {"kind": "chunk", "chunk": 1}, "native": native}
+    config = {"env_cfg_type": "franka_single", "action_type": "joint", "manifest": manifest}
+    model = Counting(config)
+    absolute = {**native, "action": {**native["action"], "reference": "absolute"}}
+    broken = {**native, "action": {**native["action"], "pad": 3}}
+    course = Course(Session("franka_single", "joint", 0, {}, 1, script.brief()))
+    order = {"calls": course.told(script.brief()), "seconds": 100.0, "policy_dir": "/"}
+    told = [packed.decode(one) for one in variants.variants(model, [native, absolute, broken, native], order)]
+    assert model.calls == 3
+    assert "NativeError" in told[2]["error"]
+    delta, other, again = (told[place]["result"] for place in (0, 1, 3))
+    assert len(delta) == 4
+    assert np.array_equal(delta[0][0]["arm_joint_state"], again[0][0]["arm_joint_state"])
+    assert not np.allclose(delta[0][0]["arm_joint_state"], other[0][0]["arm_joint_state"])
+    alone = Counting({**config, "manifest": {**manifest, "native": absolute}})
+    (same,) = [packed.decode(one) for one in variants.variants(alone, [absolute], order)]
+    assert np.array_equal(same["result"][2][0]["arm_joint_state"], other[2][0]["arm_joint_state"])
+    assert variants.unfit(model) is None
+    assert "encode" in str(variants.unfit(Encoding(config)))
+    assert "no native block" in str(variants.unfit(Counting({**config, "manifest": {}})))
+    assert list(variants.variants(model, [native], {**order, "seconds": -1.0})) == []
