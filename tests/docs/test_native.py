@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.support import pages
+from tests.support import pages, parity
 from tests.support.native import observation
 from tests.support.places import ROOT
+from xpl_cli.native import record
+from xpl_cli.packages import package
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -80,3 +82,28 @@ def test_the_example_of_both_directions_runs() -> None:
     shown = space["shown_to_an_adapter"](native, {"s": [*[0.3] * 7, 0.02]}, observation("franka_single"))
     assert shown["state"]["arm_joint_state"] == pytest.approx([0.3] * 7)
     assert shown["state"]["ee_joint_state"] == pytest.approx([0.25])
+
+
+AUTHORS = """import numpy as np
+
+
+class Policy:
+    def __init__(self, checkpoint):
+        self.gain = 0.1
+
+    def act(self, inputs, text):
+        picture = np.asarray(inputs["agentview"], np.float64).mean((0, 1)) / 255
+        row = np.append(inputs["qpos"] + self.gain * picture.sum(), 0.04 * len(text) / 80)
+        return np.stack([row, row + 0.001])
+"""
+
+
+def test_the_native_code_of_the_page_can_be_recorded(tmp_path: Path) -> None:
+    """With a class of the authors, and the conventions that it names."""
+    code = next(text for text in CODE if "def answers" in text)
+    folder = parity.made(tmp_path / "Foo", None, code=code)
+    (folder / "authors").mkdir()
+    (folder / "authors/policy.py").write_text(AUTHORS)
+    done = record.record(package.load(folder), record.Options())
+    assert (done.conventions, done.assumed) == (3, ("joint_order",))
+    assert set(done.pairs.provenance["native"]) == {"native.py", "authors/policy.py"}
