@@ -8,14 +8,14 @@ from typing import Any
 from xpl import _spec as sdk
 from xpl.convert import NativeError
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
-from xpl_cli.audit.static.manifests import key_line
-from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.served.probe import Probe
 from xpl_cli.native.kinematics import declared, witness
 from xpl_cli.native.kinematics.witness import Verdict
+from xpl_cli.standard import spec
 
 
 @rule(code="XPL262", requirement="XPL-NAT-7")
-def kinematics_agree(source: Source) -> Iterator[Finding | Proof]:
+def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
     """Joints and poses that were recorded together contradict each other in the conventions that are declared.
 
     ## What it does
@@ -35,23 +35,24 @@ def kinematics_agree(source: Source) -> Iterator[Finding | Proof]:
     ## Fix safety
     No automatic fix: what the model was trained on decides.
     """
+    package = probe.package
     try:
-        found = declared.verdicts(source.manifest, source.version, [source.path])
+        found = declared.verdicts(package.manifest, spec.declared(package.manifest), [package.path])
     except declared.NoWitnessError as error:
         raise NotApplicable(str(error)) from None
     except NativeError as error:
         what = {"expected": "rows that fit the block and the robot", "got": "other ones"}
-        yield _finding(source, str(error), "mend native.samples", **what)
+        yield _finding(str(error), "mend native.samples", **what)
         return
     if all(verdict.outcome == witness.OPEN for verdict in found):
         raise NotApplicable(f"kinematics cannot tell: {found[0].because}")
     for verdict in found:
         if verdict.outcome in {witness.DIFFERS, witness.ANSWERS, witness.UNEXPLAINED}:
-            yield _of(source, verdict)
+            yield _of(verdict)
     yield Proof({verdict.where: verdict.document() for verdict in found})
 
 
-def _of(source: Source, verdict: Verdict) -> Finding:
+def _of(verdict: Verdict) -> Finding:
     if verdict.outcome == witness.UNEXPLAINED:
         expected = "poses where the joints put them"
         advice = "compare frame and tool with the authors' robot; what no word says is done in encode and decode"
@@ -59,10 +60,8 @@ def _of(source: Source, verdict: Verdict) -> Finding:
         expected = verdict.change
         advice = f"say {verdict.change} in native, where the authors' code agrees"
     evidence = verdict.document()
-    return _finding(source, verdict.sentence, advice, expected=expected, got=verdict.replaced, evidence=evidence)
+    return _finding(verdict.sentence, advice, expected=expected, got=verdict.replaced, evidence=evidence)
 
 
-def _finding(source: Source, message: str, advice: str, **more: Any) -> Finding:
-    name = sdk.File.POLICY_YML
-    line = key_line(source, name, "native")
-    return Finding(message, path=name, line=line, column=1, fix=Fix("advice", advice), **more)
+def _finding(message: str, advice: str, **more: Any) -> Finding:
+    return Finding(message, path=sdk.File.POLICY_YML, fix=Fix("advice", advice), **more)
