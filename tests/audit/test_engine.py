@@ -12,11 +12,13 @@ import pytest
 from tests.support.peer import xpl
 from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import engine
+from xpl_cli.audit.engine.checks import outcome_of
+from xpl_cli.audit.engine.waivers import Waiver, waive
 from xpl_cli.audit.formats import document
 from xpl_cli.audit.formats.listing import Context
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.audit.rules.model import Finding, Outcome, Result
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.registry import RegistryError
 from xpl_cli.basics.errors import ExitCode
@@ -354,3 +356,14 @@ def test_a_folder_outside_git_is_told(workspace: Path) -> None:
     done = xpl("audit", "policy/Foo", "--changed-since", "main", cwd=workspace)
     assert done.returncode == ExitCode.USAGE
     assert "needs a git repository" in done.stderr
+
+
+@pytest.mark.parametrize(("must", "outcome"), [(True, Outcome.FAIL), (False, Outcome.WARN)])
+def test_a_finding_may_be_graver_than_its_rule(must: bool, outcome: Outcome) -> None:
+    """A rule that warns fails where a finding says so, and no longer once that one is waived."""
+    findings = (Finding("mild"), Finding("grave", must=must))
+    assert outcome_of(findings, "should") is outcome
+    waived = waive(
+        Result("XPL237", "first", "XPL-ACT-8", "should", outcome, findings), [Waiver("first", "so it is", "grave", 0)]
+    )
+    assert (waived.outcome, waived.findings) == (Outcome.WARN, findings[:1])

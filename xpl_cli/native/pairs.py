@@ -129,6 +129,10 @@ class Session:
                 yield Question(number, place, env, episode, tuple(shown[env]), tuple(asked[env]), answer)
                 number += 1
 
+    def state(self, question: Question) -> dict[str, np.ndarray]:
+        """Return the newest state that was shown before a question."""
+        return self.scene.state(*question.shown[-1])
+
     def chunk(self, question: Question, take: int = 0) -> Chunk:
         """Return a native answer as action steps."""
         steps = len(next(iter(question.answer.values()))[take])

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.offline.limits import jumps
-from xpl_cli.audit.offline.motion import Motions
+from xpl_cli.audit.offline.limits import Excess, jumps
+from xpl_cli.audit.offline.motion import Motion, Motions
+from xpl_cli.audit.offline.parity.fact import Parity
 from xpl_cli.audit.served.probe import blame
 
 
 @rule(code="XPL237", requirement="XPL-ACT-8", profile="full")
-def first_action_near(motions: Motions) -> Iterator[Finding]:
+def first_action_near(motions: Motions, parity: Parity) -> Iterator[Finding]:
     """The first action of an episode is far from where the robot is.
 
     ## What it does
     With every embodiment and action type that the manifest declares, compares the first action of an episode with the
     observed pose. The robot has to be able to get there in one control step: by its joint speeds where these are known.
+    Where native pairs show that the model's own first actions are nearer than half as far, the audit fails.
 
     ## Why it matters
     A target far away is where most wiring faults show: left and right exchanged, degrees for radians, differences taken
@@ -28,7 +30,8 @@ def first_action_near(motions: Motions) -> Iterator[Finding]:
 
     ## Use instead
     Absolute targets in the order of `xpl.action.pack`, in the frames and units of the standard. A trained policy may
-    leap because the scripted pictures mean nothing to it: then say so in a waiver.
+    leap because the scripted pictures mean nothing to it: native pairs tell whether it does, and without them a waiver
+    may say so.
 
     ## Fix safety
     No automatic fix.
@@ -40,11 +43,50 @@ def first_action_near(motions: Motions) -> Iterator[Finding]:
             state = answer.obs[spec.Obs.STATE]
             found = list(jumps(motion.embodiment, state, answer.chunk[0], motions.frequency))
             if found:
+                leap, own = _farthest(found), _native_leap(parity, motion, motions.frequency)
+                is_foreign = own is not None and leap > _FOREIGN * own
                 yield blame(
                     f"the first {motion.action_type} action for {motion.embodiment.name} is farther from the observed "
-                    f"pose than the robot moves in one step at {motions.frequency:g} Hz: it would leap",
+                    f"pose than the robot moves in one step at {motions.frequency:g} Hz: it would leap"
+                    f"{_beside(own, is_foreign=is_foreign)}",
                     expected="a first action near the observed pose",
                     got=f"{answer.where}: {'; '.join(map(str, found))}",
-                    fix=Fix("advice", "look for sides exchanged, another unit or frame, or differences not added"),
+                    fix=Fix("advice", _LOOK if own is None or is_foreign else _SHARED),
+                    must=is_foreign,
                 )
                 break
+
+
+_FOREIGN = 2.0
+"""How many times as far as the model's own first actions one has to be for the leap not to be the model's."""
+_LOOK = "look for sides exchanged, another unit or frame, or differences not added; native-parity compares all answers"
+_SHARED = "it is what the model does with scripted pictures, or native.py and the adapter share a mistake"
+
+
+def _beside(own: float | None, *, is_foreign: bool) -> str:
+    if own is None:
+        return ""
+    return ", which the native model's own do not" if is_foreign else ", and so would the native model's own"
+
+
+def _farthest(found: Iterable[Excess]) -> float:
+    """Return how many times as far as a robot moves in one step the farthest is, at least 1."""
+    return max((excess.value / excess.limit for excess in found), default=1.0)
+
+
+def _native_leap(parity: Parity, motion: Motion, frequency: float) -> float | None:
+    """Return how far native first actions are, in steps of the robot, at least 1; None without pairs of this robot."""
+    told = parity.recorded
+    asked = [
+        (session, question)
+        for session in (told.sessions if told is not None else ())
+        if (session.embodiment, session.action_type) == (motion.embodiment.name, motion.action_type)
+        for question in session.questions
+        if len(question.asked) == 1
+    ]
+    if not asked:
+        return None
+    return max(
+        _farthest(jumps(session.robot, session.state(question), session.chunk(question)[0], frequency))
+        for session, question in asked
+    )

@@ -89,6 +89,7 @@ class Finding:
         got: what came.
         evidence: frames and numbers that show it; JSON values.
         fix: what to do.
+        must: whether it fails although the rule's requirement is a SHOULD.
     """
 
     message: str
@@ -101,6 +102,7 @@ class Finding:
     got: str | None = None
     evidence: Mapping[str, Any] | None = None
     fix: Fix | None = None
+    must: bool = False
 
     def fingerprint(self, code: str, path: str | None = None, occurrence: int = 1) -> str:
         """Return an identity that survives edits elsewhere in the file: rule, file and message without numbers.

@@ -82,6 +82,14 @@ class Parity:
         except UserError as error:
             raise NotRun(str(error)) from None
 
+    @property
+    def recorded(self) -> Pairs | None:
+        """The pairs of the package, None where there are none that can be used; native-parity says why."""
+        try:
+            return self.pairs
+        except (NotApplicable, NotRun):
+            return None
+
     @cached_property
     def conventions(self) -> tuple[int, int]:
         """How many conventions native.py names, and how many of them are assumed."""
