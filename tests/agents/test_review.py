@@ -103,7 +103,7 @@ def test_packages_that_came_changed_or_went_are_told_and_others_left_alone(repos
         ("policy/Bar", "added"),
         ("policy/Foo", "changed"),
     ]
-    assert (found["removed"], found["elsewhere"], found["verdict"]) == (["policy/Old"], 1, "green")
+    assert (found["removed"], found["elsewhere"], found["verdict"]) == (["policy/Old"], 1, "open")
 
 
 def test_a_change_of_no_package_is_reviewed_at_once(repository: Path) -> None:
@@ -322,7 +322,7 @@ def test_a_policy_needs_a_description_that_belongs_to_its_files(repository: Path
 
     text.write_text(filled([gate["finish"], *others]), encoding="utf-8")
     found = reviewed(repository, *options)
-    assert (found["verdict"], found["description"]["problems"]) == ("green", [])
+    assert (found["verdict"], found["description"]["problems"]) == ("open", [])
     assert len(found["description"]["notes"]) == 2, "a digest of another machine is no proof here"
 
     shadow = f"{others[0]} profile=shadow"
@@ -386,7 +386,7 @@ def test_what_was_there_before_makes_no_review_red_unless_asked(repository: Path
     with (repository / "policy/Foo/README.md").open("a", encoding="utf-8") as readme:
         readme.write("A typo less.\n")
     found = reviewed(repository)
-    assert (found["verdict"], found["exit_code"]) == ("green", ExitCode.CLEAN)
+    assert (found["verdict"], found["exit_code"]) == ("open", ExitCode.CLEAN)
     assert {entry["was_there_before"] for entry in found["findings"]} == {True}
     comment = xpl("review", *STATIC, cwd=repository).stdout
     assert "What was there before does not count here." in comment

@@ -16,9 +16,8 @@ from tests.support.places import tracked
 from tests.support.runs import synthetic
 from tests.support.told import Command, fault
 from xpl_cli.agents.status import memory, standing
-from xpl_cli.agents.status.steps import GATES
 from xpl_cli.audit.rules import registry
-from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.gates import GATES, Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.profiles import Choice, Profile
 from xpl_cli.audit.static.source import Source
@@ -163,16 +162,18 @@ def test_what_a_gate_found_is_told_until_it_is_mended(foo: Path) -> None:
 
 
 def test_green_needs_every_gate_with_the_real_model(filled: Path) -> None:
-    """A stand-in is partial, not_run is no pass, and the last thing to do is to evaluate."""
+    """A stand-in is a shadow, not_run is no pass, and the last thing to do is to evaluate."""
     passed = [_gate(gate, Outcome.PASS) for gate in Gate]
     _audited(filled, *passed)
     package = _one("Foo")
     assert (package["verdict"], package["stage"]) == ("green", None)
+    assert package["statement"] == "GREEN contract; conversions unproven (no native.py)"
+    assert _run("status", "Foo").stdout.splitlines()[-3] == f"stands  {package['statement']}"
     assert package["next"] == ["xpl eval policy/Foo --env mujoco --episodes 10"]
     shadow = Choice(Profile.SHADOW, StandIn(shadow=True), reason="the module torch is not installed here")
     _audited(filled, _gate(Gate.OFFLINE, Outcome.PASS, served=shadow))
     package = _one("Foo")
-    assert (package["verdict"], package["steps"]["offline"]["state"]) == ("incomplete", "partial")
+    assert (package["verdict"], package["steps"]["offline"]["state"]) == ("shadow", "partial")
     assert "torch" in package["steps"]["offline"]["detail"]
     assert package["next"] == ["xpl audit policy/Foo --profile full"]
     _audited(filled, *passed, _gate(Gate.MUJOCO, Outcome.NOT_RUN), options=("--set", "a=b c"))
@@ -190,6 +191,7 @@ def test_after_the_last_edit_comes_an_audit(foo: Path) -> None:
     _audited(foo, *(_gate(gate, Outcome.PASS) for gate in Gate))
     package = _one("Foo")
     assert (package["stage"], package["next"]) == ("placeholders", ["xpl audit policy/Foo"])
+    assert package["verdict"] == "open"
 
 
 def test_another_version_of_the_tool_has_to_look_again(filled: Path, monkeypatch: pytest.MonkeyPatch) -> None:

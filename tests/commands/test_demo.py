@@ -65,7 +65,7 @@ def test_on_a_terminal_the_demo_asks_nothing_and_ends_with_the_next_commands(tmp
             shown += chunk
     os.close(ours)
     assert process.wait() == 0, shown.decode()
-    landmarks = [b"new-policy", b"answered", b"GREEN", b"batch-by-position", b"RED", b"xpl new-policy Foo"]
+    landmarks = [b"new-policy", b"answered", b"OPEN", b"batch-by-position", b"RED", b"xpl new-policy Foo"]
     place = 0
     for landmark in landmarks:  # each after the one before: a slow machine's progress line names rules early, too
         place = shown.find(landmark, place)

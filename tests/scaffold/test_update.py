@@ -19,9 +19,9 @@ from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.audit.rules.model import Outcome, exit_code
 from xpl_cli.audit.rules.options import Options
-from xpl_cli.basics.errors import UserError
+from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.yaml.edit import Document, EditError
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.scaffold import environment, lock, migrations, undo
@@ -459,7 +459,9 @@ def test_an_updated_adapter_is_green_through_the_offline_gate(answers: dict[str,
     _edit(folder / "policy.yml", "family: other", "family: act")
     _apply(folder)
     report = engine.audit(folder, "policy", Options(gates=(Gate.STATIC, Gate.OFFLINE)))
-    assert report.verdict == "green", [(result.slug, result.findings) for result in report.results if result.findings]
+    assert exit_code([report]) is ExitCode.CLEAN, [
+        (result.slug, result.findings) for result in report.results if result.findings
+    ]
 
 
 def test_an_edited_generated_file_is_rendered_again_by_the_fix(tmp_path: Path) -> None:

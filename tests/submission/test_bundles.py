@@ -12,8 +12,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support.runs import Faults, synthetic
+from xpl_cli.audit.rules.model import TargetReport
+from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.evaluation.records import records
+from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive, bundle, claims, consistency, prepare, replay
 from xpl_cli.submission.replay import Match, Pair, Verdict
@@ -178,8 +181,9 @@ class TestClaims:
         """It tells counts by task and setting, and neither times nor places."""
         run = _run(tmp_path / "run")
         policy = prepare.described(run)
-        manifest = bundle.manifest(policy, [claims.claim(run)], {"audit.json": b"{}"})
-        assert validate(manifest, "submission") == []
+        audit = judged(TargetReport("policy/Foo", "Foo", "policy")).as_json()
+        manifest = bundle.manifest(policy, [claims.claim(run)], audit, {"audit.json": b"{}"})
+        assert validate(manifest, "submission", spec.NEWEST) == []
         assert sum(cell["played"] for cell in manifest["runs"][0]["cells"]) == len(run.finals)
         assert str(tmp_path) not in bundle.document(manifest).decode()
 

@@ -24,6 +24,7 @@ from xpl_cli.evaluation.runs import evaluate
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.lifecycle.checkpoints import fetch, sources, specification, store
 from xpl_cli.packages import package
+from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive, bundle, prepare, replay, verify
 from xpl_cli.submission.replaying import Player
@@ -91,7 +92,7 @@ def _records(change: Callable[[list[Line]], Any]) -> Callable[[Path], None]:
 def _problems(path: Path) -> dict[str, tuple[str, ...]]:
     """Return what is wrong with a bundle by what was looked at, but for the audit that these tests leave out."""
     report = verify.verify(verify.Request(path, sample=0))
-    assert validate(report.as_json(), "verification") == []
+    assert validate(report.as_json(), "verification", spec.NEWEST) == []
     found = {check.name: check.problems for check in report.checks if check.problems}
     if found.get("audit") == (UNAUDITED,):
         del found["audit"]
@@ -286,6 +287,69 @@ def test_the_verdict_of_an_audit_follows_from_its_rules_and_the_adapter(
     assert any(said in problem for problem in found["audit"]), found
 
 
+def _claimed(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
+    """Return what changes the verdict in a bundle, in its manifest and in its audit report alike."""
+
+    def edit(folder: Path) -> None:
+        manifest, report = (json.loads((folder / name).read_bytes()) for name in (bundle.MANIFEST, bundle.AUDIT))
+        change(manifest["audit"])
+        change(report["targets"][0])
+        (folder / bundle.MANIFEST).write_bytes(bundle.document(manifest))
+        (folder / bundle.AUDIT).write_bytes(bundle.document(report))
+
+    return edit
+
+
+PARITY = [{"word": "parity", "numbers": {"pairs": 24, "assumed": 0}}]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda told: told.update(verdict="green"), "it is green, its rules and the adapter make it partial"),
+        (lambda told: told.update(proven=PARITY), "says otherwise what is proven"),
+        (lambda told: told.update(statement="GREEN"), "says otherwise what it comes to"),
+    ],
+    ids=["word", "claim", "sentence"],
+)
+def test_a_bundle_claims_no_more_than_its_audit_proves(
+    packed: Path, tmp_path: Path, change: Callable[[dict[str, Any]], Any], said: str
+) -> None:
+    """What is proven follows from the rules and from the adapter, whatever manifest and report say of it."""
+    report = verify.verify(verify.Request(packed, sample=0))
+    assert str(report.verdict).startswith("PARTIAL static only: nothing wrong")
+    found = _problems(_forged(packed, tmp_path / "forged.zip", _claimed(change)))
+    assert any(said in problem for problem in found["audit"]), found
+
+
+def test_manifest_and_report_of_a_bundle_say_the_same(packed: Path, tmp_path: Path) -> None:
+    """Who reads only one of them is told the same as who reads the other."""
+
+    def edit(folder: Path) -> None:
+        manifest = json.loads((folder / bundle.MANIFEST).read_bytes())
+        manifest["audit"]["proven"] = PARITY
+        (folder / bundle.MANIFEST).write_bytes(bundle.document(manifest))
+
+    found = _problems(_forged(packed, tmp_path / "forged.zip", edit))
+    assert "submission.json says otherwise what is proven than audit.json" in found["audit"]
+
+
+def test_a_bundle_of_an_earlier_version_still_agrees(packed: Path, tmp_path: Path) -> None:
+    """Its reports knew three words, and said nothing of what is proven."""
+
+    def edit(folder: Path) -> None:
+        manifest, report = (json.loads((folder / name).read_bytes()) for name in (bundle.MANIFEST, bundle.AUDIT))
+        del manifest["audit"]
+        (target,) = report["targets"]
+        for key in ("statement", "proven", "unproven"):
+            del target[key]
+        target["verdict"] = "green"
+        (folder / bundle.MANIFEST).write_bytes(bundle.document(manifest))
+        (folder / bundle.AUDIT).write_bytes(bundle.document(report))
+
+    assert _problems(_forged(packed, tmp_path / "old.zip", edit)) == {}
+
+
 class TestCheckpoints:
     """Weights stay out of a bundle, and are found by their digest."""
 
@@ -341,7 +405,12 @@ def test_from_evaluation_to_verification(run: Run, tmp_path: Path) -> None:
     code, made = _xpl("submit", "--check", str(EXPERT), str(run.folder), "--out", str(path))
     assert (code, made["problems"], made["path"]) == (0, [], str(path))
     code, told = _xpl("verify", str(path), "--sample", "2")
-    assert validate(told, "verification") == []
+    assert validate(told, "verification", spec.NEWEST) == []
+    assert (
+        told["audit"]["statement"]
+        == made["audit"]["statement"]
+        == "GREEN contract; conversions unproven (no native.py)"
+    )
     assert (code, told["replay"]["verdict"]) == (0, "agrees")
     assert told["bundle"] == made["bundle"]
     forged = _forged(path, tmp_path / "forged.zip", _records(lambda lines: lines[-1].update(digest="0" * 64)))

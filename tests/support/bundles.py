@@ -40,7 +40,9 @@ def manifest(files: Mapping[str, bytes], folder: Path) -> dict[str, Any]:
     """Return the manifest of such files; what it claims is of the run that `made` recorded."""
     run = records.read(folder / "run")
     told = {key: run.plan["policy"][key] for key in ("name", "spec", "digest")}
-    return bundle.manifest(told, [claims.claim(run)], files)
+    (target,) = json.loads(files[bundle.AUDIT])["targets"]
+    audit = {key: target[key] for key in ("verdict", "statement", "proven", "unproven")}
+    return bundle.manifest(told, [claims.claim(run)], audit, files)
 
 
 def archived(path: Path, files: Mapping[str, bytes], told: Mapping[str, Any]) -> Path:

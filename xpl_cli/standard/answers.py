@@ -61,6 +61,11 @@ def find(name: str) -> Answer:
     raise no_such(f"no command answers {name!r}", name, answers(), listing="xpl answers", kind=UnknownTargetError)
 
 
+def documents() -> frozenset[str]:
+    """Return the names of the standard's schemas that answers follow: the tool writes these by the newest version."""
+    return frozenset(entry[_STANDARD] for entry in _entries().values() if _STANDARD in entry)
+
+
 def schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of an answer, which refers to nothing but the standard's own schemas."""
     entry = _entries()[name]

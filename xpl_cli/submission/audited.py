@@ -6,18 +6,24 @@ against those that there are, and its static gate, which runs nothing of an adap
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.audit.engine.circumstances import of_package
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport, Waived
+from xpl_cli.audit.rules.profiles import Choice, Profile
 from xpl_cli.audit.rules.registry import entries
+from xpl_cli.audit.rules.verdict import PARITY, Verdict, Word, judged
+from xpl_cli.audit.static.source import Source
+from xpl_cli.native import pairs
 from xpl_cli.packages.package import POLICY
+from xpl_cli.serving.stand_in import StandIn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-_GREEN = "green"
 _MUST = "must"
 _SHOWN = 4
 
@@ -29,25 +35,53 @@ def problems(target: Mapping[str, Any], adapter: Path) -> Iterator[str]:
         target: the report on it, an entry of `targets`.
         adapter: folder of the adapter in the bundle.
     """
-    report = _report(target)
+    report, verdict = _report(target), judgement(target, adapter)
     missing = [gate.value for gate in Gate if gate not in {entry.name for entry in report.gates}]
     if missing:
         yield f"the audit ran without the gates {', '.join(missing)}"
-    if report.verdict != _GREEN:
+    if verdict.word in (Word.RED, Word.INCOMPLETE):
         open_rules = [f"{result.code} {result.outcome.value}" for result in report.results if _is_against(result)]
-        yield f"the audit is not green: its rules make it {report.verdict} ({_listed(open_rules) or 'nothing passed'})"
-    if target["verdict"] != report.verdict:
-        yield f"the audit says that it is {target['verdict']}, its rules make it {report.verdict}"
+        yield f"the audit is not green: its rules make it {verdict.word} ({_listed(open_rules) or 'nothing passed'})"
+    yield from _overstated(target, verdict, adapter)
     for gate in report.gates:
-        yield from _incomplete(gate)
+        yield from _incomplete(gate, report.spec)
     yield from _unbound(report, target, adapter)
+
+
+def judgement(target: Mapping[str, Any], adapter: Path) -> Verdict:
+    """Return the verdict that follows from what rules found and from the adapter, whatever the report says.
+
+    Args:
+        target: the report on it, an entry of `targets`.
+        adapter: folder of the adapter in the bundle.
+    """
+    return judged(replace(_report(target), circumstances=of_package(Source(adapter), POLICY, str(target["path"]))))
+
+
+def _overstated(target: Mapping[str, Any], verdict: Verdict, adapter: Path) -> Iterator[str]:
+    """Yield where a report says something else than what follows."""
+    told, made = target["verdict"], verdict.as_json()
+    if "proven" not in target:  # by a version that knew three words only
+        word = verdict.word if verdict.word in (Word.RED, Word.INCOMPLETE) else Word.GREEN
+        if told != word:
+            yield f"the audit says that it is {told}, its rules make it {word}"
+        return
+    if told != verdict.word:
+        yield f"the audit says that it is {told}, its rules and the adapter make it {verdict.word}"
+    for claim in verdict.proven:
+        if claim.claim is PARITY and claim.numbers.get("pairs") != (count := pairs.read(adapter).count):
+            yield f"the audit compared {claim.numbers.get('pairs')} native pairs, and the adapter has {count}"
+    if target["proven"] != made["proven"]:
+        yield f"the audit says otherwise what is proven: its rules and the adapter make it {verdict}"
+    if not str(target.get("statement")).startswith(f"{verdict.word.upper()} "):
+        yield f"the audit says otherwise what it comes to: its rules and the adapter make it {verdict}"
 
 
 def _report(target: Mapping[str, Any]) -> TargetReport:
     """Return the report that follows from what the rules found."""
     report = TargetReport(str(target["path"]), str(target["name"]), POLICY, spec=str(target["spec"]))
     for told in target["gates"]:
-        gate = GateReport(Gate(told["name"]), digest=told.get("digest"))
+        gate = GateReport(Gate(told["name"]), digest=told.get("digest"), served=_served(told))
         gate.results += [_result(one, report.spec) for one in told["results"]]
         report.gates.append(gate)
     return report
@@ -60,14 +94,33 @@ def _result(told: Mapping[str, Any], version: str) -> Result:
     outcome = Outcome(told["outcome"])
     if told["findings"]:
         outcome = Outcome.FAIL if severity == _MUST else max(outcome, Outcome.WARN, key=_gravity)
-    return Result(told["code"], told["slug"], told["requirement"], severity, outcome, reason=told.get("reason"))
+    return Result(
+        told["code"],
+        told["slug"],
+        told["requirement"],
+        severity,
+        outcome,
+        reason=told.get("reason"),
+        waived=tuple(Waived(Finding(str(one["message"])), str(one["reason"])) for one in told.get("waived", ())),
+        proof=None if told["findings"] else told.get("proof"),
+    )
 
 
-def _incomplete(gate: GateReport) -> Iterator[str]:
-    """Yield which rules of a gate the report leaves out or names twice."""
+def _served(told: Mapping[str, Any]) -> Choice | None:
+    """Return what a gate says that it served."""
+    if told.get("profile") is None:
+        return None
+    profile = Profile(told["profile"])
+    stand_in = StandIn(shadow=profile is Profile.SHADOW)
+    return Choice(profile, stand_in, stubbed=tuple(map(str, told.get("stubbed", ()))))
+
+
+def _incomplete(gate: GateReport, version: str) -> Iterator[str]:
+    """Yield which rules of a gate the report leaves out, as far as its version asks for them, or names twice."""
     told = [result.code for result in gate.results]
     known = [entry for entry in entries() if entry.target == POLICY and not entry.is_advice]
-    wanted = {entry.code for entry in known if not entry.closes and entry.runs_in(gate.name)}
+    here = [entry for entry in known if not entry.closes and entry.runs_in(gate.name)]
+    wanted = {entry.code for entry in here if entry.load().is_in(version)}
     if lacking := sorted(wanted.difference(told)):
         yield f"the audit's {gate.name} gate is without the rules {_listed(lacking)}"
     if twice := sorted({code for code in told if told.count(code) > 1}):

@@ -41,19 +41,24 @@ def adapter_folder(name: str) -> str:
 
 
 def manifest(
-    policy: Mapping[str, Any], runs: Sequence[Mapping[str, Any]], files: Mapping[str, Path | bytes]
+    policy: Mapping[str, Any],
+    runs: Sequence[Mapping[str, Any]],
+    audit: Mapping[str, Any],
+    files: Mapping[str, Path | bytes],
 ) -> dict[str, Any]:
     """Return the manifest of a bundle.
 
     Args:
         policy: name, spec and digest of the adapter.
         runs: what each run claims (`claims.claim`).
+        audit: the verdict on the adapter.
         files: every other file of the bundle.
     """
     return {
-        "schema": spec.schema("submission")["title"],
+        "schema": spec.schema("submission", spec.NEWEST)["title"],
         "tool": {"name": "xpl", "version": __version__},
         "policy": dict(policy),
+        "audit": dict(audit),
         "runs": list(runs),
         "files": {name: _described(files[name]) for name in sorted(files)},
     }
@@ -109,7 +114,7 @@ class Bundle:
             if name not in self.digests:
                 yield f"{name} is missing"
                 continue
-            for problem in validate(self.read(name), schema):
+            for problem in validate(self.read(name), schema, spec.NEWEST):
                 yield f"{name}: {problem}"
 
 
@@ -128,7 +133,7 @@ def opened(path: Path, folder: Path, *, limit: int) -> Bundle:
     if MANIFEST not in digests:
         raise UserError(f"{path} is no bundle: it holds no {MANIFEST}")
     told = _json(folder / MANIFEST, MANIFEST)
-    found = validate(told, "submission")
+    found = validate(told, "submission", spec.NEWEST)
     if found:
         raise UserError(f"{path} is no bundle that this version knows: {MANIFEST}: {found[0]}")
     return Bundle(folder, digests[MANIFEST], told, digests)

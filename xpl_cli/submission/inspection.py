@@ -17,6 +17,7 @@ from xpl_cli.submission import audited, bundle, claims, consistency
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.submission.bundle import Bundle
@@ -62,6 +63,19 @@ def inspect(found: Bundle, progress: Progress) -> tuple[tuple[Check, ...], list[
             problems = (_shown(str(error), found),)
         checks.append(Check(name, problems))
     return tuple(checks), runs
+
+
+def verdict(found: Bundle, checks: Sequence[Check]) -> Verdict | None:
+    """Return what the audit of a bundle comes to; None where it is of something else, or its files are not in order."""
+    target = {} if checks[0].problems else _target(found)
+    return audited.judgement(target, found.adapter) if target else None
+
+
+def _target(found: Bundle) -> dict[str, Any]:
+    """Return what the audit report says of the adapter of the bundle; nothing if it is of another one."""
+    policy, targets = found.manifest["policy"], found.read(bundle.AUDIT)["targets"]
+    target: dict[str, Any] = targets[0] if len(targets) == 1 else {}
+    return target if (target.get("name"), target.get("spec")) == (policy["name"], policy["spec"]) else {}
 
 
 def _shown(problem: str, found: Bundle) -> str:
@@ -119,13 +133,14 @@ def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
 
 def _audit(found: Bundle, _: Sequence[Run]) -> Iterator[str]:
     """Yield why the audit report does not speak for the adapter."""
-    told = found.read(bundle.AUDIT)
-    policy = found.manifest["policy"]
-    target: dict[str, Any] = told["targets"][0] if len(told["targets"]) == 1 else {}
-    if (target.get("name"), target.get("spec")) != (policy["name"], policy["spec"]):
+    policy, target = found.manifest["policy"], _target(found)
+    if not target:
         yield f"the audit is not of {policy['name']} by {policy['spec']}"
         return
     yield from audited.problems(target, found.adapter)
+    claim = found.manifest.get("audit")
+    if claim is not None and any(claim[key] != target.get(key) for key in claim):
+        yield f"{bundle.MANIFEST} says otherwise what is proven than {bundle.AUDIT}"
     for gate in target["gates"]:
         if gate["profile"] not in _SERVED_BY_MODEL or gate["stubbed"]:
             yield f"the audit's {gate['name']} gate ran without the real model: {gate['stood_in']}"

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.errors import ExitCode, NotFoundError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.records import fingerprints, records
@@ -106,7 +107,8 @@ def pack(request: Request, runs: Sequence[Run], report: TargetReport) -> Answer:
         UserError: it cannot be written.
     """
     files = _files(request, runs, report)
-    manifest = bundle.manifest(described(runs[0]), [claims.claim(run) for run in runs], files)
+    claimed = [claims.claim(run) for run in runs]
+    manifest = bundle.manifest(described(runs[0]), claimed, judged(report).as_json(), files)
     content = bundle.document(manifest)
     sha256 = archive.write(request.out, {**files, bundle.MANIFEST: content})
     return Answer((), ExitCode.CLEAN, tuple(_notes(runs)), hashlib.sha256(content).hexdigest(), sha256, manifest)

@@ -14,6 +14,8 @@ def sentences(report: Report) -> Iterator[str]:
     """Yield what was not proven of a bundle in which nothing was found to be wrong."""
     if any(check.problems for check in report.checks):
         return
+    for claim in () if report.verdict is None else report.verdict.unproven:
+        yield f"the {claim.claim.subject}: {claim.reason}"
     judged = sum(cell["judged"] for run in report.runs for cell in run["cells"])
     played = len(report.pairs)
     if not played:

@@ -23,6 +23,7 @@ from xpl_cli.submission.replaying import Player
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.submission.bundle import Bundle
 
@@ -75,6 +76,7 @@ class Report:
         policy: of whose runs it is.
         runs: what the bundle claims of each (`runs` of its manifest).
         checks: what was looked at, with what is wrong.
+        verdict: what its audit says of the adapter, as it follows from what rules found; None where it cannot be read.
         seed: of the sample.
         pairs: run and episode, as recorded and as played here.
         finding: what the sample says; None if none was asked for.
@@ -85,6 +87,7 @@ class Report:
     policy: str
     runs: tuple[Mapping[str, Any], ...]
     checks: tuple[Check, ...]
+    verdict: Verdict | None = None
     seed: int | None = None
     pairs: tuple[tuple[str, replay.Pair], ...] = ()
     finding: replay.Finding | None = None
@@ -111,10 +114,11 @@ class Report:
             episodes = [pair.as_json(run) for run, pair in self.pairs]
             played = {"drawn_with": self.seed, **self.finding.as_json(), "episodes": episodes}
         return {
-            "schema": spec.schema("verification")["title"],
+            "schema": spec.schema("verification", spec.NEWEST)["title"],
             "bundle": self.digest,
             "policy": self.policy,
             "runs": list(self.runs),
+            "audit": None if self.verdict is None else self.verdict.as_json(),
             "checks": [{"name": check.name, "problems": list(check.problems)} for check in self.checks],
             "replay": played,
             "unplayed": self.unplayed,
@@ -139,7 +143,8 @@ def verify(request: Request) -> Report:
         found = bundle.opened(request.path, Path(name), limit=request.limit)
         checks, runs = inspection.inspect(found, request.progress)
         checks = (*signed, *checks)
-        report = Report(found.digest, found.manifest["policy"]["name"], tuple(found.manifest["runs"]), checks)
+        told = tuple(found.manifest["runs"])
+        report = Report(found.digest, found.manifest["policy"]["name"], told, checks, inspection.verdict(found, checks))
         if not request.sample:
             return report
         if any(check.problems for check in checks):

@@ -103,6 +103,7 @@ def test_json_is_what_its_schema_says(context: Context) -> None:
 def test_jsonl_has_a_line_for_every_finding_and_for_what_was_not_proved(context: Context) -> None:
     """Each line is valid by itself, and names target, gate and rule."""
     lines = [json.loads(line) for line in render("jsonl", sample.reports(), context).splitlines()]
+    *lines, _, _, _ = lines
     assert [problem for line in lines for problem in validate(line, "audit#/$defs/record", spec.NEWEST)] == []
     assert [line["code"] for line in lines if line["outcome"] in {"error", "not_run"}] == [
         "XPL121",
@@ -111,6 +112,16 @@ def test_jsonl_has_a_line_for_every_finding_and_for_what_was_not_proved(context:
         "XPL203",
     ]
     assert len(lines) == len(list(listed(sample.reports(), context))) + 4
+
+
+def test_jsonl_ends_with_what_each_package_comes_to(context: Context) -> None:
+    """As the whole report says it."""
+    lines = [json.loads(line) for line in render("jsonl", sample.reports(), context).splitlines()[-3:]]
+    assert [problem for line in lines for problem in validate(line, "audit#/$defs/verdict", spec.NEWEST)] == []
+    for line, target in zip(lines, as_json(sample.reports(), context)["targets"], strict=True):
+        assert line.pop("schema") == "xpl.verdict/1"
+        assert line.pop("target") == target["path"]
+        assert line == {key: target[key] for key in ("verdict", "statement", "proven", "unproven")}
 
 
 def test_jsonl_and_json_agree(context: Context) -> None:
@@ -177,6 +188,8 @@ def test_concise_is_what_editors_read(context: Context) -> None:
     """`path:line:column: CODE message`, one line each."""
     lines = render("concise", sample.reports(), context).splitlines()
     assert "policy/Grün 1/model.py:5:9: XPL109 answers environment 3 when asked for 9" in lines
+    *lines, _, good, _ = lines
+    assert good == "policy/Good: PARTIAL static only: nothing wrong in what ran"
     assert len(lines) == len(list(listed(sample.reports(), context))) + 3
 
 
@@ -202,12 +215,14 @@ def _advice() -> Fix:
 
 
 def test_many_targets_take_a_line_each_if_all_is_well(context: Context) -> None:
-    """Forty green adapters are forty lines and a sum."""
-    passed = GateReport(Gate.STATIC, [sample.result("XPL101", Outcome.PASS)], digest="d", fingerprint="f")
-    reports = [TargetReport(f"policy/P{number}", f"P{number}", "policy", [passed]) for number in range(40)]
-    lines = render("human", reports, context).splitlines()
+    """Forty adapters in which nothing is wrong are forty lines and a sum."""
+    passed = [GateReport(gate, [sample.result("XPL101", Outcome.PASS)], digest="d", fingerprint="f") for gate in Gate]
+    gates = [passed[: 3 if number < 30 else 1] for number in range(40)]
+    reports = [TargetReport(f"policy/P{n}", f"P{n}", "policy", ran) for n, ran in enumerate(gates)]
+    lines = render("human", reports, context).partition("\nnext\n")[0].splitlines()
     assert len(lines) == 41
-    assert lines[-1] == "40 targets: 40 green"
+    assert lines[39] == "P39  policy/P39  PARTIAL static only: nothing wrong in what ran"
+    assert lines[-1] == "40 targets: 30 green, 10 partial"
 
 
 def test_next_commands_can_be_pasted(context: Context) -> None:
@@ -272,7 +287,9 @@ def test_the_command_writes_and_fails_alike(tmp_path: Path) -> None:
     (folder / "model.py").write_text("class Model:\n    pass\n")
     plain = xpl("audit", "policy/Foo", "--gate", "static", "--format", "concise", cwd=tmp_path)
     assert plain.returncode == ExitCode.FINDINGS
-    assert all(re.match(r"policy/Foo(/[\w.]+(:\d+(:\d+)?)?)?: XPL\d{3} ", line) for line in plain.stdout.splitlines())
+    *lines, last = plain.stdout.splitlines()
+    assert all(re.match(r"policy/Foo(/[\w.]+(:\d+(:\d+)?)?)?: XPL\d{3} ", line) for line in lines)
+    assert last.startswith("policy/Foo: RED ")
     written = xpl("audit", "policy/Foo", "--gate", "static", "--format", "sarif", "--output", "a.sarif", cwd=tmp_path)
     assert (written.returncode, written.stdout) == (ExitCode.FINDINGS, "")
     assert sample.problems(json.loads((tmp_path / "a.sarif").read_text(encoding="utf-8")), "sarif") == []
@@ -303,7 +320,7 @@ def test_a_rule_that_cannot_be_imported_is_a_crash_in_every_format(
     assert exit_code([report]) is ExitCode.INTERNAL
     assert all("XPL101" in text and "something" in text for text in texts.values())
     assert validate(json.loads(texts["json"]), "audit", spec.NEWEST) == []
-    for line in texts["jsonl"].splitlines():
+    for line in texts["jsonl"].splitlines()[:-1]:
         assert validate(json.loads(line), "audit#/$defs/record", spec.NEWEST) == []
     for name in ("sarif", "gitlab", "rdjson"):
         assert sample.problems(json.loads(texts[name]), name) == []

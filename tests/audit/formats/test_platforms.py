@@ -193,6 +193,7 @@ def test_github_gets_ten_of_a_kind_and_is_told_of_the_rest(count: int, context: 
     assert [entry["kind"] for entry in kinds].count("error") == min(count, CAP)
     assert [entry["kind"] for entry in kinds].count("warning") == min(count, CAP)
     told = [entry["message"] for entry in kinds if entry["kind"] == "notice"]
+    assert told.pop(0).startswith("policy/Foo: RED 1 rule failed (XPL109)")
     if count <= CAP:
         assert told == []
     else:

@@ -20,6 +20,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, exit_code
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.profiles import Profile
+from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
@@ -99,9 +100,10 @@ class Model:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """Return a fresh scaffold."""
-    folder = tmp_path / NAME
-    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": NAME})), folder)
+    """Return a scaffold in which nothing is left to fill in."""
+    folder, mark = tmp_path / NAME, spec.data("package")["placeholder"].encode()
+    files = adapter.render(Answers(**{**adapter.defaults(), "name": NAME}))
+    adapter.write({name: content.replace(mark, b"done") for name, content in files.items()}, folder)
     return folder
 
 
@@ -148,12 +150,13 @@ def test_what_can_be_loaded_is_audited_in_full(package: Path) -> None:
         ),
     ],
 )
-def test_a_missing_part_makes_a_shadow_that_is_told_and_can_be_green(package: Path, model: str, lacks: str) -> None:
+def test_a_missing_part_makes_a_shadow_that_is_told_and_can_be_clean(package: Path, model: str, lacks: str) -> None:
     """Chosen by itself, also where the model is built at the first question; the reason is in every report."""
     report = _offline(package, model)
     gate = _gate(report)
     assert set(_outcomes(gate).values()) == {"pass"}, gate.results
-    assert (report.verdict, exit_code([report])) == ("green", ExitCode.CLEAN)
+    assert (judged(report).word, exit_code([report])) == (Word.SHADOW, ExitCode.CLEAN)
+    assert str(judged(report)).startswith("SHADOW without the model, offline only: nothing wrong in what ran")
     assert gate.profile is Profile.SHADOW
     assert lacks in str(gate.stood_in)
     assert str(gate.finish).endswith("profile=shadow")
@@ -186,7 +189,7 @@ def test_the_physics_gate_judges_no_values_of_a_shadow(package: Path) -> None:
     )
     found = _outcomes(_gate(report))
     assert found == {"closed-loop": "pass", "few-clamps": "not_applicable", "chunk-seams": "not_applicable"}
-    assert report.verdict == "green"
+    assert judged(report).word is Word.SHADOW
 
 
 # -- what a shadow still catches ---------------------------------------------------------------------------------------

@@ -25,8 +25,9 @@ _ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "
 INSTRUCTIONS: Final = f"""\
 Tools of xpl: robot policies and environments held to one standard. A tool runs the command of the same name, answers
 with its JSON, whose `next` lists the commands that come next, and says how it ended. {endings()}
-`not_run` is no pass: only a whole audit whose verdict is green proves an adapter. `audit` runs the package's code. How
-to integrate, audit, debug and evaluate is told by `xpl skills get NAME --full`; `xpl skills list` names them."""
+`not_run` is no pass: only a whole audit whose verdict is green proves an adapter's contract, and `statement` says what
+else is proven: hand it on whole. `audit` runs the package's code. How to integrate, audit, debug and evaluate is told
+by `xpl skills get NAME --full`; `xpl skills list` names them."""
 
 
 def serve(tools: Sequence[Tool], folder: Path) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl_cli import __version__
 from xpl_cli.audit.formats import document
 from xpl_cli.audit.formats.steps import next_commands
+from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.strangers import command
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def as_json(review: Review) -> dict[str, Any]:
         "schema": SCHEMA,
         "tool": {"name": "xpl", "version": __version__},
         "base": {"ref": change.ref, "commit": change.base},
-        "verdict": review.verdict,
+        "verdict": review.verdict.value,
         "packages": [
             {
                 "path": touched.target.shown,
@@ -30,7 +31,7 @@ def as_json(review: Review) -> dict[str, Any]:
                 "kind": report.kind,
                 "change": touched.change,
                 "files": touched.files,
-                "verdict": report.verdict,
+                **judged(report).as_json(),
             }
             for touched, report in zip(change.packages, review.reports, strict=True)
         ],

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.formats.listing import amount, shortened
-from xpl_cli.audit.formats.markdown import MARKS, besides, cell, code, ended, place, told
+from xpl_cli.audit.formats.markdown import besides, cell, code, ended, marked, place, told
+from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.strangers import command, in_markdown
 
 if TYPE_CHECKING:
@@ -24,9 +25,12 @@ _LONGEST: Final = 60_000
 _LINE: Final = 1500
 _ROWS: Final = 30
 _HEADS = {
-    "green": "nothing to mend",
-    "red": "changes are needed",
-    "incomplete": "not everything could be checked",
+    Word.GREEN: "nothing to mend",
+    Word.PARTIAL: "nothing to mend in what was checked",
+    Word.SHADOW: "nothing to mend, checked without the model",
+    Word.OPEN: "nothing to mend, and places to fill in",
+    Word.INCOMPLETE: "not everything could be checked",
+    Word.RED: "changes are needed",
 }
 
 
@@ -68,7 +72,7 @@ def _packages(review: Review) -> Iterator[str]:
     yield from ("", "| package | | verdict | gates |", "| --- | --- | --- | --- |")
     for touched, report in list(zip(review.change.packages, review.reports, strict=True))[:_ROWS]:
         gates = "; ".join(f"{gate.name}: {ended(gate)}" for gate in report.gates) or "nothing was checked"
-        yield f"| {cell(touched.place)} | {touched.change} | {MARKS[report.verdict]} | {gates} |"
+        yield f"| {cell(touched.place)} | {touched.change} | {marked(judged(report))} | {gates} |"
     if len(review.reports) > _ROWS:
         yield f"\nand {amount(len(review.reports) - _ROWS, 'package')} more."
 

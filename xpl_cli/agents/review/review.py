@@ -15,6 +15,7 @@ from xpl_cli.audit.engine.engine import audit_all
 from xpl_cli.audit.formats.listing import Context, Listed, listed
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome, exit_code
+from xpl_cli.audit.rules.verdict import Word, judged, weakest
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.progress import Progress
@@ -98,10 +99,14 @@ class Review:
         return not self.counts_all and exit_code(self.brought, fail_on) != exit_code(self.reports, fail_on)
 
     @property
-    def verdict(self) -> str:
-        """`green`, `red` where something has to be mended, or `incomplete` where something could not be checked."""
-        verdicts = {ExitCode.CLEAN: "green", ExitCode.FINDINGS: "red"}
-        return verdicts.get(self.code, "incomplete")
+    def verdict(self) -> Word:
+        """`red` where something has to be mended, `incomplete` where something could not be checked.
+
+        Else what the package comes to of which least can be said, and green where the change touches none.
+        """
+        if self.code is not ExitCode.CLEAN:
+            return Word.RED if self.code is ExitCode.FINDINGS else Word.INCOMPLETE
+        return weakest(judged(report).word for report in (self.reports if self.counts_all else self.brought))
 
 
 def review(

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli import __version__
 from xpl_cli.audit.rules.model import GateReport, Outcome
+from xpl_cli.audit.rules.verdict import Ended
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,6 +66,7 @@ class Remembered:
         stood_in: what stood in for the model, and why.
         found: what was not right, the worst first.
         omitted: how many rules that found something are left out of `found`.
+        ended: what a verdict has to know of it.
     """
 
     outcome: str
@@ -77,6 +79,13 @@ class Remembered:
     stood_in: str | None
     found: tuple[Found, ...]
     omitted: int
+    ended: Ended
+
+    @property
+    def settings(self) -> tuple[str, ...]:
+        """Keys of deploy.yml that `--set` gave other values."""
+        pairs = zip(self.options, self.options[1:], strict=False)
+        return tuple(value.partition("=")[0] for option, value in pairs if option == "--set")
 
 
 def remember(folder: Path, package: Path, report: TargetReport, options: Sequence[str]) -> None:
@@ -123,6 +132,7 @@ def _remembered(gate: GateReport, options: Sequence[str]) -> Remembered:
         stood_in=gate.stood_in,
         found=tuple(map(_found, results[:_MOST_FINDINGS])),
         omitted=max(0, len(results) - _MOST_FINDINGS),
+        ended=Ended.of(gate),
     )
 
 
@@ -136,9 +146,8 @@ def _found(result: Result) -> Found:
 
 
 def _read(told: dict[str, Any]) -> Remembered:
-    return Remembered(
-        **{**told, "options": tuple(told["options"]), "found": tuple(Found(**one) for one in told["found"])}
-    )
+    lists = {"options": tuple(told["options"]), "found": tuple(Found(**one) for one in told["found"])}
+    return Remembered(**{**told, **lists, "ended": Ended.read(told["ended"])})
 
 
 def _file(folder: Path, package: Path) -> Path:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.agents.status.memory import recall
 from xpl_cli.agents.status.runs import Course, Recorded, recorded
-from xpl_cli.agents.status.steps import State, Step, steps
+from xpl_cli.agents.status.steps import PLACEHOLDERS, State, Step, steps
 from xpl_cli.audit.engine import cache
+from xpl_cli.audit.engine.circumstances import of_package
 from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.audit.rules.verdict import Ended, Verdict, Word, judge
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.strangers import command, one_line
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from xpl_cli.agents.status.memory import Remembered
     from xpl_cli.packages.targets import Target
 
 SCHEMA: Final = "xpl.status/1"
@@ -34,20 +38,16 @@ class Standing:
         target: the package.
         version: of the standard, to which it is held.
         steps: all of them, in order.
+        verdict: what the last audits come to, as far as they are of the files that are there now; `red` also where
+            another step failed, and `incomplete` where one is left.
         runs: evaluations of it, the newest first.
     """
 
     target: Target
     version: str
     steps: tuple[Step, ...]
+    verdict: Verdict
     runs: tuple[Recorded, ...] = ()
-
-    @property
-    def verdict(self) -> str:
-        """`red` where a step failed, `green` where nothing is left to do, else `incomplete`."""
-        if any(step.state is State.FAILED for step in self.steps):
-            return "red"
-        return "green" if all(step.is_settled for step in self.steps) else "incomplete"
 
     @property
     def stage(self) -> str | None:
@@ -76,7 +76,7 @@ class Standing:
             "name": self.target.path.name,
             "kind": self.target.kind,
             "spec": self.version,
-            "verdict": self.verdict,
+            **self.verdict.as_json(),
             "stage": self.stage,
             "steps": [_step_json(step) for step in self.steps],
             "runs": [{**asdict(run), "state": run.state.value} for run in self.runs],
@@ -90,7 +90,25 @@ def standing(target: Target) -> Standing:
     folder = memory_folder()
     remembered = {} if folder is None else recall(folder, target.path)
     found = recorded(target) if target.kind == package.POLICY else ()
-    return Standing(target, source.version, tuple(steps(target, source, remembered)), found)
+    taken = tuple(steps(target, source, remembered))
+    return Standing(target, source.version, taken, _verdict(target, source, taken, remembered), found)
+
+
+def _verdict(target: Target, source: Source, taken: Sequence[Step], remembered: Mapping[str, Remembered]) -> Verdict:
+    """Return what is proven of the files that are there now; what is no gate proves nothing, but may be in the way."""
+    ends, settings = [], []
+    for step in taken:
+        last = remembered.get(step.name)
+        if step.name in _GATE_NAMES and last is not None and step.state is not State.STALE:
+            ends.append(last.ended)
+            settings += last.settings
+        elif step.name in _GATE_NAMES or not (step.is_settled or step.name == PLACEHOLDERS):
+            outcome = Outcome.FAIL if step.state is State.FAILED else Outcome.NOT_RUN
+            ends.append(Ended(step.name, outcome, reason=step.detail))
+    asked = tuple(dict.fromkeys(settings))
+    narrowed = f"only with --set {', '.join(asked)}" if asked and target.kind == package.ENV else ""
+    around = replace(of_package(source, target.kind, target.shown), narrowed=narrowed, settings=asked)
+    return judge(target.kind, ends, around)
 
 
 def memory_folder() -> Path | None:
@@ -114,7 +132,7 @@ def text(standings: Sequence[Standing]) -> str:
     names = {id(one): one_line(one.target.shown) for one in standings}
     width = max(map(len, names.values()))
     lines = [
-        f"{one.verdict.upper():<10}  {names[id(one)]:<{width}}  {one.stage or ''}".rstrip()
+        f"{one.verdict.word.upper():<10}  {names[id(one)]:<{width}}  {one.stage or one_line(one.verdict.said)}"
         for one in sorted(standings, key=lambda one: one.stage is None)[:_MOST_LINES]
     ]
     if len(standings) > _MOST_LINES:
@@ -135,8 +153,8 @@ def _detailed(one: Standing) -> list[str]:
             f"  run      {one_line(run.path)}: {_COURSES[run.state]}, {run.episodes} episodes in "
             f"{one_line(run.environment)}{told}"
         )
-    stage = f" at {one.stage}" if one.stage else ""
-    lines.append(f"stands  {one.verdict.upper()}{stage}")
+    is_behind = one.verdict.word in (Word.RED, Word.INCOMPLETE)
+    lines.append(f"stands  {one.verdict.word.upper()} {f'at {one.stage}' if is_behind else one_line(one.verdict.said)}")
     return [*lines, *(["next", *(f"  {each}" for each in one.following)] if one.following else [])]
 
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli import __version__
-from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import NotRun, Outcome
+from xpl_cli.audit.engine.circumstances import places
+from xpl_cli.audit.rules.gates import GATES, Gate
+from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.strangers import command
@@ -26,9 +27,7 @@ if TYPE_CHECKING:
     from xpl_cli.packages.package import Package
     from xpl_cli.packages.targets import Target
 
-GATES: Final = {package.POLICY: tuple(Gate), package.ENV: (Gate.STATIC, Gate.OFFLINE)}
-"""The gates of each kind of package."""
-
+PLACEHOLDERS: Final = "placeholders"
 _MOST_PLACES: Final = 5
 _MOST_EXPLAINED: Final = 3
 _NEEDS_NOTHING: Final = ("current", "given")
@@ -141,18 +140,11 @@ def _manifest(target: Target, source: Source, shown: str) -> Step:
 
 
 def _placeholders(source: Source) -> Step:
-    from xpl_cli.scaffold import adapter
-
-    files: dict[str, bytes] = {}
-    try:
-        files = {name: source.text(name).encode() for name in source.text_files}
-    except NotRun as error:
-        return Step("placeholders", State.FAILED, str(error))
-    places = [f"{place.file}:{place.line}" for place in adapter.placeholders(files)]
-    if not places:
-        return Step("placeholders", State.DONE, "nothing is left to fill in")
-    more = f" and {len(places) - _MOST_PLACES} more" if len(places) > _MOST_PLACES else ""
-    return Step("placeholders", State.OPEN, f"fill in {', '.join(places[:_MOST_PLACES])}{more}")
+    found = list(places(source))
+    if not found:
+        return Step(PLACEHOLDERS, State.DONE, "nothing is left to fill in")
+    more = f" and {len(found) - _MOST_PLACES} more" if len(found) > _MOST_PLACES else ""
+    return Step(PLACEHOLDERS, State.OPEN, f"fill in {', '.join(found[:_MOST_PLACES])}{more}")
 
 
 def _environment(folder: Path, manifest: Mapping[str, Any], shown: str) -> Step:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.engine import providers
 from xpl_cli.audit.engine.cache import Shelf
 from xpl_cli.audit.engine.checks import Checks, told
+from xpl_cli.audit.engine.circumstances import circumstances, narrowed
 from xpl_cli.audit.engine.waivers import waive
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.fingerprint import fingerprint
@@ -47,7 +48,9 @@ def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) 
         options: what to run.
         shown: how reports name the folder; the path itself by default.
     """
-    report = TargetReport(path=shown or str(path), name=path.name, kind=kind, spec=Source(path).version)
+    source = Source(path)
+    report = TargetReport(path=shown or str(path), name=path.name, kind=kind, spec=source.version)
+    report.circumstances = circumstances(source, kind, options, report.path)
     _carry(report, path, options)
     return report
 
@@ -68,6 +71,7 @@ def audit_all(targets: Sequence[Target], options: Options) -> list[TargetReport]
         reports.append(report or _lost(target))
     for target, report in zip(targets, reports, strict=True):
         _carry(report, target.path, later)
+        report.circumstances = replace(report.circumstances, narrowed=narrowed(target.kind, options))
     return reports
 
 

@@ -1,10 +1,13 @@
-"""`concise`: one line for each finding, as editors and `grep` read it: `path:line:column: CODE message`."""
+"""`concise`: one line for each finding, as editors and `grep` read it: `path:line:column: CODE message`.
+
+The last lines say what each package comes to.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, joined, listed, notes, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, joined, listed, notes, unproved, verdicts
 from xpl_cli.basics.strangers import one_line
 
 if TYPE_CHECKING:
@@ -18,6 +21,7 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
     lines = [f"{_where(entry)}: {entry.result.code} {entry.finding.message}" for entry in listed(reports, context)]
     lines += [f"{entry.target.path}: {entry.text}" for entry in unproved(reports, context)]
     lines += [f"{path}: {note}" for path, _, note in notes(reports, context)]
+    lines += [f"{target.path}: {verdict}" for target, _, verdict in verdicts(reports, context)]
     return "".join(f"{one_line(line)}\n" for line in lines)
 
 

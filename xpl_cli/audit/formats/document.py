@@ -9,6 +9,7 @@ from xpl_cli import __version__
 from xpl_cli.audit.formats.listing import Context, Listed, in_repository, joined, listed
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, Result, TargetReport, counted, exit_code
+from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def _target(report: TargetReport, entries: Iterator[Listed], context: Context) -
         "name": report.name,
         "kind": report.kind,
         "spec": report.spec,
-        "verdict": report.verdict,
+        **judged(report).as_json(),
         "gates": [_gate(gate, entries, folder) for gate in report.gates],
     }
 

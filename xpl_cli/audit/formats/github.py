@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, unproved, verdicts
 from xpl_cli.audit.formats.steps import audit_again
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.basics.strangers import harmless
@@ -28,7 +28,8 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
         if counts[kind] <= CAP:
             shown.append(line)
     said = (command("notice", f"{path}: {note}", title="xpl audit") for path, _, note in notes(reports, context))
-    shown += itertools.islice(said, CAP)
+    comes_to = (command("notice", f"{path}: {said}", title="xpl audit") for _, path, said in verdicts(reports, context))
+    shown += itertools.islice((*comes_to, *said), CAP)
     left_out = [amount(count - CAP, f"more {kind}") for kind, count in counts.items() if count > CAP]
     if left_out:
         again = audit_again(reports, context)

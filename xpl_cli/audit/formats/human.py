@@ -19,6 +19,7 @@ from xpl_cli.audit.formats.listing import (
 from xpl_cli.audit.formats.painted import Painted, Terminal
 from xpl_cli.audit.formats.steps import audit_again, next_commands
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport, counted
+from xpl_cli.audit.rules.verdict import Verdict, Word, judged
 from xpl_cli.basics.strangers import one_line
 
 if TYPE_CHECKING:
@@ -53,7 +54,14 @@ _MARKS = {
     Outcome.NOT_RUN: "not run",
     Outcome.NOT_APPLICABLE: "n/a",
 }
-_VERDICTS = {"green": "bold green", "red": "bold red", "incomplete": "bold magenta"}
+_VERDICTS = {
+    Word.GREEN: "bold green",
+    Word.PARTIAL: "bold cyan",
+    Word.SHADOW: "bold yellow",
+    Word.OPEN: "bold yellow",
+    Word.INCOMPLETE: "bold magenta",
+    Word.RED: "bold red",
+}
 
 
 @dataclass(frozen=True)
@@ -81,8 +89,8 @@ def on_terminal(reports: Sequence[TargetReport], context: Context, terminal: Ter
         again = audit_again([report], context)
         parts += _target(report, found.get(id(report), []), room, again, alone=len(reports) == 1)
     if len(reports) > 1:
-        verdicts = Counter(report.verdict for report in reports)
-        told = ", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items()))
+        verdicts = Counter(judged(report).word for report in reports)
+        told = ", ".join(f"{verdicts[word]} {word}" for word in reversed(Word) if verdicts[word])
         parts.append(Painted.of((f"{len(reports)} targets: {told}", "bold")))
     commands = next_commands(reports, context)
     if commands:
@@ -94,12 +102,12 @@ def on_terminal(reports: Sequence[TargetReport], context: Context, terminal: Ter
 def _target(report: TargetReport, entries: list[Listed], room: _Room, again: str, *, alone: bool) -> list[Painted]:
     """Return the part of one target: short if it is one of several, one line if besides all is well."""
     name, path = one_line(report.name), one_line(report.path)
-    verdict = (report.verdict.upper(), _VERDICTS[report.verdict])
+    verdict = judged(report)
     head = Painted.of((name, "bold"), (f"  {path}", "dim"))
     if not alone:
-        head.append("  ").append(*verdict)
-        if report.verdict == "green" and not entries:
-            return [head.append(f"  {', '.join(gate.name for gate in report.gates)}")]
+        head = Painted.of((name, "bold"), (f"  {path}  ", "dim"), *_verdict(verdict))
+        if not entries and verdict.word not in (Word.RED, Word.INCOMPLETE):
+            return [head]
     lines = [head]
     shown = _fitting(entries, room)
     for gate in report.gates:
@@ -111,7 +119,13 @@ def _target(report: TargetReport, entries: list[Listed], room: _Room, again: str
     if len(shown) < len(entries):
         more = amount(len(entries) - len(shown), "finding")
         lines.append(Painted.of(f"  {more} more: `{one_line(again)} --format concise` lists all"))
-    return [*lines, Painted.of(("verdict  ", "dim"), verdict) if alone else Painted()]
+    return [*lines, Painted.of(("verdict  ", "dim"), *_verdict(verdict)) if alone else Painted()]
+
+
+def _verdict(verdict: Verdict) -> tuple[tuple[str, str], str]:
+    """Return what a verdict says, its word in colour."""
+    word, said = verdict.word.upper(), one_line(str(verdict))
+    return (word, _VERDICTS[verdict.word]), said.removeprefix(word)
 
 
 def _gate(gate: GateReport) -> Painted:

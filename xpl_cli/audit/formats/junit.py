@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 from xpl_cli.audit.formats.listing import Context, Listed, listed
 from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.strangers import in_xml, one_line
 
 if TYPE_CHECKING:
@@ -44,9 +45,12 @@ def _suite(report: TargetReport, gate: GateReport, entries: Iterator[Listed]) ->
             "time": f"{gate.seconds:.3f}",
         },
     )
-    if gate.stood_in is not None:
-        properties = ET.SubElement(suite, "properties")
-        ET.SubElement(properties, "property", {"name": "stood_in", "value": in_xml(gate.stood_in)})
+    verdict = judged(report)
+    told = {"verdict": str(verdict), "proven": ", ".join(map(str, verdict.proven)), "stood_in": gate.stood_in or ""}
+    properties = ET.SubElement(suite, "properties")
+    for name, value in told.items():
+        if value:
+            ET.SubElement(properties, "property", {"name": name, "value": in_xml(one_line(value))})
     suite.extend(cases)
     return suite
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.model import Finding, GateReport, NotRun, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.verdict import Verdict, judged
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -135,6 +136,12 @@ def unproved(reports: Sequence[TargetReport], context: Context) -> Iterator[Unpr
         for gate in target.gates:
             for (outcome, reason), results in by_reason(gate, {Outcome.ERROR, Outcome.NOT_RUN}).items():
                 yield Unproved(target, gate, outcome, reason, tuple(results), path)
+
+
+def verdicts(reports: Sequence[TargetReport], context: Context) -> Iterator[tuple[TargetReport, str, Verdict]]:
+    """Yield what is said of each target, with its folder in the repository."""
+    for target in reports:
+        yield target, in_repository(context.here / target.path, context.here), judged(target)
 
 
 def notes(reports: Sequence[TargetReport], context: Context) -> Iterator[tuple[str, GateReport, str]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, shortened, unproved
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, TargetReport, counted
+from xpl_cli.audit.rules.verdict import Verdict, Word, judged
 from xpl_cli.basics.strangers import in_markdown, one_line
 
 if TYPE_CHECKING:
@@ -16,8 +17,14 @@ if TYPE_CHECKING:
 _MOST = 100
 """Findings in full; a step summary takes 1 MiB."""
 
-MARKS = {"green": "🟢 green", "red": "🔴 red", "incomplete": "🟣 incomplete"}
-"""How a verdict is shown."""
+_MARKS = {
+    Word.GREEN: "🟢",
+    Word.PARTIAL: "🔵",
+    Word.SHADOW: "🟡",
+    Word.OPEN: "🟡",
+    Word.INCOMPLETE: "🟣",
+    Word.RED: "🔴",
+}
 
 _WORDS = {
     Outcome.PASS: "passed",
@@ -69,12 +76,17 @@ def besides(reports: Sequence[TargetReport], context: Context) -> list[str]:
 
 
 def _rows(report: TargetReport) -> Iterator[str]:
-    head = f"| {cell(report.path)} | {MARKS[report.verdict]} |"
+    head = f"| {cell(report.path)} | {marked(judged(report))} |"
     for gate in report.gates:
         yield f"{head} {gate.name} | {ended(gate)} |"
         head = "| | |"
     if not report.gates:
         yield f"{head} | nothing was checked |"
+
+
+def marked(verdict: Verdict) -> str:
+    """Return a verdict with a colour."""
+    return f"{_MARKS[verdict.word]} {in_markdown(str(verdict))}"
 
 
 def ended(gate: GateReport) -> str:

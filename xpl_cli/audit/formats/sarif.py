@@ -13,7 +13,7 @@ from urllib.parse import quote_from_bytes
 
 from xpl_cli import __version__
 from xpl_cli.audit.formats.linehash import line_hashes
-from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, notes, shortened, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, Unproved, listed, notes, shortened, unproved, verdicts
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.basics.strangers import inert
 from xpl_cli.standard import spec
@@ -63,6 +63,12 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
         ],
         "columnKind": "unicodeCodePoints",
         "originalUriBaseIds": {ROOT: {"description": {"text": "The root of the repository."}}},
+        "properties": {
+            "verdicts": [
+                {"target": path, **said.as_json(), "statement": inert(str(said))}
+                for _, path, said in verdicts(reports, context)
+            ]
+        },
         "results": [_result(entry, places, hashes) for entry in listed(reports, context)],
     }
     return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=False)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
+from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.strangers import command
 from xpl_cli.packages import package
 
@@ -28,7 +29,7 @@ def next_commands(reports: Sequence[TargetReport], context: Context) -> list[str
         return [*repair, *_explained(broken, Outcome.FAIL), again]
     if crashed := _with(reports, Outcome.ERROR):
         return [*_explained(crashed, Outcome.ERROR), audit_again(crashed, context)]
-    if incomplete := [report for report in reports if report.verdict != "green"]:
+    if incomplete := [report for report in reports if judged(report).word is Word.INCOMPLETE]:
         unread = [report for report in incomplete if any(_is_unread(gate) for gate in report.gates)]
         served = [report for report in incomplete if report not in unread]
         commands = [_shown_alone(report, context) for report in served]

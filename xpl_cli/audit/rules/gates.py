@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
+from typing import Final
+
+from xpl_cli.packages.package import ENV, POLICY
 
 
 class Gate(StrEnum):
@@ -11,3 +15,7 @@ class Gate(StrEnum):
     STATIC = "static"
     OFFLINE = "offline"
     MUJOCO = "mujoco"
+
+
+GATES: Final[Mapping[str, tuple[Gate, ...]]] = {POLICY: tuple(Gate), ENV: (Gate.STATIC, Gate.OFFLINE)}
+"""The gates of each kind of package."""

@@ -219,11 +219,31 @@ class GateReport:
         return None if self.served is None else self.served.sentence or None
 
 
+@dataclass(frozen=True)
+class Circumstances:
+    """What a verdict has to know of a package and of what was asked for, besides what rules found.
+
+    Attributes:
+        narrowed: what was left out, in a few words; empty if everything was asked for.
+        settings: keys of deploy.yml that `--set` gave other values.
+        places: places that the author has to fill in, `FILE:LINE`.
+        unknown: native values that the manifest says are unknown.
+        without_pairs: why there is nothing that conversions could be compared with; None if there is something.
+    """
+
+    narrowed: str = ""
+    settings: tuple[str, ...] = ()
+    places: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
+    without_pairs: str | None = None
+
+
 @dataclass
 class TargetReport:
     """All gates of one target.
 
     Attributes:
+        circumstances: what its verdict (`verdict.judged`) depends on besides the results.
         contents: text of the files that fixes edit, as the rules read it; no fix is applied to anything else.
         spec: version of the standard that the target is held to.
     """
@@ -234,19 +254,12 @@ class TargetReport:
     gates: list[GateReport] = field(default_factory=list)
     contents: dict[str, str] = field(default_factory=dict)
     spec: str = sdk.SPEC_VERSION
+    circumstances: Circumstances = field(default_factory=Circumstances)
 
     @property
     def results(self) -> list[Result]:
         """The results of all gates."""
         return [result for gate in self.gates for result in gate.results]
-
-    @property
-    def verdict(self) -> str:
-        """`green` if something was proved and all that was asked for held, `red` with a failure, else `incomplete`."""
-        outcomes = {gate.outcome for gate in self.gates}
-        if outcomes & {Outcome.FAIL, Outcome.ERROR}:
-            return "red"
-        return "green" if _sound(outcomes) else "incomplete"
 
 
 def counted(results: Iterable[Result]) -> Counter[str]:

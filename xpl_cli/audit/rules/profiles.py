@@ -48,6 +48,12 @@ class Choice:
         return "; ".join(what) + (f" ({self.reason})" if what and self.reason else "")
 
     @property
+    def briefly(self) -> str:
+        """The same in a few words."""
+        what = ["without the model"] if self.stand_in.shadow else []
+        return ", ".join([*what, *([f"stubs for {', '.join(self.stubbed)}"] if self.stubbed else [])])
+
+    @property
     def is_made_of_stubs(self) -> bool:
         """Whether a model was loaded, but not out of real modules only."""
         return bool(self.stubbed) and not self.stand_in.shadow

@@ -7,6 +7,7 @@ import io
 import os
 import stat
 import tokenize
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.rules.model import NotRun
@@ -18,7 +19,13 @@ _ASCII: Final = bytes(range(0x20, 0x7F)).replace(b"\\", b"") + b"\t\n\r\\x41~{+A
 SIZE_LIMIT: Final = 2 * 1024 * 1024
 """Files beyond this many bytes are data, not source."""
 
+_TEXT: Final = frozenset((".py", ".sh", ".yml", ".yaml", ".md", ".toml", ".txt", ".cfg", ".json"))
 _DOCUMENTS: Final = frozenset(("authors", "changelog", "citation", "contributing", "license", "notice", "readme"))
+
+
+def is_text(name: str) -> bool:
+    """Tell whether a file is text by its suffix."""
+    return PurePath(name).suffix in _TEXT
 
 
 def is_document(name: str) -> bool:

@@ -35,7 +35,6 @@ _LONGEST_PATH = 4096
 """Characters; no system takes a longer one."""
 _MOST_PARTS = 64
 _PYTHON_FILE = re.compile(r"[^\s\"'()=]+\.py\b")
-_SOURCE_SUFFIXES = frozenset((".py", ".sh", ".yml", ".yaml", ".md", ".toml", ".txt", ".cfg", ".json"))
 
 
 @dataclass
@@ -94,9 +93,7 @@ class Source:
     @cached_property
     def text_files(self) -> tuple[str, ...]:
         """The boundary's files that are text by their suffix and not too large."""
-        return tuple(
-            name for name in self.files if Path(name).suffix in _SOURCE_SUFFIXES and self._size(name) <= SIZE_LIMIT
-        )
+        return tuple(name for name in self.files if reading.is_text(name) and self._size(name) <= SIZE_LIMIT)
 
     @property
     def seen(self) -> tuple[str, ...]:

@@ -233,9 +233,16 @@ def _file_problems(files: list[Path], schema: str | None, version: str | None) -
         if not file.is_file():
             raise NotFoundError(f"there is no file {file}")
         try:
-            yield from validate_yaml_file(file, chosen, version and _known(version))
+            yield from validate_yaml_file(file, chosen, _known(version) if version else _written_by(chosen))
         except OSError as error:
             raise UserError(f"{file} cannot be read: {error.strerror}") from None
+
+
+def _written_by(schema: str) -> str | None:
+    """Return the version that documents of the tool follow; None for a document that declares its own."""
+    from xpl_cli.standard import answers, spec
+
+    return spec.NEWEST if schema in answers.documents() else None
 
 
 def _schema_of(file: Path, schema: str | None, version: str | None) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.basics.strangers import one_line
 from xpl_cli.commands.run.checkpoint import CACHE
 from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY, POLICY_ENV
 
@@ -155,6 +156,7 @@ def _answer_json(answer: Answer, policy: str, path: Path, signed: Path | None) -
         "problems": list(answer.problems),
         "notes": list(answer.notes),
         "runs": [] if answer.manifest is None else answer.manifest["runs"],
+        "audit": None if answer.manifest is None else answer.manifest["audit"],
         "exit_code": int(answer.code),
         "next": [] if answer.digest is None else [shlex.join(["xpl", "verify", str(path)])],
     }
@@ -167,6 +169,7 @@ def _answer_text(answer: Answer, path: Path) -> str:
     lines = [
         f"{path}: {len(answer.manifest['runs'])} runs, {len(cells)} tasks and settings, {won} of {judged} succeeded",
         f"bundle {answer.digest}",
+        f"audit  {one_line(answer.manifest['audit']['statement'])}",
         *(f"note: {note}" for note in answer.notes),
         f"next: xpl verify {path}",
     ]
@@ -177,6 +180,8 @@ def _report_text(report: Report) -> str:
     from xpl_cli.submission import replay
 
     lines = [f"{report.policy}, bundle {report.digest[:12]}", *map(_run_text, report.runs)]
+    if report.verdict is not None:
+        lines.append(f"  verdict: {one_line(str(report.verdict))}")
     for check in report.checks:
         lines += [f"  {check.name}: {'not in order' if check.problems else 'ok'}", *_listed(check.problems)]
     if report.finding is not None:

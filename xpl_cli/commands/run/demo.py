@@ -21,7 +21,7 @@ def demo(
         return
     total = sum(step.seconds for step in played.steps)
     console.data(
-        f"\nThe scaffold is green and its broken copy was caught, in {total:.0f} s. Next:\n"
+        f"\nNothing is wrong with the scaffold, and its broken copy was caught, in {total:.0f} s. Next:\n"
         "  xpl new-policy Foo          start your own adapter\n"
         "  xpl audit policy/Foo        carry it through the gates\n"
         "  xpl eval scripted_expert --env mujoco --task handover_block --episodes 3"

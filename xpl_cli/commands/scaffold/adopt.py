@@ -67,7 +67,7 @@ def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
     console.data(f"{path}: {chosen.state} ({', '.join(chosen.files) or 'nothing to write'}): {counts}")
     for question in chosen.draft.questions.values():
         console.data(f"  open  {question.key}: {question.text}")
-    console.data(f"static audit: {summary['verdict']}, {summary['counts']}")
+    console.data(f"static audit: {summary['statement']}, {summary['counts']}")
     for line in summary["findings"]:
         console.data(f"  {line}")
 
@@ -78,14 +78,16 @@ def _audited(folder: Path) -> dict[str, Any]:
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import Outcome
     from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.verdict import judged
     from xpl_cli.packages import package
 
     report = audit(folder, package.POLICY, Options(gates=(Gate.STATIC,)))
-    results = [result for gate in report.gates for result in gate.results]
+    verdict, results = judged(report), report.results
     bad = [result for result in results if result.outcome in (Outcome.FAIL, Outcome.WARN, Outcome.ERROR)]
     count = {outcome: sum(result.outcome is outcome for result in results) for outcome in Outcome}
     return {
-        "verdict": "RED" if any(result.outcome is not Outcome.WARN for result in bad) else "GREEN",
+        "verdict": verdict.word.upper(),
+        "statement": str(verdict),
         "counts": ", ".join(f"{number} {outcome.value}" for outcome, number in count.items() if number),
         "findings": [
             f"{result.outcome.value}  {result.code} {result.slug}: {result.findings[0].message}"

@@ -1,0 +1,302 @@
+"""Verdicts: a word, what is proven behind it, and what is not and why."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.places import ROOT
+from tests.support.rules import Room, made_adapter, made_room
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.rules.gates import GATES, Gate
+from xpl_cli.audit.rules.model import Circumstances, Finding, GateReport, Outcome, Result, Waived
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.profiles import Choice, Profile
+from xpl_cli.audit.rules.verdict import CLAIMS, MEANINGS, Ended, Word, judge, judged, weakest
+from xpl_cli.packages.package import ENV, POLICY
+from xpl_cli.serving.stand_in import StandIn
+from xpl_cli.standard import spec
+
+NO_CODE = Circumstances(without_pairs="no native.py")
+PROOF = {"pairs": 24, "assumed": 2}
+OPEN = (
+    "OPEN 2 places to fill in (a.py:3 and 1 more), 1 native value unknown (gripper), without the model, x only: "
+    "nothing wrong in what ran"
+)
+
+
+def _result(code: str, outcome: Outcome = Outcome.PASS, **more: Any) -> Result:
+    return Result(code, code.lower(), "XPL-PKG-6", "must", outcome, **more)
+
+
+def _gates(*more: Result, shadow: bool = False) -> list[Ended]:
+    """Return three gates that passed, with further results of the offline one."""
+    served = Choice(Profile.SHADOW, StandIn(shadow=True)) if shadow else Choice()
+    results = {Gate.STATIC: [_result("XPL101")], Gate.OFFLINE: [_result("XPL201"), *more]}
+    reports = [GateReport(gate, results.get(gate, [_result("XPL301")])) for gate in Gate]
+    return [Ended.of(replace(gate, served=None if gate.name is Gate.STATIC else served)) for gate in reports]
+
+
+def _said(gates: list[Ended], around: Circumstances = NO_CODE, kind: str = POLICY) -> str:
+    return str(judge(kind, gates, around))
+
+
+# -- what is said ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("gates", "around", "said"),
+    [
+        (_gates(), NO_CODE, "GREEN contract; conversions unproven (no native.py)"),
+        (
+            _gates(_result("XPL260", proof=PROOF)),
+            Circumstances(),
+            "GREEN contract, parity (24 pairs, 2 conventions assumed)",
+        ),
+        (
+            _gates(_result("XPL260", proof={"pairs": 1, "assumed": 1}), _result("XPL261")),
+            Circumstances(),
+            "GREEN contract, parity (1 pair, 1 convention assumed)",
+        ),
+        (
+            _gates(_result("XPL260", proof={"pairs": 3, "assumed": 0})),
+            Circumstances(),
+            "GREEN contract, parity (3 pairs, no convention assumed)",
+        ),
+        (
+            _gates(_result("XPL260", proof={"pairs": 3, "conventions": 0, "assumed": 0, "tolerance": 1e-4})),
+            Circumstances(),
+            "GREEN contract, parity (3 pairs, no convention named)",
+        ),
+        (
+            _gates(),
+            replace(NO_CODE, settings=("seed", "ckpt_name")),
+            "GREEN contract, with --set seed, ckpt_name; conversions unproven (no native.py)",
+        ),
+        (
+            _gates(_result("XPL203", waived=(Waived(Finding("x"), "why"),) * 2)),
+            NO_CODE,
+            "GREEN contract; 2 findings waived (XPL203); conversions unproven (no native.py)",
+        ),
+        (
+            _gates(_result("XPL260", waived=(Waived(Finding("x"), "why"),))),
+            Circumstances(),
+            "GREEN contract; 1 finding waived (XPL260); conversions unproven (findings of XPL260 are waived)",
+        ),
+        (
+            _gates(_result("XPL260", proof=PROOF), _result("XPL261", waived=(Waived(Finding("x"), "why"),))),
+            Circumstances(),
+            "GREEN contract; 1 finding waived (XPL261); conversions unproven (findings of XPL261 are waived)",
+        ),
+        (
+            _gates(_result("XPL260", Outcome.NOT_APPLICABLE, reason="v1.1 does not ask for it")),
+            Circumstances(),
+            "GREEN contract; conversions unproven (v1.1 does not ask for it)",
+        ),
+        (_gates(), Circumstances(), "GREEN contract; conversions unproven (XPL260 proved nothing)"),
+        (
+            _gates(_result("XPL203", Outcome.FAIL, findings=(Finding("x"),))),
+            NO_CODE,
+            "RED 1 rule failed (XPL203); conversions unproven (no native.py)",
+        ),
+        (
+            _gates(_result("XPL203", Outcome.FAIL), _result("XPL260", proof=PROOF)),
+            Circumstances(),
+            "RED 1 rule failed (XPL203); parity (24 pairs, 2 conventions assumed)",
+        ),
+        (
+            _gates(_result("XPL203", Outcome.ERROR)),
+            NO_CODE,
+            "RED 1 rule crashed (XPL203); conversions unproven (no native.py)",
+        ),
+        (
+            _gates(*(_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7))),
+            NO_CODE,
+            "INCOMPLETE 5 rules could not run (XPL202, XPL203, XPL204 and 2 more); conversions unproven (no native.py)",
+        ),
+        (
+            _gates(shadow=True),
+            NO_CODE,
+            "SHADOW without the model: nothing wrong in what ran; conversions unproven (no native.py)",
+        ),
+        (
+            _gates(_result("XPL260", proof=PROOF), shadow=True),
+            Circumstances(),
+            "SHADOW without the model: nothing wrong in what ran; conversions unproven (without the model)",
+        ),
+        (_gates(), replace(NO_CODE, narrowed="only XPL2"), "PARTIAL only XPL2: nothing wrong in what ran"),
+        (
+            _gates(_result("XPL260", proof=PROOF)),
+            Circumstances(narrowed="offline only"),
+            "PARTIAL offline only: nothing wrong in what ran; parity (24 pairs, 2 conventions assumed)",
+        ),
+        (_gates()[:1], NO_CODE, "PARTIAL static only: nothing wrong in what ran"),
+        (
+            _gates(shadow=True),
+            replace(NO_CODE, places=("a.py:3", "b.md:1"), unknown=("gripper",), narrowed="x only"),
+            OPEN,
+        ),
+        ([], NO_CODE, "INCOMPLETE nothing was checked"),
+    ],
+)
+def test_a_verdict_says_what_is_proven_and_what_is_not(gates: list[Ended], around: Circumstances, said: str) -> None:
+    """No word stands alone, and nothing that was not looked at is told as proven."""
+    assert _said(gates, around) == said
+
+
+def test_a_gate_without_anything_to_prove_is_named() -> None:
+    """No robot of the adapter can be simulated: the contract holds as far as it could be tried."""
+    silent = [_result("XPL301", Outcome.NOT_APPLICABLE, reason="mujoco has none of its robots")]
+    gates = [*_gates()[:2], Ended.of(GateReport(Gate.MUJOCO, silent))]
+    assert _said(gates).startswith("GREEN contract, not in the mujoco gate (mujoco has none of its robots); ")
+
+
+def test_an_environment_has_no_conversions() -> None:
+    """Its contract is all there is to prove, in two gates."""
+    assert _said(_gates()[:2], Circumstances(), ENV) == "GREEN contract"
+    assert _said(_gates()[:1], Circumstances(), ENV) == "PARTIAL static only: nothing wrong in what ran"
+
+
+RESULTS = st.builds(
+    _result,
+    st.sampled_from(["XPL101", "XPL203", "XPL260", "XPL261"]),
+    st.sampled_from(Outcome),
+    reason=st.sampled_from([None, "because"]),
+    waived=st.sampled_from([(), (Waived(Finding("x"), "why"),)]),
+    proof=st.sampled_from([None, PROOF]),
+)
+GATES_THAT_ENDED = st.lists(
+    st.builds(
+        GateReport,
+        st.sampled_from(Gate),
+        st.lists(RESULTS, max_size=4),
+        served=st.sampled_from([None, Choice(Profile.SHADOW, StandIn(shadow=True)), Choice(stubbed=("torch",))]),
+    ).map(Ended.of),
+    max_size=3,
+    unique_by=lambda gate: gate.name,
+)
+AROUND = st.builds(
+    Circumstances,
+    st.sampled_from(["", "static only"]),
+    st.sampled_from([(), ("seed",)]),
+    st.sampled_from([(), ("model.py:3",)]),
+    st.sampled_from([(), ("gripper",)]),
+    st.sampled_from([None, "no native.py"]),
+)
+
+
+@given(kind=st.sampled_from([POLICY, ENV]), gates=GATES_THAT_ENDED, around=AROUND)
+def test_no_verdict_says_more_than_what_ran(kind: str, gates: list[Ended], around: Circumstances) -> None:
+    """Whatever comes together: every claim is proven or not, and GREEN takes all gates, the model, and nothing open."""
+    verdict = judge(kind, gates, around)
+    claims = [claim.claim for claim in (*verdict.proven, *verdict.unproven)]
+    assert sorted(claim.word for claim in claims) == sorted(claim.word for claim in CLAIMS[kind])
+    assert str(verdict).startswith(f"{verdict.word.upper()} ")
+    assert verdict.said.strip()
+    words = {item.claim.word for item in verdict.proven}
+    assert ("contract" in words) == (verdict.word is Word.GREEN)
+    outcomes = {gate.outcome for gate in gates}
+    if verdict.word is Word.GREEN:
+        assert {gate.name for gate in gates} >= set(GATES[kind])
+        assert outcomes <= {Outcome.PASS, Outcome.NOT_APPLICABLE}
+        assert (around.narrowed, around.places, around.unknown) == ("", (), ())
+        assert not any(gate.stood_in for gate in gates)
+    if "parity" in words:
+        assert around.without_pairs is None
+        assert not any({"XPL260", "XPL261"} & gate.doubts.keys() for gate in gates)
+    assert (verdict.word is Word.RED) == bool(outcomes & {Outcome.FAIL, Outcome.ERROR})
+    assert json.loads(json.dumps(verdict.as_json())) == verdict.as_json()
+
+
+@given(gate=GATES_THAT_ENDED.filter(bool).map(lambda gates: gates[0]))
+def test_how_a_gate_ended_can_be_written_down(gate: Ended) -> None:
+    """For `xpl status`, which says later what was proven."""
+    assert Ended.read(json.loads(json.dumps(asdict(gate)))) == gate
+
+
+def test_several_packages_come_to_the_least_of_them() -> None:
+    """Of none, nothing is wrong."""
+    assert weakest([Word.GREEN, Word.OPEN, Word.PARTIAL]) is Word.OPEN
+    assert weakest([Word.GREEN, Word.RED, Word.INCOMPLETE]) is Word.RED
+    assert weakest([]) is Word.GREEN
+
+
+# -- where it is told --------------------------------------------------------------------------------------------------
+
+
+def test_the_page_on_audits_has_the_words() -> None:
+    """The table in docs/audit.md is the one of the code."""
+    page = (ROOT / "docs" / "audit.md").read_text(encoding="utf-8")
+    assert (
+        "| word | means |\n| --- | --- |\n"
+        + "".join(f"| `{word.upper()}` | {meaning} |\n" for word, meaning in MEANINGS.items())
+        in page
+    )
+    assert list(MEANINGS) == list(Word)
+
+
+def test_the_schema_knows_the_words_and_the_claims() -> None:
+    """And no others."""
+    definitions = spec.schema("audit", spec.NEWEST)["$defs"]
+    assert set(definitions["target"]["properties"]["verdict"]["enum"]) == set(Word)
+    claims = {claim.word for kind in CLAIMS.values() for claim in kind}
+    assert set(definitions["claim"]["enum"]) == claims
+
+
+# -- what a package and a request leave open ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def adapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A scaffold in which nothing is left to fill in, and a room of rules that find nothing."""
+    room: Room = made_room(tmp_path / "room", monkeypatch)
+    room.rule("reads", "yield from ()", code="XPL101")
+    room.rule("runs", "yield from ()", code="XPL201", folder="offline")
+    room.rule("drives", "yield from ()", code="XPL301", folder="mujoco")
+    package = made_adapter(tmp_path / "policy" / "Foo")
+    mark = spec.data("package")["placeholder"]
+    for file in (path for path in package.iterdir() if path.is_file()):
+        file.write_text(file.read_text().replace(mark, "done"))
+    return package
+
+
+def _audited(adapter: Path, **options: Any) -> str:
+    return str(judged(engine.audit(adapter, POLICY, Options(**options), shown="policy/Foo")))
+
+
+def test_what_a_request_leaves_out_is_told(adapter: Path) -> None:
+    """By gates, by rules and by rules that are left out; all gates by name are all gates."""
+    whole = "GREEN contract; conversions unproven (no native.py)"
+    assert _audited(adapter) == _audited(adapter, gates=tuple(Gate)) == whole
+    fine = "nothing wrong in what ran"
+    assert _audited(adapter, gates=(Gate.STATIC, Gate.OFFLINE)) == f"PARTIAL static and offline only: {fine}"
+    assert _audited(adapter, names=("XPL1", "runs")) == f"PARTIAL only XPL1, runs: {fine}"
+    assert _audited(adapter, ignore=("drives",)) == f"PARTIAL without drives: {fine}"
+    told = _audited(adapter, gates=(Gate.STATIC,), names=("XPL101",))
+    assert told == f"PARTIAL static only, only XPL101: {fine}"
+
+
+def test_what_a_package_leaves_open_is_told(adapter: Path) -> None:
+    """A place that is marked, and a native value that is unknown."""
+    mark = spec.data("package")["placeholder"]
+    with (adapter / "policy.yml").open("a") as manifest:
+        manifest.write("native: {images: [{input: image, channels: {unknown: nobody says}}]}\n")
+    assert _audited(adapter).startswith("OPEN 1 native value unknown (images[0].channels): nothing wrong")
+    readme = (adapter / "README.md").read_text()
+    (adapter / "README.md").write_text(f"<!-- {mark}: what it does -->\n{readme}")
+    assert _audited(adapter).startswith("OPEN 1 place to fill in (README.md:1), 1 native value unknown")
+
+
+def test_native_code_that_was_not_recorded_has_its_command(adapter: Path) -> None:
+    """Where there are pairs, the rule that compares has the word."""
+    (adapter / "native.py").write_text("CONVENTIONS = {}\n")
+    reason = "native.py was not recorded: xpl native record policy/Foo"
+    assert _audited(adapter) == f"GREEN contract; conversions unproven ({reason})"
+    (adapter / "native_pairs.json").write_text("{}\n")
+    assert _audited(adapter) == "GREEN contract; conversions unproven (XPL260 proved nothing)"

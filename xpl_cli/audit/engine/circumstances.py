@@ -1,0 +1,106 @@
+"""What a verdict depends on besides results: what was asked for, and what the package itself leaves open."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from xpl_cli.audit.rules.gates import GATES
+from xpl_cli.audit.rules.model import Circumstances, NotRun
+from xpl_cli.audit.static import reading
+from xpl_cli.basics.strangers import command
+from xpl_cli.native import names
+from xpl_cli.packages.package import ENV
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.static.source import Source
+
+_MOST = 3
+
+
+def circumstances(source: Source, kind: str, options: Options, shown: str) -> Circumstances:
+    """Return what the verdict on a package depends on besides results.
+
+    Args:
+        source: its files.
+        kind: `policy` or `env`.
+        options: what was asked for.
+        shown: how commands name the folder.
+    """
+    settings = () if kind == ENV else tuple(options.overrides)
+    return replace(of_package(source, kind, shown), narrowed=narrowed(kind, options), settings=settings)
+
+
+def of_package(source: Source, kind: str, shown: str) -> Circumstances:
+    """Return what of it the package itself says."""
+    if kind == ENV:
+        return Circumstances(places=tuple(places(source)))
+    return Circumstances(
+        places=tuple(places(source)),
+        unknown=tuple(unknown(source)),
+        without_pairs=without_pairs(source, shown),
+    )
+
+
+def narrowed(kind: str, options: Options) -> str:
+    """Return what an audit leaves out, in a few words; empty if nothing."""
+    return ", ".join(_narrowed(kind, options))
+
+
+def places(source: Source) -> Iterator[str]:
+    """Yield every place directly in a package that is marked for its author, `FILE:LINE`."""
+    marker = re.compile(rf"{re.escape(spec.data('package')['placeholder'])}:\s*\S")
+    try:
+        with os.scandir(source.path) as entries:
+            found = sorted(entry.name for entry in entries if reading.is_text(entry.name) and entry.is_file())
+    except OSError:  # which a rule of the static gate tells
+        return
+    for name in found:
+        try:
+            text = source.text(name)
+        except NotRun:
+            continue
+        if marker.search(text):
+            yield from (f"{name}:{place}" for place, line in enumerate(text.split("\n"), 1) if marker.search(line))
+
+
+def unknown(source: Source) -> Iterator[str]:
+    """Yield every value of the native block that its author says is unknown, as `images[0].channels`."""
+    native = source.manifest.get("native")
+    if native is not None:
+        from xpl.convert.gaps import gaps  # which needs numpy
+
+        yield from (gap.where for gap in gaps(native))
+
+
+def without_pairs(source: Source, shown: str) -> str | None:
+    """Return why a policy's conversions cannot be compared with the model's own, None if there are native pairs."""
+    if source.has(names.PAIRS):
+        return None
+    if source.has(names.CODE):
+        return f"{names.CODE} was not recorded: {command(('xpl', 'native', 'record', shown))}"
+    return f"no {names.CODE}"
+
+
+def _narrowed(kind: str, options: Options) -> Iterator[str]:
+    """Yield what an audit leaves out, in a few words."""
+    asked = [gate.value for gate in GATES[kind] if gate in options.gates]
+    if len(asked) < len(GATES[kind]):
+        yield f"{' and '.join(asked) or 'no gate'} only"
+    if options.names:
+        yield f"only {_listed(options.names)}"
+    if options.ignore:
+        yield f"without {_listed(options.ignore)}"
+    if kind == ENV and options.overrides:
+        yield f"only with --set {_listed(tuple(options.overrides))}"
+
+
+def _listed(found: Sequence[str]) -> str:
+    more = f" and {len(found) - _MOST} more" if len(found) > _MOST else ""
+    return f"{', '.join(found[:_MOST])}{more}"

@@ -1,0 +1,356 @@
+"""What a verdict says: one word for what an audit comes to, what it proves, and what it does not and why.
+
+`GREEN` is never said alone: what is proven stands behind it. A run that looked at less than everything has a word of
+its own, and so has a package that is not finished. `MEANINGS` and `CLAIMS` are all there is; docs/audit.md prints them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final, Self
+
+from xpl_cli.audit.rules.gates import GATES
+from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.packages.package import ENV, POLICY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from xpl_cli.audit.rules.model import Circumstances, GateReport, Result, TargetReport
+
+_MOST: Final = 3
+"""Codes and places that are named; of more their number is told."""
+
+_NOTHING_WRONG: Final = "nothing wrong in what ran"
+
+
+class Word(StrEnum):
+    """What an audit comes to. Where several words apply, the first one is said."""
+
+    RED = "red"
+    INCOMPLETE = "incomplete"
+    OPEN = "open"
+    SHADOW = "shadow"
+    PARTIAL = "partial"
+    GREEN = "green"
+
+
+MEANINGS: Final[Mapping[Word, str]] = {
+    Word.RED: "a rule failed, or crashed",
+    Word.INCOMPLETE: "something that was asked for could not run, or nothing was proved",
+    Word.OPEN: "nothing is wrong in what ran, but the author has places to fill in, or native values are unknown",
+    Word.SHADOW: "nothing is wrong in what ran, but something stood in for the model or for modules",
+    Word.PARTIAL: "nothing is wrong in what ran, but `--gate`, `--select` or `--ignore` left rules out, or `--set` "
+    "what else an environment offers",
+    Word.GREEN: "every gate ran on all that the package declares, with the real model, and nothing failed",
+}
+"""Every word, as people read it; behind it stands what it is about."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Something that an audit can prove of a package.
+
+    Attributes:
+        word: how reports call it.
+        subject: what is unproven without it.
+        rule: code of the rule whose proof it is; empty for what all gates prove together.
+        needs: codes of rules without which that proof is of something else.
+        details: what of the numbers of a proof is told, in words.
+    """
+
+    word: str
+    subject: str
+    rule: str = ""
+    needs: tuple[str, ...] = ()
+    details: Callable[[Mapping[str, Any]], Iterable[str]] = lambda _: ()
+
+    def told(self, numbers: Mapping[str, Any]) -> str:
+        """Return the claim with the numbers of its proof, as `parity (24 pairs, 2 conventions assumed)`."""
+        detail = ", ".join(self.details(numbers))
+        return f"{self.word} ({detail})" if detail else self.word
+
+
+def _of_parity(numbers: Mapping[str, Any]) -> Iterable[str]:
+    """Yield the pairs that were compared, and how many conventions nobody was found to say."""
+    yield _amount(numbers.get("pairs", 0), "pair")
+    if not numbers.get("conventions", True):
+        yield "no convention named"
+    elif "assumed" in numbers:
+        yield f"{_amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
+
+
+CONTRACT: Final = Claim("contract", "contract")
+PARITY: Final = Claim("parity", "conversions", rule="XPL260", needs=("XPL261",), details=_of_parity)
+CLAIMS: Final[Mapping[str, tuple[Claim, ...]]] = {POLICY: (CONTRACT, PARITY), ENV: (CONTRACT,)}
+"""What can be proven of each kind of package, in the order in which it is told."""
+
+_OF_RULES: Final = frozenset(code for claim in (PARITY,) for code in (claim.rule, *claim.needs))
+
+
+@dataclass(frozen=True)
+class Proven:
+    """A claim that holds.
+
+    Attributes:
+        claim: the claim.
+        numbers: what the rule said that it proved.
+    """
+
+    claim: Claim
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        return self.claim.told(self.numbers)
+
+
+@dataclass(frozen=True)
+class Unproven:
+    """A claim that was not shown to hold.
+
+    Attributes:
+        claim: the claim.
+        reason: why.
+        is_told: whether a verdict names it; one that nobody asked for, or that the word tells, is not.
+    """
+
+    claim: Claim
+    reason: str
+    is_told: bool = True
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        return f"{self.claim.subject} unproven ({self.reason})"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What an audit of one package comes to.
+
+    Attributes:
+        word: in a word.
+        about: what the word is about; for `GREEN` what is proven.
+        proven, unproven: every claim of the kind of package is in one of them.
+        waived: codes of the rules with findings that the manifest accepts, each as often as it has some.
+    """
+
+    word: Word
+    about: str
+    proven: tuple[Proven, ...] = ()
+    unproven: tuple[Unproven, ...] = ()
+    waived: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Return it as people read it: `GREEN contract; conversions unproven (no native.py)`."""
+        return f"{self.word.upper()} {self.said}"
+
+    @property
+    def said(self) -> str:
+        """What stands behind the word."""
+        parts = [self.about]
+        if self.word is not Word.GREEN:
+            parts += map(str, self.proven)
+        if self.waived:
+            parts.append(f"{_amount(len(self.waived), 'finding')} waived ({_named(self.waived)})")
+        return "; ".join([*parts, *(str(item) for item in self.unproven if item.is_told)])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as keys of a target in audit.schema.json."""
+        return {
+            "verdict": self.word.value,
+            "statement": str(self),
+            "proven": [{"word": item.claim.word, "numbers": dict(item.numbers)} for item in self.proven],
+            "unproven": [{"word": item.claim.word, "reason": item.reason} for item in self.unproven],
+        }
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What a verdict has to know of one gate.
+
+    Attributes:
+        name: the gate's.
+        outcome: how it ended.
+        reason: why it was not started, or had nothing to prove.
+        stood_in: what stood in for the model or for modules, in a few words; empty if everything was real.
+        failed, crashed, not_run: codes of the rules that ended so.
+        waived: codes of rules with findings that were accepted, each as often as it has some.
+        proofs: what rules said that they proved, by code.
+        doubts: why rules that prove a claim prove none here, by code.
+    """
+
+    name: str
+    outcome: Outcome
+    reason: str | None = None
+    stood_in: str = ""
+    failed: tuple[str, ...] = ()
+    crashed: tuple[str, ...] = ()
+    not_run: tuple[str, ...] = ()
+    waived: tuple[str, ...] = ()
+    proofs: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    doubts: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, gate: GateReport) -> Self:
+        """Return what is to be known of a gate that was carried out, or that waits for another one."""
+        of = {outcome: tuple(item.code for item in gate.results if item.outcome is outcome) for outcome in Outcome}
+        silent = next((item.reason for item in gate.results if item.reason), None)
+        return cls(
+            name=gate.name.value,
+            outcome=gate.outcome,
+            reason=gate.reason or (silent if gate.outcome is Outcome.NOT_APPLICABLE else None),
+            stood_in="" if gate.served is None else gate.served.briefly,
+            failed=of[Outcome.FAIL],
+            crashed=of[Outcome.ERROR],
+            not_run=of[Outcome.NOT_RUN],
+            waived=tuple(item.code for item in gate.results for _ in item.waived),
+            proofs={item.code: dict(item.proof) for item in gate.results if item.proof is not None},
+            doubts={item.code: doubt for item in gate.results if item.code in _OF_RULES and (doubt := _doubt(item))},
+        )
+
+    @classmethod
+    def read(cls, told: Mapping[str, Any]) -> Self:
+        """Return what was written down as JSON, by `dataclasses.asdict`.
+
+        Raises:
+            KeyError, TypeError, ValueError: if it was something else.
+        """
+        lists = {name: tuple(told[name]) for name in ("failed", "crashed", "not_run", "waived")}
+        return cls(**{**told, **lists, "outcome": Outcome(told["outcome"])})
+
+
+def judged(report: TargetReport) -> Verdict:
+    """Return the verdict on a package that was audited."""
+    return judge(report.kind, [Ended.of(gate) for gate in report.gates], report.circumstances)
+
+
+def judge(kind: str, gates: Sequence[Ended], around: Circumstances) -> Verdict:
+    """Return the verdict on a package.
+
+    Args:
+        kind: `policy` or `env`.
+        gates: how its gates ended.
+        around: what else has to be known.
+    """
+    ran = [gate.name for gate in gates]
+    if not around.narrowed and len(ran) < len(GATES[kind]):
+        around = replace(around, narrowed=f"{' and '.join(ran) or 'no gate'} only")
+    word = _word(gates, around)
+    about = _about(word, gates, around)
+    proven: list[Proven] = []
+    unproven: list[Unproven] = []
+    found: Proven | Unproven
+    for claim in CLAIMS[kind]:
+        if not claim.rule:
+            found = Proven(claim) if word is Word.GREEN else Unproven(claim, about, is_told=False)
+        else:
+            found = _by_rule(claim, gates, around)
+        proven += [found] if isinstance(found, Proven) else []
+        unproven += [found] if isinstance(found, Unproven) else []
+    if word is Word.GREEN:
+        about = ", ".join([*map(str, proven), *_asides(gates, around)])
+    elif word not in (Word.RED, Word.INCOMPLETE):
+        about = f"{about}: {_NOTHING_WRONG}"
+    waived = tuple(code for gate in gates for code in gate.waived)
+    return Verdict(word, about, tuple(proven), tuple(unproven), waived)
+
+
+def weakest(words: Iterable[Word]) -> Word:
+    """Return the word for several packages: that of the one of which least can be said; green for none."""
+    return min(words, key=list(Word).index, default=Word.GREEN)
+
+
+def _word(gates: Sequence[Ended], around: Circumstances) -> Word:
+    outcomes = {gate.outcome for gate in gates}
+    if outcomes & {Outcome.FAIL, Outcome.ERROR}:
+        return Word.RED
+    if Outcome.PASS not in outcomes or not outcomes <= {Outcome.PASS, Outcome.NOT_APPLICABLE}:
+        return Word.INCOMPLETE
+    if around.places or around.unknown:
+        return Word.OPEN
+    if any(gate.stood_in for gate in gates):
+        return Word.SHADOW
+    return Word.PARTIAL if around.narrowed else Word.GREEN
+
+
+def _about(word: Word, gates: Sequence[Ended], around: Circumstances) -> str:
+    """Return what a word is about, but for green."""
+    if word in (Word.RED, Word.INCOMPLETE):
+        told = [
+            _counted([code for gate in gates for code in codes(gate)], what)
+            for codes, what in (
+                (lambda gate: gate.failed, "failed"),
+                (lambda gate: gate.crashed, "crashed"),
+                (lambda gate: gate.not_run if gate.reason is None else (), "could not run"),
+            )
+        ]
+        return ", ".join(filter(None, told)) or _silent(gates)
+    caveats = [
+        _places(around.places, "place", "to fill in"),
+        _places(around.unknown, "native value", "unknown"),
+        ", ".join(dict.fromkeys(gate.stood_in for gate in gates if gate.stood_in)),
+        around.narrowed,
+    ]
+    return ", ".join(filter(None, caveats))
+
+
+def _silent(gates: Sequence[Ended]) -> str:
+    """Return why gates came to nothing of which no rule tells."""
+    reasons = dict.fromkeys(f"{gate.name}: {gate.reason}" for gate in gates if gate.reason)
+    return "; ".join(reasons) or "nothing was checked"
+
+
+def _asides(gates: Sequence[Ended], around: Circumstances) -> Iterable[str]:
+    """Yield how far the contract was tried, where that is less than usual."""
+    for gate in gates:
+        if gate.outcome is Outcome.NOT_APPLICABLE:
+            yield f"not in the {gate.name} gate ({gate.reason or 'no rule of it applies'})"
+    if around.settings:
+        yield f"with --set {_listed(around.settings, _MOST)}"
+
+
+def _by_rule(claim: Claim, gates: Sequence[Ended], around: Circumstances) -> Proven | Unproven:
+    """Return whether the rule of a claim has proved it; one doubt, wherever it comes from, is enough against it."""
+    doubts = [gate.doubts[code] for code in (*claim.needs, claim.rule) for gate in gates if code in gate.doubts]
+    proofs = [(gate, gate.proofs[claim.rule]) for gate in gates if claim.rule in gate.proofs]
+    is_asked = bool(not around.narrowed or doubts or proofs)
+    if around.without_pairs is not None:
+        return Unproven(claim, around.without_pairs, is_asked)
+    if doubts or not proofs:
+        return Unproven(claim, doubts[0] if doubts else f"{claim.rule} proved nothing", is_asked)
+    stand_ins = [gate.stood_in for gate, _ in proofs if gate.stood_in]
+    return Unproven(claim, stand_ins[0]) if stand_ins else Proven(claim, proofs[0][1])
+
+
+def _doubt(result: Result) -> str | None:
+    """Return why a rule that would prove something does not; None if it does, or if it only has to hold, and does."""
+    if result.waived:
+        return f"findings of {result.code} are waived"
+    if result.findings:
+        return f"{result.code} found {_amount(len(result.findings), 'difference')}"
+    return None if result.outcome is Outcome.PASS else result.reason
+
+
+def _places(found: Sequence[str], noun: str, what: str) -> str:
+    return f"{_amount(len(found), noun)} {what} ({_listed(found, 1)})" if found else ""
+
+
+def _counted(codes: Sequence[str], what: str) -> str:
+    return f"{_amount(len(codes), 'rule')} {what} ({_named(codes)})" if codes else ""
+
+
+def _named(codes: Sequence[str]) -> str:
+    """Return codes, each once; those that come most often are not told from others."""
+    return _listed(list(Counter(codes)), _MOST)
+
+
+def _listed(names: Sequence[str], most: int) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
+
+
+def _amount(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
