@@ -57,20 +57,16 @@ def variants(model: Policy, blocks: Sequence[Mapping[str, Any]], order: Mapping[
             interface = compile_interface(block, model.embodiment, model.action_type, folders, model.chunk)
             if pictures is not None:
                 pictures.take_over(interface, block)
-            _renew(model, interface)
-            yield result(list(_answers(model, order["calls"])))
+            model.interface = interface
+            yield result(list(renewed(model, order["calls"])))
         except FAILURES as error:
             yield failed(error)
 
 
-def _renew(model: Policy, interface: Interface) -> None:
-    """Make a model as it was when it was loaded, with other conversions."""
+def renewed(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
+    """Make a model as it was when it was loaded, and yield what it answers to calls, chunk by chunk."""
     model.reset()
     model._episodes.clear()  # noqa: SLF001 - which seed the generators
-    model.interface = interface
-
-
-def _answers(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
     for call in calls:
         if "reset" in call:
             model.reset()

@@ -21,6 +21,8 @@ _CLEAR = 4.0
 """A change that explains nothing wholly is told if the difference falls by this much, ..."""
 _AHEAD = 2.0
 """... and the next one leaves this much more."""
+_LARGE = 5.0
+"""What a change mends has to hold no less than this part of the largest difference."""
 _MENDED = 1.05
 """Numbers that a change does not mend may become worse by this factor."""
 
@@ -149,7 +151,8 @@ def _partial(changes: Sequence[Tried], before: Differences, off: Sequence[str], 
         if any(left[part] > max(before[part] * _MENDED, tolerance) for part in before):
             continue
         mended = tuple(part for part in off if left[part] <= tolerance or left[part] * _FACTOR <= before[part])
-        if mended:
+        # Small differences may fall by chance.
+        if mended and max(before[part] for part in mended) * _LARGE >= max(before.values()):
             worst = max(before[part] for part in mended)
             found.append(Cause(one.words, one.convention, worst, max(left[part] for part in mended), mended))
     chosen: list[Cause] = []

@@ -14,6 +14,8 @@ from xpl_cli.native.explain import Tried
 if TYPE_CHECKING:
     from xpl_cli.native.difference import Differences
 
+_FALLS = 20.0
+"""By how much the difference of each number has to fall."""
 _LEAST = 12
 """Numbers that a line is drawn through at least."""
 
@@ -45,7 +47,10 @@ def fitted(
         )
         if line is None:
             return None
-        remaining[part], slope, words = line
+        rest, slope, words = line
+        if rest > tolerance or rest * _FALLS > before[part]:
+            return None
+        remaining[part] = rest
         told.append(f"{part}: {words}")
         slopes.append((key, slope))
     if not told:

@@ -65,17 +65,9 @@ class Contest:
     def remaining(self, given: Mapping[int, Sequence[Any]] | None) -> dict[str, float]:
         """Return how far answers to some questions are from the native ones; steps that are not known do not count."""
         judgement = self._judgement
-        native, other = [], []
-        for number, chunk in (given or {}).items():
-            wanted = judgement.native[number]
-            if len(chunk) != len(wanted):
-                return dict.fromkeys(judgement.spread, _INFINITE)
-            known = [place for place, step in enumerate(chunk) if step is not None]
-            native.append([wanted[place] for place in known])
-            other.append([chunk[place] for place in known])
-        if not any(native):
+        if not given:
             return dict.fromkeys(judgement.spread, _INFINITE)
-        return differences(native, other, judgement.spread)
+        return differences([judgement.native[number] for number in given], list(given.values()), judgement.spread)
 
     @property
     def _chosen(self) -> list[int]:

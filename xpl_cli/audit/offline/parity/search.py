@@ -1,9 +1,9 @@
 """Which single change explains that an adapter's answers differ from the native ones.
 
-Two families of changes are tried (`xpl_cli.native.alternatives`): other words of the native block, where the adapter
-converts by its block alone; and changes around the served adapter, of what it is shown and of what it commands, for
-conversions in code. First on one question, then what looks good on a few, and on all of them. The time is bounded: a
-finding without a cause is still a finding.
+Families of changes (`xpl_cli.native.alternatives`) are tried one after another until one explains it: other words of
+the native block, where the adapter converts by its block alone; for conversions in code, changes of what it commands,
+which cost no play, of what its `encode` makes, and of what it is shown. The time is bounded: a finding without a cause
+is still a finding.
 """
 
 from __future__ import annotations
@@ -20,14 +20,17 @@ from xpl.client import ClientError
 from xpl.convert import NativeError
 from xpl_cli.audit.offline.parity import blocks
 from xpl_cli.audit.offline.parity.around import Around
-from xpl_cli.audit.offline.parity.contest import Contest
+from xpl_cli.audit.offline.parity.contest import Ask, Contest
 from xpl_cli.audit.offline.parity.course import Course
+from xpl_cli.audit.offline.parity.encoded import Encoded
 from xpl_cli.audit.offline.parity.played import overrides
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.native.alternatives.block import alternatives
+from xpl_cli.native.alternatives.encodings import encodings
 from xpl_cli.native.alternatives.signals import Signal, signals
-from xpl_cli.native.difference import differences
+from xpl_cli.native.difference import Thread, differences
 from xpl_cli.native.explain import Explanation, Tried
+from xpl_cli.native.fitted import fitted
 from xpl_cli.native.record import is_free, span
 
 if TYPE_CHECKING:
@@ -58,6 +61,21 @@ class Found:
     in_block: bool
 
 
+@dataclass(frozen=True)
+class _Inputs:
+    """What an adapter reads.
+
+    Attributes:
+        cameras: names of cameras.
+        state: fields of the state, without an arm's prefix; None if that is not known.
+        instructions: those of the script; empty if it reads none.
+    """
+
+    cameras: list[str]
+    state: list[str] | None
+    instructions: list[str]
+
+
 class Search:
     """The search for one session.
 
@@ -83,22 +101,23 @@ class Search:
 
         A word of the block is preferred to a change around the adapter that does the same.
         """
-        by_block = self._by_block() if self._native else None
-        if by_block is not None and by_block.cause is not None:
-            return Found(by_block, in_block=True)
-        by_signal = self._by_signals()
-        if by_signal is not None and by_signal.cause is not None:
-            return Found(by_signal, in_block=False)
-        for found, in_block in ((by_block, True), (by_signal, False)):
-            if found is not None and found.text:
-                return Found(found, in_block)
-        return None
+        found: list[Found] = []
+        for family in (self._by_block, self._by_commands, self._by_encodings, self._by_shown):
+            explanation = family()
+            if explanation is None:
+                continue
+            found.append(Found(explanation, in_block=family == self._by_block))
+            if explanation.cause is not None:
+                return found[-1]
+        return next((one for one in found if one.explanation.text), None)
 
     # -- words of the block --------------------------------------------------------------------------------------------
 
     def _by_block(self) -> Explanation | None:
         """Return what other words of the block explain; None where the adapter does not convert by it alone."""
         session, package = self._judgement.session, self._probe.package
+        if not self._native:
+            return None
         chunk = (self._manifest.get("temporal") or {}).get("chunk")
         try:
             changes = list(alternatives(self._native, session.robot, session.action_type, [package.path], chunk))
@@ -121,8 +140,37 @@ class Search:
 
     # -- changes around the adapter ------------------------------------------------------------------------------------
 
-    def _by_signals(self) -> Explanation | None:
-        """Return what changes of what is shown and commanded explain; None if the adapter cannot be served for it."""
+    def _by_commands(self) -> Explanation:
+        """Return what changes of the answers that are known explain."""
+        changes = [signal for signal in self._signals if signal.shown is None]
+        around = Around(self._course, self._judgement.given)
+        contest = Contest(self._course, self._judgement, self._course.everything)
+        found = contest.held(len(changes), self._asking(around, changes, contest))
+        if found.cause is not None:
+            return found
+        judgement = self._judgement
+        line = fitted(self._threads, judgement.shares, judgement.spread, judgement.tolerance)
+        return found if line is None else contest.explained([line])
+
+    def _by_encodings(self) -> Explanation | None:
+        """Return what changes of encoded inputs explain; None if there is no time for them."""
+        if self._left <= 0:
+            return None
+        inputs = self._inputs
+        changes = list(encodings(pictures=bool(inputs.cameras), text=bool(inputs.instructions)))
+        encoded = Encoded(self._probe, self._course, self._config)
+        contest = Contest(self._course, self._judgement, self._course.everything)
+
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
+            # No more than half of the time: the last family needs some, too.
+            answered = encoded.answers([changes[number] for number in chosen], wanted, self._left / 2)
+            for one in answered:
+                yield Tried(one.words, one.convention, contest.remaining(one.given))
+
+        return contest.held(len(changes), ask)
+
+    def _by_shown(self) -> Explanation | None:
+        """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
         flags = [] if self._repeats else ["--renew"]
         try:
             with ExitStack() as opened, self._probe.own_server(self._config, flags) as server:
@@ -143,19 +191,40 @@ class Search:
         apart = around.answers(_APART, self._replayable)
         alone = Tried(_APART.words, _APART.convention, contest.remaining(apart))
         same = self._is_as_before(apart)
-        changes = [one for one in self._signals() if one.shown is None or (same and not self._breaks(one))]
-
-        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
-            for number in chosen:
-                if self._left <= 0:
-                    return
-                signal = changes[number]
-                given = around.answers(signal, wanted)
-                yield Tried(signal.words, signal.convention, contest.remaining(given))
-
+        changes = [one for one in self._signals if one.shown is not None and same and not self._breaks(one)]
         if not same and contest.explained([alone]).cause is not None:
             return contest.explained([alone])
-        return contest.held(len(changes), ask)
+        return contest.held(len(changes), self._asking(around, changes, contest))
+
+    def _asking(self, around: Around, changes: Sequence[Signal], contest: Contest) -> Ask:
+        """Return what tries changes; those that are less likely than one that leaves nothing are not tried."""
+
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
+            explained: int | None = None
+            for number in chosen:
+                signal = changes[number]
+                if self._left <= 0 or (explained is not None and signal.rank > explained):
+                    return
+                tried = Tried(signal.words, signal.convention, contest.remaining(around.answers(signal, wanted)))
+                if explained is None and max(tried.remaining.values()) <= self._judgement.tolerance:
+                    explained = signal.rank
+                yield tried
+
+        return ask
+
+    @functools.cached_property
+    def _threads(self) -> list[Thread]:
+        """The episodes of each environment."""
+        questions, judgement = self._judgement.session.questions, self._judgement
+        return [
+            Thread(
+                self._course.seen(questions[episode[-1]]),
+                [questions[number].asked[-1] for number in episode],
+                [judgement.native[number] for number in episode],
+                [judgement.given[number] for number in episode],
+            )
+            for episode in self._course.episodes(self._course.everything)
+        ]
 
     @property
     def _replayable(self) -> list[int]:
@@ -176,21 +245,34 @@ class Search:
         """Tell whether a change leaves out questions, after which a model that draws would draw otherwise."""
         return signal.windowed and not self._repeats
 
-    def _signals(self) -> Iterator[Signal]:
+    @functools.cached_property
+    def _inputs(self) -> _Inputs:
+        """What the adapter reads, everything if it does not say that."""
         inputs = self._manifest.get("inputs") or {}
         read = [*(inputs.get("required") or ()), *(inputs.get("optional") or ())]
-        session, history = self._judgement.session, self._native.get("history") or {}
-        shown = [self._course.observation(*question.shown[-1]) for question in session.questions]
+        shown = [self._course.observation(*question.shown[-1]) for question in self._judgement.session.questions]
         texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in shown})
-        pictures = [name.partition(".")[2] for name in read if name.startswith(f"{sdk.Obs.VISION}.")]
-        yield from signals(
+        if not read:
+            return _Inputs(list(self._judgement.session.cameras), None, texts)
+        cameras, fields = (
+            [name.partition(".")[2] for name in read if name.startswith(f"{group}.")]
+            for group in (sdk.Obs.VISION, sdk.Obs.STATE)
+        )
+        return _Inputs(cameras, fields, texts if sdk.Obs.INSTRUCTION in read else [])
+
+    @functools.cached_property
+    def _signals(self) -> list[Signal]:
+        session, history, inputs = self._judgement.session, self._native.get("history") or {}, self._inputs
+        found = signals(
             session.robot,
             session.action_type,
-            cameras=pictures if read else list(session.cameras),
+            cameras=inputs.cameras,
+            reads=inputs.state,
             history=history.get("length") or span(self._manifest),
             stride=history.get("stride", 1),
-            instructions=texts if sdk.Obs.INSTRUCTION in read or not read else (),
+            instructions=inputs.instructions,
         )
+        return list(found)
 
     # -- both ----------------------------------------------------------------------------------------------------------
 

@@ -8,10 +8,8 @@ from typing import Any
 
 from xpl.convert.images import shape_after
 from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Site, everywhere, word
+from xpl_cli.native.alternatives.forms import MEANS, RANGES
 
-_IMAGENET = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225])
-_CLIP = ([0.48145466, 0.4578275, 0.40821073], [0.26862954, 0.26130258, 0.27577711])
-_HALF = ([0.5, 0.5, 0.5], [0.5, 0.5, 0.5])
 _NOMINAL = (480, 640)
 """Height and width for which a change of geometry has to leave the model's size."""
 _FILTERS = ("bilinear", "area", "bicubic", "lanczos", "nearest")
@@ -35,11 +33,11 @@ def images(block: Mapping[str, Any], embodiment_cameras: Sequence[str]) -> Itera
 
 
 def _numbers(sites: Sequence[Site]) -> Iterator[Candidate]:
-    for rank, span in ((0, [0, 1]), (0, [-1, 1]), (1, [0, 255]), (3, [-0.5, 0.5]), (3, [0, 2])):
+    for rank, span in RANGES:
         yield from everywhere(sites, rank, f"range: {span}", "image_range", _ranged(span))
     yield from everywhere(sites, 2, "dtype: uint8", "image_range", _as_bytes)
     yield from everywhere(sites, 0, "mean and std: none", "image_range", _without_mean)
-    for name, (mean, std) in (("ImageNet's", _IMAGENET), ("CLIP's", _CLIP), ("0.5", _HALF)):
+    for name, (mean, std) in MEANS.items():
         yield from everywhere(sites, 1, f"mean and std: {name}", "image_range", _with_mean(mean, std))
     yield from everywhere(sites, 2, "mean and std in the other order of channels", "image_range", _mean_reversed)
 
@@ -52,7 +50,7 @@ def _as_bytes(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
     return None if entry["dtype"] == "uint8" else {"dtype": "uint8", "range": GONE, "mean": GONE, "std": GONE}
 
 
-def _ranged(span: list[float]) -> Any:
+def _ranged(span: Sequence[float]) -> Any:
     def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
         if entry["dtype"] == "float32" and list(entry.get("range", [0, 1])) == span:
             return None
@@ -65,7 +63,7 @@ def _without_mean(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
     return {"mean": GONE, "std": GONE} if {"mean", "std"} & set(entry) else None
 
 
-def _with_mean(mean: list[float], std: list[float]) -> Any:
+def _with_mean(mean: Sequence[float], std: Sequence[float]) -> Any:
     def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
         if (entry.get("mean"), entry.get("std")) == (mean, std):
             return None
@@ -172,8 +170,8 @@ def _resampling(sites: Sequence[Site]) -> Iterator[Candidate]:
         for antialias, rank in ((None, 1), (True, 2), (False, 2)):
             told = f"filter: {kind}" + ("" if antialias is None else f", antialias: {str(antialias).lower()}")
             yield from everywhere(sites, rank, told, "image_filter", _stepped(_filtered(kind, antialias)))
-    for on in ("float", "uint8"):
-        yield from everywhere(sites, 2, f"on: {on}", "image_filter", _stepped(_inside("", "on", on, "uint8")))
+    for kind in ("float", "uint8"):
+        yield from everywhere(sites, 2, f"as: {kind}", "image_filter", _stepped(_inside("", "as", kind, "uint8")))
 
 
 Steps = list[dict[str, Any]]
@@ -224,7 +222,7 @@ def _replaced(kind: str, by: dict[str, Any]) -> Any:
 
 
 def _converted(one: str, other: str, more: Mapping[str, Any] | None = None) -> Any:
-    kept = {"to", "filter", "antialias", "on"}
+    kept = {"to", "filter", "antialias", "as"}
 
     def change(steps: Steps) -> Steps:
         return [

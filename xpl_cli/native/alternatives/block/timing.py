@@ -7,7 +7,7 @@ from typing import Any
 
 from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Site, everywhere, parts, word
 
-_TEMPLATES = (
+TEMPLATES = (
     "{instruction}",
     "{instruction}\n",
     "In: What action should the robot take to {instruction}?\nOut:",
@@ -17,6 +17,7 @@ _TEMPLATES = (
     "task: {instruction}",
     "{instruction}.",
 )
+"""Prompts that were met."""
 
 
 def references(block: Mapping[str, Any]) -> Iterator[Candidate]:
@@ -68,7 +69,7 @@ def instructions(block: Mapping[str, Any]) -> Iterator[Candidate]:
         told = f"instruction: strip: {strip!r}"
         yield from everywhere(site, 0 if strip in ("", " ") else 1, told, "instruction", word("strip", strip, ""))
     template = how.get("template", "{instruction}")
-    for text in dict.fromkeys((*_TEMPLATES, template.strip(), f"{template}\n", f"{template} ", template.lower())):
+    for text in dict.fromkeys((*TEMPLATES, template.strip(), f"{template}\n", f"{template} ", template.lower())):
         if "{instruction}" in text:
             told = f"instruction: template: {text!r}"
             yield from everywhere(site, 1, told, "instruction", word("template", text, "{instruction}"))

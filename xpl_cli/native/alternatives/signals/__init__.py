@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from xpl_cli.native.alternatives.signals import arms, chunks, histories, pictures, poses, texts, ways
+from xpl_cli.native.alternatives.signals import arms, chunks, histories, pictures, poses, references, texts, ways
 from xpl_cli.native.alternatives.signals.signal import Signal
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def signals(  # noqa: PLR0913 - what is known of the adapter
     action_type: str,
     *,
     cameras: Sequence[str] = (),
+    reads: Sequence[str] | None = None,
     history: int = 1,
     stride: int = 1,
     instructions: Sequence[str] = (),
@@ -38,11 +39,12 @@ def signals(  # noqa: PLR0913 - what is known of the adapter
         embodiment: the robot.
         action_type: joint or ee.
         cameras: that the adapter reads; none where it reads no pictures.
+        reads: fields of the state that it reads, without an arm's prefix; None where that is not known.
         history: observations that it keeps.
         stride: control steps between them.
         instructions: texts of the scripted episodes; none where it reads no text.
     """
-    found = _all(embodiment, action_type, cameras, history, stride, instructions)
+    found = _all(embodiment, action_type, cameras, reads, history, stride, instructions)
     yield from sorted(found, key=lambda one: (one.rank, one.shown is not None))
 
 
@@ -50,19 +52,20 @@ def _all(  # noqa: PLR0913, PLR0917 - as `signals`
     embodiment: Embodiment,
     action_type: str,
     cameras: Sequence[str],
+    reads: Sequence[str] | None,
     history: int,
     stride: int,
     instructions: Sequence[str],
 ) -> Iterator[Signal]:
-    yield from chunks.references(action_type, history, stride)
+    yield from references.references(embodiment, action_type, history, stride)
     yield from chunks.chunks(action_type, history)
     for change in itertools.chain(
         arms.joints(embodiment), arms.grippers(embodiment), arms.sides(embodiment), poses.poses(embodiment)
     ):
-        yield from ways.signals(change, embodiment, action_type)
+        yield from ways.signals(change, embodiment, action_type, reads)
         if change.words.startswith("arms:") and cameras:
-            with_wrists = replace(change, words=f"{change.words}, wrist cameras too")
-            yield from ways.signals(with_wrists, embodiment, action_type, pictures.wrists)
+            with_wrists = replace(change, words=f"{change.words}, wrist cameras too", ways=("both", "state"))
+            yield from ways.signals(with_wrists, embodiment, action_type, reads, pictures.wrists)
     if cameras:
         yield from pictures.pictures(cameras)
     if instructions:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,16 @@ def together(change: Mapping[str, Any], base: Mapping[str, Any], mode: str) -> d
 
 def _of(base: Mapping[str, Any], key: str) -> Any:
     return np.asarray(base[key], np.float64)
+
+
+def kept(step: Mapping[str, Any], chosen: Callable[[str], bool]) -> dict[str, Any]:
+    """Return the fields of a step that are chosen."""
+    return {key: value for key, value in step.items() if chosen(key)}
+
+
+def is_arm(key: str) -> bool:
+    """Tell whether a field is of an arm, not of what it holds things with."""
+    return not key.endswith(spec.State.EE_JOINT_STATE)
 
 
 def is_pose(key: str) -> bool:

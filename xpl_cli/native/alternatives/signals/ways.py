@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.native.alternatives.signals import deltas
@@ -13,14 +16,25 @@ from xpl_cli.native.alternatives.signals.signal import Commanded, Obs, Shown, Si
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
 
+_POSES = (spec.State.EE_POSE, spec.State.TCP_POSE)
+
 More = Callable[[Obs], Obs]
 """A change of an observation besides that of its state, such as that of the wrist cameras."""
 
 
-def signals(change: Change, embodiment: Embodiment, action_type: str, more: More | None = None) -> Iterator[Signal]:
-    """Yield the ways of a change; where it cannot touch what is commanded, only that of what is shown."""
+def signals(
+    change: Change,
+    embodiment: Embodiment,
+    action_type: str,
+    reads: Sequence[str] | None = None,
+    more: More | None = None,
+) -> Iterator[Signal]:
+    """Yield the ways of a change that have a meaning: for what the adapter reads, and for what it commands."""
     shown = _shown(change.there, more)
-    commands = _touches(change, embodiment, action_type)
+    dims = embodiment.dims(action_type)
+    commands = _touches(change, dims)
+    if not _touches(change, _shape_of(embodiment, reads)):
+        change = replace(change, ways=tuple(way for way in change.ways if way == "action"))
     modes = deltas.MODES if action_type == "ee" else deltas.MODES[:1]
     if "state" in change.ways:
         words = f"{change.words} (state)" if commands else change.words
@@ -63,17 +77,29 @@ def _from_shown(shown: Shown, mode: str) -> Commanded:
     return commanded
 
 
-def _touches(change: Change, embodiment: Embodiment, action_type: str) -> bool:
-    """Tell whether a change has a meaning for the keys of an action."""
-    zero = {key: _some(width, deltas.is_pose(key)) for key, width in embodiment.dims(action_type).items()}
-    return any((change.there(zero)[key] != value).any() for key, value in zero.items())
+def _shape_of(embodiment: Embodiment, reads: Sequence[str] | None) -> dict[str, int]:
+    """Return the fields of a state that an adapter reads, all if it is not known which."""
+    return {
+        arm.prefix + name: width
+        for arm in embodiment.arms
+        for name, width in (
+            (spec.State.ARM_JOINT_STATE, arm.dof),
+            (spec.State.EE_JOINT_STATE, arm.ee_dim),
+            *((pose, spec.POSE_DIM) for pose in _POSES),
+        )
+        if reads is None or name in reads
+    }
 
 
-def _some(width: int, is_pose: bool) -> Any:  # noqa: FBT001 - what the key tells
-    import numpy as np
+def _touches(change: Change, widths: Mapping[str, int]) -> bool:
+    """Tell whether a change has a meaning for these fields."""
+    some = {key: _some(key, width) for key, width in widths.items()}
+    return any((change.there(some)[key] != value).any() for key, value in some.items())
 
-    values = np.random.default_rng(width).uniform(0.2, 0.8, width)
-    if is_pose:
+
+def _some(key: str, width: int) -> Any:
+    values: Any = np.random.default_rng([width, len(key)]).uniform(0.2, 0.8, width)
+    if key.endswith(_POSES):
         values[spec.POSITION_DIM :] /= np.linalg.norm(values[spec.POSITION_DIM :])
         values[spec.POSITION_DIM :] *= -1.0
     return values

@@ -1,0 +1,194 @@
+"""Changes of encoded pictures: what black and white are, the order of colours and axes, and how they got their size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.convert.images import ImageInput
+from xpl.observation import get_image
+from xpl.worker.encoded.walk import UnfitError, changed, leaves
+
+_LEAST = 12
+"""Pixels that a side of a picture has at least."""
+_CROPS = (1.0, 0.9, 0.95, 0.875, 0.8, 0.85)
+"""What an adapter may cut out of what it is shown."""
+
+
+def channel_axis(array: Any) -> int | None:
+    """Return which axis of a picture, or of several in one array, holds its colours; None for what is no picture."""
+    if isinstance(array, str) or array.ndim < 3:
+        return None
+    height, width, last = array.shape[-3:]
+    if last == 3 and min(height, width) >= _LEAST:
+        return -1
+    return -3 if height == 3 and min(width, last) >= _LEAST else None
+
+
+def scaled(value: Any, how: Mapping[str, Any]) -> Any:
+    """Return pictures whose black and white are others.
+
+    Args:
+        value: encoded inputs.
+        how: `of` and `to`: what black and white are by channel now, and what they become.
+
+    Raises:
+        UnfitError: if the pictures cannot be of these numbers.
+    """
+    (black, white), (new_black, new_white) = (np.asarray(how[name], np.float64) for name in ("of", "to"))
+
+    def change(array: Any) -> Any:
+        axis = channel_axis(array)
+        if axis is None:
+            return None
+        last = np.moveaxis(array, axis, -1).astype(np.float64)
+        share = (last - black) / (white - black)
+        if share.min() < -1e-3 or share.max() > 1.001 or np.ptp(share) < 0.25:
+            raise UnfitError(f"pictures from {array.min():.3g} to {array.max():.3g}")
+        return np.moveaxis(new_black + share * (new_white - new_black), -1, axis).astype(np.float32)
+
+    return changed(value, change)
+
+
+def colours(value: Any, _how: Mapping[str, Any]) -> Any:
+    """Return pictures whose colours are in the other order."""
+
+    def change(array: Any) -> Any:
+        axis = channel_axis(array)
+        return None if axis is None else np.ascontiguousarray(np.flip(array, axis))
+
+    return changed(value, change)
+
+
+def layout(value: Any, how: Mapping[str, Any]) -> Any:
+    """Return pictures whose axes are in another order: `to` is hwc, chw, or turned for height and width exchanged."""
+
+    def change(array: Any) -> Any:
+        axis = channel_axis(array)
+        if axis is None:
+            return None
+        if how["to"] == "turned":
+            one, other = (-3, -2) if axis == -1 else (-2, -1)
+            return np.ascontiguousarray(np.swapaxes(array, one, other))
+        wanted = -1 if how["to"] == "hwc" else -3
+        return None if axis == wanted else np.ascontiguousarray(np.moveaxis(array, axis, wanted))
+
+    return changed(value, change)
+
+
+def beside(value: Any, _how: Mapping[str, Any]) -> Any:
+    """Return two pictures in one that lie beside each other below each other instead, or the other way round."""
+
+    def change(array: Any) -> Any:
+        axis = channel_axis(array)
+        if axis is None:
+            return None
+        rows, columns = (-3, -2) if axis == -1 else (-2, -1)
+        height, width = array.shape[rows], array.shape[columns]
+        if width == 2 * height:
+            return np.concatenate(np.split(array, 2, columns), rows)
+        return np.concatenate(np.split(array, 2, rows), columns) if height == 2 * width else None
+
+    return changed(value, change)
+
+
+def sizes(value: Any) -> list[tuple[int, int]]:
+    """Return height and width of one camera's picture in encoded inputs, each once; two in one count by themselves."""
+    found = []
+    for array in leaves(value):
+        axis = channel_axis(array)
+        if axis is not None:
+            height, width = (array.shape[one] for one in ((-3, -2) if axis == -1 else (-2, -1)))
+            across = width // height if width in (2 * height, 3 * height) else 1
+            down = height // width if height in (2 * width, 3 * width) else 1
+            found.append((height // down, width // across))
+    return list(dict.fromkeys(found))
+
+
+class Resized:
+    """Shows pictures that already have the model's size, so that what the adapter does to the size has no effect.
+
+    Args:
+        steps: geometry in the words of a native block, without `to`.
+        encode: the adapter's.
+        sample: an observation.
+
+    Raises:
+        UnfitError: if it does not see through to the adapter's pictures: other sizes, other ways to cut them.
+    """
+
+    def __init__(self, steps: Sequence[Mapping[str, Any]], encode: Any, sample: Mapping[str, Any]) -> None:
+        self._steps = steps
+        made = encode(sample)
+        found = sizes(made)
+        if not found:
+            raise UnfitError("no pictures")
+        for self._size in found[:2]:
+            for self._cut in _CROPS:
+                if self._is_seen_through(encode, sample):
+                    return
+        raise UnfitError("the adapter changes pictures that have the model's size")
+
+    def __call__(self, obs: Mapping[str, Any]) -> dict[str, Any]:
+        """Return an observation with such pictures."""
+        vision = obs[spec.Obs.VISION]
+        entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8", "steps": self._whole()}
+        seen = {}
+        for camera, was in vision.items():
+            view = ImageInput({**entry, "cameras": [camera]}).view(get_image(obs, camera))
+            seen[camera] = {**was, spec.Camera.COLOR: self._framed(view)}
+        return {**obs, spec.Obs.VISION: seen}
+
+    def _whole(self) -> list[dict[str, Any]]:
+        return [
+            {kind: {**how, "to": list(self._size)} if kind in ("resize", "letterbox") else how}
+            for step in self._steps
+            for kind, how in step.items()
+        ]
+
+    def _framed(self, view: np.ndarray) -> np.ndarray:
+        """Return a picture whose middle, as much as the adapter cuts out, is this one."""
+        size = np.array(view.shape[:2])
+        whole = np.ceil(size / self._cut).astype(int)
+        top, left = (whole - size) // 2
+        frame = np.zeros((*whole, view.shape[2]), view.dtype)
+        frame[top : top + size[0], left : left + size[1]] = view
+        return frame
+
+    def _is_seen_through(self, encode: Any, sample: Mapping[str, Any]) -> bool:
+        """Tell whether the encoded pictures have the very pixels that were shown, scaled and in whatever place."""
+        height, width = self._size
+        levels = np.arange(height * width) * 256 // (height * width)
+        rng = np.random.default_rng(0)
+        probe = np.stack([rng.permutation(levels) for _ in range(3)], -1).reshape(height, width, 3).astype(np.uint8)
+        vision = sample[spec.Obs.VISION]
+        shown = {camera: {**was, spec.Camera.COLOR: self._framed(probe)} for camera, was in vision.items()}
+        made = [
+            array for array in leaves(encode({**sample, spec.Obs.VISION: shown})) if channel_axis(array) is not None
+        ]
+        return all(_has_levels(np.moveaxis(array, channel_axis(array) or -1, -1), levels) for array in made)
+
+
+def _has_levels(array: np.ndarray, levels: np.ndarray) -> bool:
+    """Tell whether each channel (..., 3) has each level equally often, but for a scale and an offset."""
+    for channel in array.reshape(-1, 3).T.astype(np.float64):
+        if channel.size % levels.size:
+            return False
+        wanted = np.repeat(levels, channel.size // levels.size).astype(np.float64)
+        found = np.sort(channel)
+        slope, offset = np.polyfit(wanted, found, 1)
+        if np.abs(slope * wanted + offset - found).max() > 1e-3 * abs(slope) * 255:
+            return False
+    return True
+
+
+def apart(one: Any, other: Any) -> float:
+    """Return how far the pictures of two encoded values are apart: the mean of their differences, by their range."""
+    first, second = ([array for array in leaves(value) if channel_axis(array) is not None] for value in (one, other))
+    if [array.shape for array in first] != [array.shape for array in second]:
+        return float("inf")
+    far = [np.abs(a.astype(np.float64) - b).mean() / (float(np.ptp(a)) or 1.0) for a, b in zip(first, second)]
+    return float(max(far, default=0.0))

@@ -1,0 +1,122 @@
+"""Answers the same questions with one change of the encoded inputs after another: an errand (`xpl.worker.errand`).
+
+What an audit looks for the mistake with where an adapter converts in code: pictures that `encode` made are scaled
+otherwise, texts and vectors written otherwise, while `decode` sees what was shown. The model is loaded once.
+
+    as `xpl.worker.inprocess.load` reads, further "changes", "calls" (as in `xpl.worker.native`), "seconds"
+    one map for the load, whose result is None, or the reason why nothing can be changed; one for each change in its
+    order, as far as the seconds reach: its result has "answers", the chunk of every question; "apart", how far pictures
+    are from those before; "words", if the process knows better what the change is; or there is an "error"
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Callable, NoReturn
+
+from xpl import _spec as spec
+from xpl.policy import Policy
+from xpl.worker.encoded import pictures, texts, vectors
+from xpl.worker.encoded.walk import UnfitError, leaves
+from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.inprocess import load
+from xpl.worker.variants import renewed
+
+Encode = Callable[[Mapping[str, Any], int], Any]
+
+_CHANGES: dict[str, Callable[[Any, Mapping[str, Any]], Any]] = {
+    "scaled": pictures.scaled,
+    "colours": pictures.colours,
+    "layout": pictures.layout,
+    "beside": pictures.beside,
+    "ordered": vectors.ordered,
+}
+
+
+def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Mapping[str, Any]) -> Iterator[bytes]:
+    """Yield the answers under each change, packed.
+
+    Args:
+        model: the adapter's; its `encode` is wrapped.
+        wanted: changes: maps with a `kind`, and what that needs.
+        order: `calls` and `seconds`.
+    """
+    until = time.monotonic() + order["seconds"]
+    sample = next(obs for call in order["calls"] for _, obs in call.get("show", ()))
+    own = model.encode
+    known: dict[str, Any] = {}
+    for how in wanted:
+        if time.monotonic() > until:
+            return
+        try:
+            model.reset()
+            model.update_obs(sample)  # so that there is an environment that encodes
+            wrapped, told = _wrapped(model, own, how, sample, known)
+            model.encode = wrapped  # type: ignore[method-assign]
+            yield result({"answers": list(renewed(model, order["calls"])), **told})
+        except FAILURES as error:
+            yield failed(error)
+        finally:
+            model.encode = own  # type: ignore[method-assign]
+
+
+def _wrapped(
+    model: Policy, own: Encode, how: Mapping[str, Any], sample: Mapping[str, Any], known: dict[str, Any]
+) -> tuple[Encode, dict[str, Any]]:
+    """Return an `encode` with a change, and what is to be told of it.
+
+    Raises:
+        UnfitError: if the change has no meaning here.
+    """
+
+    def encode(obs: Mapping[str, Any]) -> Any:
+        return own(obs, sample.get(spec.Obs.ENV_IDX) or 0)
+
+    kind = how["kind"]
+    if kind == "resized":
+        seen = pictures.Resized(how["steps"], encode, sample)
+        return (lambda obs, env: own(seen(obs), env)), {"apart": pictures.apart(encode(seen(sample)), encode(sample))}
+    if kind == "text":
+        texts.text(encode(sample), how, sample)
+        return (lambda obs, env: texts.text(own(obs, env), how, obs)), {}
+    if kind == "normalized":
+        if kind not in known:
+            known[kind] = vectors.Normalized(model, encode, sample)
+        numbers = known[kind]
+        words = numbers.change(encode(sample), how)[1]
+        return (lambda obs, env: numbers.change(own(obs, env), how)[0]), {"words": words}
+    change = _CHANGES[kind]
+    before = encode(sample)
+    if _equal(change(before, how), before):
+        raise UnfitError("it changes nothing")
+    return (lambda obs, env: change(own(obs, env), how)), {}
+
+
+def _equal(one: Any, other: Any) -> bool:
+    pairs = list(zip(leaves(one), leaves(other)))
+    return all(_same(a, b) for a, b in pairs)
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, str) or isinstance(other, str):
+        return bool(one == other)
+    return one.shape == other.shape and bool((one == other).all())
+
+
+def main(asked: str, answers: str) -> NoReturn:
+    """Ask as one file says, write the answers to another, and end."""
+    carry_out(asked, answers, _all)
+
+
+def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+    try:
+        model = load(order)
+    except FAILURES as error:
+        yield failed(error)
+        return
+    if not isinstance(model, Policy):
+        yield result("the adapter does not derive from xpl.Policy")
+        return
+    yield result(None)
+    yield from changes(model, order["changes"], order)

@@ -1,0 +1,168 @@
+"""Changes of encoded vectors: their order, and numbers that the adapter has but does not use, or uses wrongly."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Any, Callable
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.worker.encoded.pictures import channel_axis
+from xpl.worker.encoded.walk import UnfitError, changed, leaves
+
+_MOST_ARRAYS = 12
+_NEAR = 1e-4
+_EPSILON = 1e-6
+
+Line = tuple[str, Callable[[Any], Any], Callable[[Any], Any]]
+"""A normalisation by its words: there and back."""
+
+
+def is_vector(leaf: Any) -> bool:
+    """Tell whether an encoded array holds numbers of a state."""
+    return not isinstance(leaf, str) and leaf.dtype.kind == "f" and leaf.ndim in (1, 2) and leaf.shape[-1] > 3
+
+
+def ordered(value: Any, how: Mapping[str, Any]) -> Any:
+    """Return vectors in another order.
+
+    Args:
+        value: encoded inputs.
+        how: `order`: reversed, first_last, last_first, halves, or last_of_halves (x a, y b becomes x y, a b), and back
+            (apart).
+
+    Raises:
+        UnfitError: if there is no vector that has such an order.
+    """
+    seen = False
+
+    def change(leaf: Any) -> Any:
+        nonlocal seen
+        if channel_axis(leaf) is not None or not is_vector(leaf):
+            return None
+        order = _order(leaf.shape[-1], how["order"])
+        seen = True
+        return leaf[..., order]
+
+    result = changed(value, change)
+    if not seen:
+        raise UnfitError("no vector")
+    return result
+
+
+def _order(count: int, kind: str) -> np.ndarray:
+    straight = np.arange(count)
+    if kind == "reversed":
+        return straight[::-1].copy()
+    if kind in ("first_last", "last_first"):
+        return np.roll(straight, -1 if kind == "first_last" else 1)
+    if count % 2:
+        raise UnfitError("an odd number of numbers has no halves")
+    half = count // 2
+    if kind == "halves":
+        return np.roll(straight, half)
+    together = np.concatenate((straight[: half - 1], straight[half : count - 1], [half - 1, count - 1]))
+    return together if kind == "last_of_halves" else np.argsort(together)
+
+
+class Normalized:
+    """Normalises vectors by numbers that lie in the adapter's own module and model.
+
+    Args:
+        model: the adapter's.
+        encode: its own.
+        sample: an observation.
+    """
+
+    def __init__(self, model: Any, encode: Any, sample: Mapping[str, Any]) -> None:
+        widths = [leaf.shape[-1] for leaf in leaves(encode(sample)) if channel_axis(leaf) is None and is_vector(leaf)]
+        self._width = widths[0] if len(set(widths)) == 1 else 0
+        self._lines = list(_lines(_arrays(model, self._width))) if self._width else []
+        self._now = self._told(encode(sample), sample)
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def change(self, value: Any, how: Mapping[str, Any]) -> tuple[Any, str]:
+        """Return encoded inputs with vectors normalised otherwise, and how.
+
+        Raises:
+            UnfitError: if there are no such numbers, or it is how they are normalised already.
+        """
+        number = how["number"]
+        if number >= len(self._lines) or self._now is None or number == self._now:
+            raise UnfitError("no such numbers")
+        words, there, _ = self._lines[number]
+        back = self._lines[self._now][2]
+
+        def change(leaf: Any) -> Any:
+            return there(back(leaf)) if channel_axis(leaf) is None and is_vector(leaf) else None
+
+        return changed(value, change), f"normalize: {words}, not {self._lines[self._now][0]}"
+
+    def _told(self, value: Any, sample: Mapping[str, Any]) -> int | None:
+        """Return by which numbers the vectors are normalised now: undone, most of them are those of the state."""
+        state = np.concatenate([np.ravel(item) for item in sample[spec.Obs.STATE].values() if _is_numbers(item)])
+        vector = next((leaf for leaf in leaves(value) if channel_axis(leaf) is None and is_vector(leaf)), None)
+        best = (0, None)
+        for number, (_, _, back) in enumerate(self._lines):
+            raw = np.ravel(back(vector))
+            known = int((np.abs(raw[:, None] - state[None]).min(1) < _NEAR * (1 + np.abs(raw))).sum())
+            if known > best[0]:
+                best = known, number
+        return best[1] if best[0] * 2 >= self._width else None
+
+
+def _is_numbers(item: Any) -> bool:
+    return not isinstance(item, Mapping) and np.asarray(item).dtype.kind == "f"
+
+
+def _lines(arrays: Mapping[str, Any]) -> Iterator[Line]:
+    yield "none", _same, _same
+    for (one, low), (other, high) in itertools.permutations(arrays.items(), 2):
+        span = high - low
+        if (span >= 0).all() and (span > 0).any():
+            scale = span + _EPSILON
+            yield f"{one} to {other} as -1 to 1", *_line(low + scale / 2, scale / 2)
+            yield f"{one} to {other} as 0 to 1", *_line(low, scale)
+        if (high > 0).all():
+            yield f"mean {one}, std {other}", *_line(low, high)
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _line(shift: Any, scale: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    return lambda value: (value - shift) / scale, lambda value: value * scale + shift
+
+
+def _arrays(model: Any, width: int) -> dict[str, Any]:
+    """Return the vectors of a width in the adapter's module and model, by their names."""
+    import sys
+
+    module = sys.modules.get(type(model).__module__)
+    places = {**vars(module), **vars(model)} if module is not None else vars(model)
+    found: dict[str, Any] = {}
+    for name, value in _named(places):
+        try:
+            array = np.asarray(value, np.float64)
+        except (TypeError, ValueError):
+            continue
+        known = any(np.array_equal(array, other) for other in found.values())
+        if array.shape == (width,) and np.isfinite(array).all() and not known and len(found) < _MOST_ARRAYS:
+            found[name] = array
+    return found
+
+
+def _named(places: Mapping[str, Any], depth: int = 3) -> Iterator[tuple[str, Any]]:
+    for name, value in list(places.items()):
+        if not isinstance(name, str) or name.startswith("__"):
+            continue
+        if isinstance(value, Mapping) and depth:
+            for inner, item in _named(value, depth - 1):
+                yield f"{name}.{inner}", item
+        elif isinstance(value, (list, tuple, np.ndarray)) or hasattr(value, "new_tensor"):
+            yield name, value

@@ -1,0 +1,78 @@
+"""What an adapter's `encode` returns, whatever it is made of: its arrays, tensors and texts, and these changed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Callable
+
+import numpy as np
+
+from xpl.wire.arrays import ArrayError, as_array
+
+_DEEPEST = 6
+
+
+class UnfitError(ValueError):
+    """A change has no meaning for what this adapter's model reads."""
+
+
+def leaves(value: Any, depth: int = _DEEPEST) -> Iterator[Any]:
+    """Yield the arrays and texts of a value, in their order; arrays as numpy's."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for item in value.values() if depth else ():
+            yield from leaves(item, depth - 1)
+    elif isinstance(value, (list, tuple)) and not _is_vector(value):
+        for item in value if depth else ():
+            yield from leaves(item, depth - 1)
+    else:
+        array = _array(value)
+        if array is not None:
+            yield array
+
+
+def changed(value: Any, change: Callable[[Any], Any], depth: int = _DEEPEST) -> Any:
+    """Return a value with its arrays and texts changed.
+
+    Args:
+        value: arrays, tensors, texts, and maps and lists of these.
+        change: returns what becomes of an array or a text; None leaves it.
+        depth: how deep maps and lists are followed.
+    """
+    if isinstance(value, str):
+        result = change(value)
+        return value if result is None else result
+    if isinstance(value, Mapping):
+        return {key: changed(item, change, depth - 1) if depth else item for key, item in value.items()}
+    if isinstance(value, (list, tuple)) and not _is_vector(value):
+        items = [changed(item, change, depth - 1) if depth else item for item in value]
+        return type(value)(*items) if hasattr(value, "_fields") else type(value)(items)
+    array = _array(value)
+    result = None if array is None else change(array)
+    return value if result is None else _like(value, result)
+
+
+def _is_vector(value: Any) -> bool:
+    return bool(value) and all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in value)
+
+
+def _array(value: Any) -> Any:
+    """Return an array of an array, a tensor or a list of numbers, or None."""
+    if isinstance(value, (list, tuple)):
+        return np.asarray(value, np.float64)
+    if not hasattr(value, "shape") or not hasattr(value, "ndim"):
+        return None
+    try:
+        return as_array(value)
+    except ArrayError:
+        return None
+
+
+def _like(value: Any, array: np.ndarray) -> Any:
+    """Return an array as what it came from: a tensor of the same device, an array, a list."""
+    if isinstance(value, np.ndarray):
+        return array if value.dtype.kind != "f" else array.astype(value.dtype, copy=False)
+    if hasattr(value, "new_tensor"):
+        return value.new_tensor(array)
+    return type(value)(array.tolist()) if isinstance(value, (list, tuple)) else array

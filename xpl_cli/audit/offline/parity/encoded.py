@@ -1,0 +1,80 @@
+"""An adapter's answers where what its own `encode` makes is changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.audit.offline import inprocess
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.isolation import errand
+from xpl_cli.native.alternatives.encodings import convention_of
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.offline.parity.course import Course
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.native.alternatives.encodings import Encoding
+    from xpl_cli.native.pairs import Chunk
+
+_MORE_S = 30.0
+"""What loading the model may take besides."""
+
+
+@dataclass(frozen=True)
+class Answered:
+    """What an adapter answers with a change.
+
+    Attributes:
+        words, convention: of the change, as well as they are known now.
+        given: by number of a question its answer; None where the change has no meaning here.
+    """
+
+    words: str
+    convention: str
+    given: dict[int, Chunk] | None
+
+
+class Encoded:
+    """Tries changes of encoded inputs in a process of the adapter's interpreter.
+
+    Args:
+        probe: the adapter.
+        course: the questions.
+        config: keys of deploy.yml.
+    """
+
+    def __init__(self, probe: Probe, course: Course, config: Mapping[str, Any]) -> None:
+        self._probe, self._course = probe, course
+        self._config = probe.package.config({**probe.options.overrides, **config})
+        self._nearest = ""
+
+    def answers(self, changes: Sequence[Encoding], wanted: Sequence[int], seconds: float) -> list[Answered]:
+        """Return the answers to some questions under each change, as far as the time reaches.
+
+        Nothing, if the adapter does not derive from `xpl.Policy`, or cannot be loaded there.
+        """
+        order = {
+            **inprocess.loading(self._probe),
+            "config": self._config,
+            "changes": [dict(change.how) for change in changes],
+            "calls": self._course.told(self._course.calls(wanted)),
+            "seconds": seconds,
+        }
+        done = errand.run("xpl.worker.encoded.play", order, inprocess.place(self._probe, seconds + _MORE_S))
+        try:
+            found = inprocess.loaded(done)
+        except NotRun:
+            return []
+        tried = list(zip(changes, (answer.get("result") for answer in found), strict=False))
+        sizes = [(told["apart"], change.geometry) for change, told in tried if told and change.geometry]
+        self._nearest = self._nearest or min(sizes, default=(0.0, ""))[1]  # of the first, which were all
+        numbers = self._course.with_earlier(wanted)
+        return [
+            Answered(
+                (told or {}).get("words", change.words),
+                convention_of(change, self._nearest),
+                dict(zip(numbers, told["answers"], strict=True)) if told else None,
+            )
+            for change, told in tried
+        ]
