@@ -136,7 +136,7 @@ def _steps(answer: Answer, episode: Episode, robot: Embodiment, action_type: str
 def _own_lines(error: BaseException, folder: Path) -> str:
     """Return where in the package an error arose, innermost last."""
     frames = traceback.extract_tb(error.__traceback__)
-    own_frames = [frame for frame in frames if Path(frame.filename).is_relative_to(folder)] if folder else []
+    own_frames = [frame for frame in frames if Path(frame.filename).is_relative_to(folder)]
     return " < ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in reversed(own_frames))
 
 

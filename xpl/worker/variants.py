@@ -101,7 +101,7 @@ def _digest(inputs: Mapping[str, Any]) -> str:
         value = inputs[name]
         if isinstance(value, np.ndarray):
             state.update(f"{name} {value.dtype.str} {value.shape}".encode())
-            state.update(np.ascontiguousarray(value))
+            state.update(np.ascontiguousarray(value).tobytes())
         else:
             state.update(f"{name} {value!r}".encode())
     return state.hexdigest()
@@ -120,7 +120,7 @@ class _Pictures:
         for item, entry in zip(interface.images, block.get("images", ())):
             text = json.dumps(entry, sort_keys=True)
             if text in self._entries:
-                item.encode = self._remembering(text, item.encode)  # type: ignore[method-assign]
+                item.encode = self._remembering(text, item.encode)  # type: ignore[method-assign,assignment]
 
     def _remembering(self, text: str, encode: Callable[[Any], np.ndarray]) -> Callable[[Any], np.ndarray]:
         def remembered(obs: Any) -> np.ndarray:

@@ -229,7 +229,7 @@ def _text(document: Mapping[str, Any]) -> str:
 
 def _written(session: Session) -> dict[str, Any]:
     answers = iter(session.answers)
-    calls = []
+    calls: list[dict[str, Any]] = []
     for call in session.calls:
         if call.reset:
             calls.append({"reset": True})

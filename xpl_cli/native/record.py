@@ -86,11 +86,13 @@ def record(package: Package, options: Options) -> Recorded:
     read = reading.read_file(package.path)
     if not read.answers:
         raise UserError(f"{package.path / names.CODE} defines no function {names.ANSWERS}(config)")
-    found, noise, told = [], [], {}
+    found: list[Session] = []
+    noise: list[list[Session]] = []
+    told: dict[str, Any] = {}
     for session in sessions(package, options.overrides):
         asked, told = _asked(package, session, options)
         found.append(asked[0])
-        noise += [asked]
+        noise.append(asked)
     answered = Pairs(
         provenance={
             **told,
@@ -145,8 +147,9 @@ def is_free(manifest: Mapping[str, Any]) -> bool:
 def span(manifest: Mapping[str, Any]) -> int:
     """Return the control steps that a policy's history reaches over, 1 without one."""
     history = (manifest.get("native") or {}).get("history") or {}
-    reach = (history.get("length", 1) - 1) * history.get("stride", 1) + 1
-    return max(reach, (manifest.get("temporal") or {}).get("history") or 1)
+    length, stride = (history.get(key, 1) for key in ("length", "stride"))
+    known = isinstance(length, int) and isinstance(stride, int)  # either may be open
+    return max((length - 1) * stride + 1 if known else 1, int((manifest.get("temporal") or {}).get("history") or 1))
 
 
 def _asked(package: Package, session: Session, options: Options) -> tuple[list[Session], dict[str, Any]]:

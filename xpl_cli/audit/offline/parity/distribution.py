@@ -104,7 +104,8 @@ def _columns(session: Session, given: Sequence[Sequence[Chunk]]) -> tuple[list[A
 
     Of native chunks that are longer than the adapter's, which hands on their beginning, as much is taken.
     """
-    native, other = [], []
+    native: list[Answer] = []
+    other: list[Answer] = []
     for question, takes in zip(session.questions, given, strict=True):
         steps = len(takes[0])
         one = {key: values[:, :steps].astype(np.float64) for key, values in question.answer.items()}
@@ -136,8 +137,8 @@ def _means(native: Sequence[Answer], other: Sequence[Answer], span: Mapping[str,
                 beyond = np.maximum(apart[:, index] - share * span[part], 0.0)
                 sigmas = beyond / np.maximum(error[:, index], share * span[part] / limit)
                 step = int(sigmas.argmax())
-                means = [float(values[key][:, step, index].mean()) for values in (one, two)]
-                found.append(Shift(part, number, step, *means, "mean", float(sigmas[step]), limit, ()))
+                native_mean, mean = (float(values[key][:, step, index].mean()) for values in (one, two))
+                found.append(Shift(part, number, step, native_mean, mean, "mean", float(sigmas[step]), limit, ()))
     return found
 
 
