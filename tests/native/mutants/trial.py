@@ -24,6 +24,7 @@ from xpl_cli.audit.rules.model import Outcome, Result
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.registry import select
 from xpl_cli.native import names, record
+from xpl_cli.packages.package import load
 
 PARITY = "native-parity"
 
@@ -66,7 +67,7 @@ class Recorded:
         if not kept.is_file():
             with tempfile.TemporaryDirectory() as place:
                 subject = Adapter(package.name).write(Path(place))
-                record.record(subject)
+                record.record(load(subject), record.Options())
                 shutil.copyfile(subject / names.PAIRS, kept)
         shutil.copyfile(kept, package / names.PAIRS)
 

@@ -19,7 +19,7 @@ class Model(Policy):
         return views, np.concatenate([self.arm(obs["state"], arm) for arm in ARMS])
 
     def pixels(self, image):
-        small = cv2.resize(image, (64, 48), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(image, (32, 24), interpolation=cv2.INTER_AREA)
         return np.asarray(small, np.float32).transpose(2, 0, 1) / 255.0
 
     def arm(self, state, arm):

@@ -15,8 +15,8 @@ def network():
 
 
 def pixels(image):
-    """(3, 48, 64) float32, 0..1, of the smaller picture (48, 64): the area of each pixel."""
-    small = cv2.resize(image, (64, 48), interpolation=cv2.INTER_AREA)
+    """(3, 24, 32) float32, 0..1, of the smaller picture (24, 32): the area of each pixel."""
+    small = cv2.resize(image, (32, 24), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32).transpose(2, 0, 1) / 255.0
 
 
