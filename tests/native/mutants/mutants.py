@@ -70,6 +70,10 @@ class Mutant:
     edits: tuple[tuple[str, str, str], ...]
     source: str
 
+    def __str__(self) -> str:
+        """Return how tests call it."""
+        return f"{self.adapter.name}-{self.name}"
+
     def write(self, folder: Path) -> Path:
         """Write the spoiled package into a new folder below `folder` and return it.
 

@@ -1,6 +1,6 @@
 """Plant conversion mistakes, compare each adapter with its native pairs, and report what was caught and named.
 
-    python -m tests.native.mutants.trial [NAME...] [--source known] [--json FILE]
+python -m tests.native.mutants.trial [NAME...] [--source known] [--json FILE]
 """
 
 from __future__ import annotations

@@ -1,0 +1,61 @@
+"""Conversion mistakes in adapters whose authors' pipeline is there: parity is red, and names what was spoiled."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.native.mutants.mutants import CORRECT, REWRITTEN, SOURCES, Adapter, Mutant, read
+from tests.native.mutants.trial import Recorded, judged, tried
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_QUICK = {("ImageOnly", "picture mirrored only")}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """Return native pairs that are recorded when they are first needed."""
+    return Recorded(tmp_path_factory.mktemp("recorded"))
+
+
+@pytest.mark.parametrize("mutant", [one for one in read("known") if (one.adapter.name, one.name) in _QUICK], ids=str)
+def test_a_mistake_is_red_and_named(mutant: Mutant, recorded: Recorded) -> None:
+    """One of the cheapest; the others are slow."""
+    trial = tried(mutant, recorded)
+    assert trial.is_caught, trial.message
+    assert trial.convention in mutant.conventions, trial.message
+
+
+def _correct() -> list[object]:
+    adapters = [*CORRECT, *REWRITTEN]
+    quick = {"ImageOnly", "ImageOnly-block"}
+    return [pytest.param(one, id=one.name, marks=() if one.name in quick else pytest.mark.slow) for one in adapters]
+
+
+@pytest.mark.parametrize("adapter", _correct())
+def test_a_correct_adapter_is_left_alone(adapter: Adapter, recorded: Recorded, tmp_path: Path) -> None:
+    """However it is written."""
+    package = adapter.write(tmp_path)
+    recorded.give(package)
+    result = judged(package)
+    assert result.outcome == "pass", result.findings
+    assert result.proof is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", SOURCES)
+def test_mistakes_are_caught_and_named(source: str, recorded: Recorded) -> None:
+    """At least 95 of 100 are red, and 85 of 100 have the right cause, by who planted them."""
+    mutants = read(source)
+    trials = [(mutant, tried(mutant, recorded)) for mutant in mutants]
+    escaped = [(mutant.adapter.name, mutant.name) for mutant, trial in trials if not trial.is_caught]
+    misnamed = [
+        (mutant.adapter.name, mutant.name, trial.convention)
+        for mutant, trial in trials
+        if trial.convention not in mutant.conventions
+    ]
+    assert len(escaped) <= 0.05 * len(mutants), escaped
+    assert len(misnamed) <= 0.15 * len(mutants), misnamed
