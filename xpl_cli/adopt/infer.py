@@ -31,11 +31,13 @@ class Draft:
         facts: what is known, by key.
         questions: what is not, by key.
         notes: what kept something from being read.
+        native: the native block that a checkpoint told, a tree of values with their sources; None without one.
     """
 
     facts: dict[str, Fact]
     questions: dict[str, Question]
     notes: tuple[str, ...] = ()
+    native: Any = None
 
 
 def draft(source: Source, given: Mapping[str, Any]) -> Draft:

@@ -27,7 +27,7 @@ _HEAD = """\
 
 def value_of(draft: Draft) -> dict[str, Any]:
     """Return the manifest as a map; what is not known is null, or an empty list where there must be one."""
-    document: dict[str, Any] = {"spec": spec.CURRENT}
+    document: dict[str, Any] = {"spec": spec.CURRENT if draft.native is None else spec.NEWEST}
     entries = {key: question.stand_in for key, question in draft.questions.items()}
     entries |= {key: fact.value for key, fact in draft.facts.items()}
     for key, value in entries.items():
@@ -56,7 +56,15 @@ def _ordered(value: dict[str, Any], schema: Mapping[str, Any]) -> dict[str, Any]
 def text(draft: Draft) -> str:
     """Return the manifest as YAML with the source of every value."""
     lines = [line for key, value in value_of(draft).items() for line in _entry(key, value, draft, 0)]
-    return _HEAD + "\n".join(lines) + "\n"
+    return _HEAD + "\n".join(lines) + "\n" + (_native(draft) if draft.native is not None else "")
+
+
+def _native(draft: Draft) -> str:
+    """Return the block that a checkpoint told."""
+    from xpl_cli.adopt.checkpoints import writing
+    from xpl_cli.adopt.checkpoints.known import NATIVE
+
+    return writing.section(NATIVE, draft.native)
 
 
 def addition(draft: Draft, existing: Mapping[str, Any]) -> tuple[str, list[str]]:
@@ -64,14 +72,18 @@ def addition(draft: Draft, existing: Mapping[str, Any]) -> tuple[str, list[str]]
     wanted = value_of(draft)
     names = [key for key in wanted if key not in existing and _is_worth_it(key, draft)]
     lines = [line for key in names for line in _entry(key, wanted[key], draft, 0)]
-    return "\n".join(["# Added by `xpl adopt`:", *lines]) + "\n" if lines else "", names
+    body = "\n".join([*lines, ""]) if lines else ""
+    if draft.native is not None and "native" not in existing:
+        body += _native(draft)
+        names.append("native")
+    return f"# Added by `xpl adopt`:\n{body}" if body else "", names
 
 
 def unexplained(content: str, draft: Draft) -> list[Problem]:
     """Return the problems of a manifest that no open question explains: values given by the user that do not fit."""
     from xpl_cli.standard.validate import validate_yaml
 
-    _, problems = validate_yaml(content.encode(), sdk.File.POLICY_YML, _SCHEMA)
+    _, problems = validate_yaml(content.encode(), sdk.File.POLICY_YML, _SCHEMA, None)
     return [problem for problem in problems if not any(_concerns(problem, key) for key in draft.questions)]
 
 

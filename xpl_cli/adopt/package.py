@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.adopt import infer, manifest
+from xpl_cli.adopt.checkpoints import known
+from xpl_cli.adopt.checkpoints.told import findings
+from xpl_cli.adopt.facts import Fact, Question
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError
@@ -15,8 +18,10 @@ from xpl_cli.packages import manifests, package
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
+
+    from xpl_cli.adopt.checkpoints.block import Choices
 
 _MANIFEST = sdk.File.POLICY_YML
 
@@ -40,8 +45,14 @@ class Adoption:
     @property
     def counts(self) -> dict[str, int]:
         """How many facts there are of each confidence, and how many open questions."""
-        found = Counter(str(fact.confidence) for fact in self.draft.facts.values())
-        return {**found, "open": len(self.draft.questions)}
+        found = Counter(str(entry.confidence) for entry in self.entries if isinstance(entry, Fact))
+        return {**found, "open": sum(not isinstance(entry, Fact) for entry in self.entries)}
+
+    @property
+    def entries(self) -> list[Fact | Question]:
+        """All facts and open questions, those of the native block last."""
+        native = findings(self.draft.native, known.NATIVE) if self.draft.native is not None else ()
+        return [*self.draft.facts.values(), *self.draft.questions.values(), *native]
 
     def write(self) -> None:
         """Put the files there, each in one step.
@@ -62,12 +73,28 @@ class Adoption:
                 raise UserError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
-def adoption(path: Path, given: Mapping[str, Any], *, merge: bool, scripts: bool) -> Adoption:
+@dataclass(frozen=True)
+class Trained:
+    """A checkpoint that an adapter runs, and what the user said of it.
+
+    Attributes:
+        paths: its folder, and its data set's or its maker's code where the user has that.
+        choices: cameras, grippers, statistics.
+    """
+
+    paths: Sequence[Path]
+    choices: Choices
+
+
+def adoption(
+    path: Path, given: Mapping[str, Any], *, merge: bool, scripts: bool, trained: Trained | None = None
+) -> Adoption:
     """Decide what an adapter gets.
 
     Args:
         path: its folder.
         given: values of the user's own, by dotted key of the manifest.
+        trained: a checkpoint that answers what the code leaves open, and fills the native block.
         merge: add to a manifest that is there.
         scripts: also make the scripts that are missing.
 
@@ -83,6 +110,8 @@ def adoption(path: Path, given: Mapping[str, Any], *, merge: bool, scripts: bool
             hint="--merge appends the keys that it lacks; `xpl update` brings it to the newest version",
         )
     draft = infer.draft(Source(folder), given)
+    if trained is not None:
+        draft = _answered(draft, trained)
     files: dict[str, bytes] = {}
     if existing is None:
         content = manifest.text(draft)
@@ -101,11 +130,37 @@ def adoption(path: Path, given: Mapping[str, Any], *, merge: bool, scripts: bool
     return Adoption(folder, draft, files, state)
 
 
+def _answered(draft: infer.Draft, trained: Trained) -> infer.Draft:
+    """Return a draft whose open questions are answered by a checkpoint, with its native block.
+
+    What the code says outranks the checkpoint: an adapter may hand on fewer steps than a model answers.
+    """
+    robots = draft.facts.get("embodiments")
+    kinds = draft.facts.get("action_types")
+    found = known.read(
+        trained.paths,
+        str(robots.value[0]) if robots is not None and robots.value else None,
+        str(kinds.value[0]) if kinds is not None and len(kinds.value) == 1 else None,
+        trained.choices,
+    )
+    sections = found.sections()
+    native = sections.pop(known.NATIVE)
+    told = {
+        entry.key: entry
+        for key, value in sections.items()
+        for entry in findings(value, key)
+        if isinstance(entry, Fact) and entry.key in draft.questions
+    }
+    questions = {key: question for key, question in draft.questions.items() if key not in told}
+    notes = (*draft.notes, *found.trained.notes)
+    return infer.Draft({**draft.facts, **told}, questions, notes, native)
+
+
 def _only(draft: infer.Draft, names: list[str]) -> infer.Draft:
     """Return the part of a draft that is about some keys."""
     facts = {key: fact for key, fact in draft.facts.items() if key.partition(".")[0] in names}
     questions = {key: question for key, question in draft.questions.items() if key.partition(".")[0] in names}
-    return infer.Draft(facts, questions, draft.notes)
+    return infer.Draft(facts, questions, draft.notes, draft.native if known.NATIVE in names else None)
 
 
 def _scripts(folder: Path, draft: infer.Draft) -> dict[str, bytes]:

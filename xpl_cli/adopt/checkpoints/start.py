@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
-from xpl.embodiment import UnknownEmbodimentError, get_embodiment
-from xpl_cli.adopt.checkpoints import block, registry, second, writing
-from xpl_cli.adopt.checkpoints.told import Told, Tree, certain, findings, likely, plain
-from xpl_cli.adopt.facts import Evidence, Fact, Question
+from xpl_cli.adopt.checkpoints import block, known, second, writing
+from xpl_cli.adopt.checkpoints.known import ENVIRONMENTS, VERSION, Known
+from xpl_cli.adopt.checkpoints.told import findings, plain
+from xpl_cli.adopt.facts import Fact, Question
 from xpl_cli.basics.content import room
-from xpl_cli.basics.errors import UserError, one_of
+from xpl_cli.basics.errors import UserError
 from xpl_cli.native.names import CODE
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from xpl.embodiment import Embodiment
-    from xpl_cli.adopt.checkpoints.trained import Trained
     from xpl_cli.scaffold.template import Files
 
-VERSION: Final = spec.NEWEST
-"""The standard of what is begun from a checkpoint: the first that has a native block."""
-
-_NATIVE: Final = "native"
-_ENVIRONMENTS: Final = {
-    "lerobot": {"manager": "uv", "python": ">=3.10", "requirements": ["numpy>=1.24", "lerobot>=0.4"]}
-}
-"""Makers whose library runs any of their checkpoints, so that the whole adapter is written."""
 _ANY: Final = "any"
-"""Template for every other one."""
-_SNAPSHOT: Final = re.compile(r"models--(?P<owner>[^/]+?)--(?P<name>[^/]+)/snapshots/(?P<commit>[0-9a-f]{40})$")
+"""Template for makers whose library does not run every checkpoint of theirs."""
 
 
 @dataclass(frozen=True)
@@ -107,146 +95,47 @@ def begin(paths: Sequence[Path], wanted: Wanted) -> Start:
     Raises:
         UserError: if the folders hold nothing that is known, or the robot is not.
     """
-    trained, folder = registry.read(paths, wanted.choices.statistics)
-    robot, told = _robot(trained, wanted.embodiment)
-    tree = block.native(trained, robot, wanted.choices)
-    action_type = wanted.action_type or _action_type(plain(tree["action"]["parts"]))
-    draft = _Draft(wanted.name, trained, robot, tree, action_type, folder.path)
-    sections = {**_sections(draft), "embodiments": told, _NATIVE: tree}
-    notes = list(trained.notes)
-    files = _rendered(draft)
+    found = known.read(paths, wanted.embodiment, wanted.action_type, wanted.choices)
+    sections = found.sections()
+    notes = list(found.trained.notes)
+    files = _rendered(wanted.name, found)
     manifest = files[sdk.File.POLICY_YML].decode()
     written = writing.replaced(manifest, {key: writing.section(key, value) for key, value in sections.items()})
     files[sdk.File.POLICY_YML] = written.encode()
-    files[sdk.File.DEPLOY_YML] = _naming(files[sdk.File.DEPLOY_YML].decode(), draft.checkpoint).encode()
-    files |= _code(draft, notes)
-    found = [entry for key, value in sections.items() for entry in findings(value, key)]
+    files[sdk.File.DEPLOY_YML] = _naming(files[sdk.File.DEPLOY_YML].decode(), found.checkpoint).encode()
+    files |= _code(wanted.name, found, notes)
+    entries = [entry for key, value in sections.items() for entry in findings(value, key)]
     return Start(
         files=dict(sorted(files.items())),
-        checkpoint=draft.checkpoint,
-        folder=folder.path,
-        facts=[entry for entry in found if isinstance(entry, Fact)],
-        questions=[entry for entry in found if isinstance(entry, Question)],
+        checkpoint=found.checkpoint,
+        folder=found.path,
+        facts=[entry for entry in entries if isinstance(entry, Fact)],
+        questions=[entry for entry in entries if isinstance(entry, Question)],
         notes=notes,
     )
 
 
-@dataclass(frozen=True)
-class _Draft:
-    """What a package is made of."""
-
-    name: str
-    trained: Trained
-    robot: Embodiment
-    tree: Mapping[str, Tree]
-    action_type: str
-    path: Path
-
-    @property
-    def checkpoint(self) -> str:
-        """The name of the checkpoint: the hub's, or that of the run that it lies in."""
-        found = _SNAPSHOT.search(self.path.absolute().as_posix())
-        parts = self.path.resolve().parts
-        names = [found["name"]] if found else [part for part in parts if part != "pretrained_model"]
-        return re.sub(r"[^A-Za-z0-9._+-]", "_", names[-1]).lstrip("._+-")[:100] or "trained"
-
-    @property
-    def history(self) -> int:
-        """Observations that the model sees."""
-        length = plain(self.trained.history)["length"] if self.trained.history else 1
-        return length if isinstance(length, int) else 1
-
-    @property
-    def draws(self) -> bool:
-        """Whether the model draws random numbers, as far as anybody knows."""
-        return bool(plain(self.tree["sampling"]) != "none")
-
-
-def _robot(trained: Trained, given: str | None) -> tuple[Embodiment, Told]:
-    """Return the robot and where it was read.
-
-    Raises:
-        UserError: with the robots that have as many numbers, if nothing says which it is.
-    """
-    known = spec.embodiments(VERSION)
-    if given is not None:
-        one_of("--embodiment", given, known)
-        return get_embodiment(given), certain([given], Evidence("", None, "given with --embodiment"))
-    if trained.robot is not None:
-        try:
-            robot = get_embodiment(str(trained.robot.value))
-        except UnknownEmbodimentError:
-            pass
-        else:
-            return robot, likely([robot.name], *trained.robot.evidence)
-    width = trained.action.numbers.width
-    fitting = [name for name in known if _joints(get_embodiment(name)) == width] or list(known)
-    called = f"the files call it {trained.robot.value!r}" if trained.robot else "nothing in the files names it"
-    size = f"; an action has {width} numbers" if width else ""
-    raise UserError(f"which robot is it? {called}{size}", hint=f"--embodiment NAME: {', '.join(fitting)}")
-
-
-def _joints(robot: Embodiment) -> int:
-    return sum(arm.dof + arm.ee_dim for arm in robot.arms)
-
-
-def _action_type(parts: Any) -> str:
-    """Return the kind of control whose words an answer's parts are: poses are ee, everything else joint."""
-    joint, ee = sdk.ACTION_TYPES
-    kinds = {kind for part in parts for kind in part} if isinstance(parts, list) else set()
-    return str(ee if kinds & {"position", "rotation"} else joint)
-
-
-def _sections(draft: _Draft) -> dict[str, Tree]:
-    """Return the top-level keys of policy.yml that a checkpoint fills."""
-    trained, sampling = draft.trained, draft.trained.sampling
-    seeded: Tree = True
-    if isinstance(sampling, Told):
-        seeded = Told(sampling.value != "free", sampling.confidence, sampling.evidence)
-    result: dict[str, Tree] = {
-        "summary": likely(trained.about, *trained.family.evidence),
-        "family": trained.family,
-        "temporal": block.temporal(trained),
-        "inputs": block.inputs(draft.tree, draft.robot),
-        "cameras": block.smallest(trained, draft.tree),
-        "action_types": [draft.action_type],
-        "deterministic": seeded,
-        "evaluation_only": True,
-    }
-    if trained.maker in _ENVIRONMENTS:
-        result["environment"] = dict(_ENVIRONMENTS[trained.maker])
-    if trained.rate is not None:
-        result["control_frequency"] = trained.rate
-    if trained.upstream is not None:
-        result["upstream"] = trained.upstream
-    if (hub := _SNAPSHOT.search(draft.path.absolute().as_posix())) is not None:
-        source = {"source": f"hf://{hub['owner']}/{hub['name']}", "revision": hub["commit"]}
-        where = Evidence("", None, "the folder in the hub's cache")
-        result["checkpoints"] = [certain({"name": draft.checkpoint, **source}, where)]
-    return result
-
-
-def _rendered(draft: _Draft) -> Files:
+def _rendered(name: str, found: Known) -> Files:
     """Return the package as the template has it."""
     from xpl_cli.scaffold import adapter, kinds
 
     template = adapter.policy_template(VERSION)
-    trained = draft.trained
-    whole = trained.maker in _ENVIRONMENTS
+    trained = found.trained
+    whole = trained.maker in ENVIRONMENTS
     chunk, ensembling = plain(trained.chunk), trained.ensembling
     answers = adapter.answers_of(
         **{
             **adapter.defaults(template),
-            "name": draft.name,
-            "embodiment": draft.robot.name,
-            sdk.Deploy.ACTION_TYPE: draft.action_type,
+            "name": name,
+            "embodiment": found.robot.name,
+            sdk.Deploy.ACTION_TYPE: found.action_type,
             "chunk": chunk if isinstance(chunk, int) else 1,
             "family": trained.family.value,
             "eval_only": True,
             "kind": trained.maker if whole else kinds.DEFAULT,
-            "history": draft.history,
+            "history": found.history,
             "ensembling": ensembling.value if ensembling is not None else None,
-            "cameras": list(block.smallest(trained, draft.tree)),
+            "cameras": list(block.smallest(trained, found.tree)),
         }
     )
     if whole:
@@ -263,21 +152,21 @@ def _naming(text: str, checkpoint: str) -> str:
     return document.result()
 
 
-def _code(draft: _Draft, notes: list[str]) -> Files:
+def _code(name: str, found: Known, notes: list[str]) -> Files:
     """Return model.py, and native.py if nothing that it needs is open."""
-    maker = draft.trained.maker
+    maker = found.trained.maker
     said = {
-        "name": draft.name,
+        "name": name,
         "model_class": spec.data("package", VERSION)["model_class"],
         "checkpoints": sdk.CHECKPOINT_DIRECTORY,
-        "draws": draft.draws,
-        "history": draft.history,
+        "draws": found.draws,
+        "history": found.history,
     }
-    if maker not in _ENVIRONMENTS:
-        return {sdk.File.MODEL_PY: _template(_ANY, sdk.File.MODEL_PY, {**said, **_shapes(draft)})}
+    if maker not in ENVIRONMENTS:
+        return {sdk.File.MODEL_PY: _template(_ANY, sdk.File.MODEL_PY, {**said, **_shapes(found)})}
     files = {sdk.File.MODEL_PY: _template(maker, sdk.File.MODEL_PY, said)}
     try:
-        said |= second.context(draft.trained, draft.tree, draft.robot, draft.checkpoint)
+        said |= second.context(found.trained, found.tree, found.robot, found.checkpoint)
     except second.UnsaidError as problem:
         notes.append(f"native.py is not written: {problem}")
     else:
@@ -285,19 +174,19 @@ def _code(draft: _Draft, notes: list[str]) -> Files:
     return files
 
 
-def _shapes(draft: _Draft) -> dict[str, Any]:
+def _shapes(found: Known) -> dict[str, Any]:
     """Return what the model that is still to be called takes and answers."""
-    block_ = plain(dict(draft.tree))
+    block_ = plain(dict(found.tree))
     names = [str(entry["input"]) for key in ("images", "state") for entry in block_.get(key, ())]
-    action, chunk = block_["action"], plain(draft.trained.chunk)
+    action, chunk = block_["action"], plain(found.trained.chunk)
     pad = action.get("pad")
     text = block_.get(sdk.Obs.INSTRUCTION)
     return {
-        "about": draft.trained.about,
+        "about": found.trained.about,
         "placeholder": spec.data("package", VERSION)["placeholder"],
         "inputs": [*names, *([str(text["input"])] if text else [])],
         "chunk": chunk if isinstance(chunk, int) else 1,
-        "width": pad if isinstance(pad, int) else draft.trained.action.numbers.width or 1,
+        "width": pad if isinstance(pad, int) else found.trained.action.numbers.width or 1,
     }
 
 

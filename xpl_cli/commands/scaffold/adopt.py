@@ -20,15 +20,34 @@ def adopt(
     ),
     scripts: bool = typer.Option(False, "--scripts", help="Also write the scripts that are missing."),
     merge: bool = typer.Option(False, "--merge", help="Append to a policy.yml that is there the keys that it lacks."),
+    sources: list[Path] = typer.Option(
+        [],
+        "--from",
+        metavar="FOLDER",
+        help="Folder of the checkpoint that it runs, which fills the native block; once more for its data set.",
+    ),
+    gripper: str | None = typer.Option(
+        None, metavar="CLOSED,OPEN", help="With --from: the model's values of a closed and of an open gripper."
+    ),
+    camera: list[str] = typer.Option(
+        [], metavar="NAME=CAMERA", help="With --from: which of the standard's cameras one of the checkpoint's is."
+    ),
+    statistics: str | None = typer.Option(
+        None, metavar="NAME", help="With --from: whose statistics count, where a file holds those of several data sets."
+    ),
     dry_run: bool = typer.Option(False, "--dry-run", help="Print what would be written, and write nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Write the manifest that an adapter lacks. It is read from code and documents; nothing else is changed."""
-    from xpl_cli.adopt.package import adoption
+    from xpl_cli.adopt.facts import Fact, Question
+    from xpl_cli.adopt.package import Trained, adoption
     from xpl_cli.basics import console
+    from xpl_cli.commands.scaffold.from_checkpoint import choices
     from xpl_cli.packages import package
 
-    chosen = adoption(path, package.parse_overrides(settings), merge=merge, scripts=scripts)
+    said = choices(gripper, camera, statistics, given=bool(sources))
+    trained = Trained(sources, said) if sources else None
+    chosen = adoption(path, package.parse_overrides(settings), merge=merge, scripts=scripts, trained=trained)
     if not dry_run:
         chosen.write()
     summary = None if dry_run else _audited(chosen.folder)
@@ -40,8 +59,8 @@ def adopt(
                 "path": str(path),
                 "state": chosen.state if not dry_run else "would be written",
                 "files": {name: content.decode() for name, content in chosen.files.items()},
-                "facts": [fact.as_json() for fact in chosen.draft.facts.values()],
-                "open": [question.as_json() for question in chosen.draft.questions.values()],
+                "facts": [entry.as_json() for entry in chosen.entries if isinstance(entry, Fact)],
+                "open": [entry.as_json() for entry in chosen.entries if isinstance(entry, Question)],
                 "notes": list(chosen.draft.notes),
                 "audit": summary,
                 "next": following,
@@ -61,12 +80,14 @@ def adopt(
 
 
 def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
+    from xpl_cli.adopt.facts import Question
     from xpl_cli.basics import console
 
     counts = ", ".join(f"{count} {name}" for name, count in chosen.counts.items())
     console.data(f"{path}: {chosen.state} ({', '.join(chosen.files) or 'nothing to write'}): {counts}")
-    for question in chosen.draft.questions.values():
-        console.data(f"  open  {question.key}: {question.text}")
+    for entry in chosen.entries:
+        if isinstance(entry, Question):
+            console.data(f"  open  {entry.key}: {entry.text}")
     console.data(f"static audit: {summary['statement']}, {summary['counts']}")
     for line in summary["findings"]:
         console.data(f"  {line}")

@@ -11,6 +11,7 @@ from xpl_cli.commands.scaffold import new_package
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl_cli.adopt.checkpoints.block import Choices
     from xpl_cli.adopt.checkpoints.start import Start
 
 _SCHEMA = "xpl.new-policy/1"
@@ -52,10 +53,8 @@ def begin(
             f"{', '.join(refused)} {'does' if len(refused) == 1 else 'do'} not go with --from: {_TAKEN}",
             hint="leave them out; what it does not say can be changed in policy.yml afterwards",
         )
-    choices = start.block.Choices(
-        _gripper(options.get("gripper")), _cameras(options.get("camera") or ()), options.get("statistics")
-    )
-    wanted = start.Wanted(name, options.get("embodiment"), options.get(sdk.Deploy.ACTION_TYPE), choices)
+    said = choices(options.get("gripper"), options.get("camera") or (), options.get("statistics"), given=True)
+    wanted = start.Wanted(name, options.get("embodiment"), options.get(sdk.Deploy.ACTION_TYPE), said)
     begun = start.begin(paths, wanted)
     target = parent / name
     state = new_package.put(begun.files, target, overwrite=overwrite, dry_run=dry_run)
@@ -67,6 +66,27 @@ def begin(
     new_package.report(
         begun.files, target, state, following, schema=_SCHEMA, as_json=as_json, facts=_facts(begun), lines=_tell(begun)
     )
+
+
+def choices(gripper: str | None, cameras: Sequence[str], statistics: str | None, *, given: bool) -> Choices:
+    """Return what the user said of a checkpoint.
+
+    Args:
+        gripper: values of a closed and of an open gripper, as in 0,1.
+        cameras: each as in top=cam_head.
+        statistics: which entry of a file of statistics counts.
+        given: whether there is a checkpoint.
+
+    Raises:
+        UserError: if an option is not written so, or there is no checkpoint that it could be said of.
+    """
+    from xpl_cli.adopt.checkpoints.block import Choices
+    from xpl_cli.basics.errors import UserError
+
+    if not given and (gripper or cameras or statistics):
+        told = "--gripper, --camera and --statistics say what a checkpoint leaves open"
+        raise UserError(told, hint="give its folder with --from")
+    return Choices(_gripper(gripper), _cameras(cameras), statistics)
 
 
 def _tell(begun: Start) -> list[str]:

@@ -65,7 +65,6 @@ def new_policy(
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Scaffold an adapter from the standard. It runs at once; `xpl audit` lists what is yours to fill in."""
-    from xpl_cli.basics.errors import UserError
     from xpl_cli.scaffold import adapter
 
     if sources:
@@ -90,9 +89,7 @@ def new_policy(
         )
         from_checkpoint.begin(name, sources, parent, given, overwrite=overwrite, dry_run=dry_run, as_json=as_json)
         return
-    if gripper or camera or statistics:
-        told = "--gripper, --camera and --statistics say what a checkpoint leaves open"
-        raise UserError(told, hint="give its folder with --from")
+    from_checkpoint.choices(gripper, camera, statistics, given=False)
     template = adapter.policy_template(version)
     chosen = _given(
         embodiment=embodiment,

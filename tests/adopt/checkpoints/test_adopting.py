@@ -1,0 +1,47 @@
+"""`xpl adopt --from`: what an adapter's code leaves open is answered by the checkpoint that it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.support import trained
+from tests.support.adopted import written
+from xpl import _spec as sdk
+from xpl_cli.adopt.checkpoints.block import Choices
+from xpl_cli.adopt.package import Adoption, Trained, adoption
+
+
+@pytest.fixture
+def adapter(tmp_path: Path) -> Path:
+    """An adapter of the ecosystem."""
+    return written(tmp_path / "Grasp")
+
+
+def adopted(folder: Path, *sources: Path, merge: bool = False, **given: Any) -> tuple[Adoption, dict[str, Any]]:
+    """Return an adoption with a checkpoint, and the manifest that it would write."""
+    chosen = adoption(folder, given, merge=merge, scripts=False, trained=Trained(sources, Choices()))
+    return chosen, yaml.safe_load(chosen.files[sdk.File.POLICY_YML])
+
+
+def test_the_native_block_and_open_questions_come_from_the_checkpoint(adapter: Path, tmp_path: Path) -> None:
+    """What the code says stays: this adapter hands on fewer steps than the model answers."""
+    checkpoint = trained.lerobot(tmp_path / "run", n_action_steps=100)
+    chosen, manifest = adopted(adapter, checkpoint, embodiments=["aloha_agilex"])
+    assert manifest["spec"] == "v1.2"
+    assert manifest["temporal"]["chunk"] == 16
+    assert manifest["native"]["state"][0]["input"] == "observation.state"
+    assert chosen.counts["open"] >= 8
+    assert any(entry.key == "native.state.0.parts.1.gripper.closed" for entry in chosen.entries)
+
+
+def test_a_manifest_that_is_there_gets_the_block_and_keeps_the_rest(adapter: Path, tmp_path: Path) -> None:
+    """--merge appends; the version of the standard is the author's to raise."""
+    before = "spec: v1.2\nname: Grasp\nembodiments: [aloha_agilex]\n"
+    (adapter / sdk.File.POLICY_YML).write_text(before, encoding="utf-8")
+    chosen, manifest = adopted(adapter, trained.lerobot(tmp_path / "run", n_action_steps=8), merge=True)
+    assert chosen.files[sdk.File.POLICY_YML].decode().startswith(before)
+    assert manifest["native"]["action"]["normalize"]["key"] == "action"
