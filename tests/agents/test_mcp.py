@@ -159,7 +159,7 @@ def test_a_wrong_call_is_answered_and_the_server_goes_on(project: Path) -> None:
     async def wrong(client: Client) -> list[CallToolResult]:
         calls: list[tuple[str, dict[str, Any]]] = [
             ("evaluate", {}),
-            ("explain", {"name": "XPL101", "loud": True}),
+            ("explain", {"names": ["XPL101"], "loud": True}),
             ("audit", {"paths": "policy/Foo"}),
             ("explain", {}),
             ("explain", {"names": ["XPL101", "XPL203"]}),
@@ -168,14 +168,14 @@ def test_a_wrong_call_is_answered_and_the_server_goes_on(project: Path) -> None:
 
     *refused, answered = talk(project, wrong)
     assert [answer.is_error for answer in refused] == [True] * len(refused)
-    for answer, word in zip(refused, ("there is no tool 'evaluate'", "loud", "array", "'name'"), strict=True):
+    for answer, word in zip(refused, ("there is no tool 'evaluate'", "loud", "array", "'names'"), strict=True):
         assert word in said(answer)
     assert not answered.is_error
 
 
 def test_an_argument_cannot_become_an_option() -> None:
     """What stands in a place stays there, whatever it begins with."""
-    assert tool("explain").command_line({"name": "--help"}) == ["explain", "--json", "--", "--help"]
+    assert tool("explain").command_line({"names": ["--help"]}) == ["explain", "--json", "--", "--help"]
     given = {"paths": ["--fix"], "gate": ["static", "--fix"], "keep_going": False, "episodes": 3}
     assert tool("audit").command_line(given) == [
         *("audit", "--json", "--gate=static", "--gate=--fix", "--episodes=3", "--", "--fix")
