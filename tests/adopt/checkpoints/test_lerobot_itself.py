@@ -43,6 +43,6 @@ def test_a_checkpoint_of_lerobot_is_served_and_equals_lerobot(tmp_path: Path, ki
         cwd=tmp_path,
     )
     assert audited.returncode == ExitCode.CLEAN, audited.stdout + audited.stderr
-    report = json.loads(audited.stdout)
-    checks = {entry["code"]: entry["outcome"] for gate in report["gates"] for entry in gate["checks"]}
-    assert checks["XPL260"] == checks["XPL261"] == "pass"
+    (target,) = json.loads(audited.stdout)["targets"]
+    outcomes = {result["code"]: result["outcome"] for gate in target["gates"] for result in gate["results"]}
+    assert outcomes["XPL260"] == outcomes["XPL261"] == "pass"
