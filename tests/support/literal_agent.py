@@ -1,7 +1,7 @@
 """An agent without knowledge of its own: it carries out a skill to the letter, and stops where the text leaves a gap.
 
 What it does of itself is reading: steps and commands from SKILL.md, pieces of code from `references/adapter.md`, keys
-from `references/package.md`. What the skill tells it to ask is in `Answers`.
+from `references/package.md`, words from `references/native.md`. What the skill tells it to ask is in `Answers`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ class Answers:
         manifest: values of policy.yml.
         about: what the policy is, where its weights are, and what was measured, for README.md.
         code: file with the model's own code, and its name beside model.py.
+        native: file with what runs the authors' own code, native.py.
         weights: file with the weights.
+        beside: other files that lie where the weights do.
     """
 
     values: Mapping[str, str]
@@ -51,7 +53,9 @@ class Answers:
     manifest: Mapping[str, Any]
     about: tuple[str, str, str]
     code: tuple[Path, str]
+    native: Path
     weights: Path
+    beside: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,7 @@ class LiteralAgent:
             "policy.yml says what the policy is": self._declare,
             "It has a Python and weights": self._provide,
             "model.py is yours": self._write_model,
+            "It is compared with the native model": self._answer_natively,
             "Fill in README.md": self._describe,
         }
         for words in by_hand:
@@ -126,14 +131,19 @@ class LiteralAgent:
             self._carry_out(step)
 
     def _carry_out(self, step: Step) -> None:
-        output = "\n".join(self._run(command) for command in step.commands)
+        output = "\n".join(self.run(command) for command in step.commands)
         shown = " ".join(output.split())  # columns are padded
         missing = [text for text in step.seen if text not in shown]
         unwanted = [text for text in step.unseen if text in shown]
         if missing or unwanted:
             raise GapError(f"{step.text}\nnot seen: {missing}; seen although it must not be: {unwanted}\n{output}")
 
-    def _run(self, command: str) -> str:
+    def run(self, command: str) -> str:
+        """Give a command, its words in capitals filled in, and return all that it printed.
+
+        Raises:
+            GapError: if it does not end with 0.
+        """
         words = [self._filled(word) for word in shlex.split(command, comments=True)]
         done = subprocess.run(
             [sys.executable, "-m", "xpl_cli", *words[1:]],
@@ -162,6 +172,9 @@ class LiteralAgent:
         """Write policy.yml as package.md says: its keys, and no others."""
         text = self._reference("package.md")
         named = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`[^|]+)\|", text, re.MULTILINE))))
+        words = set(re.findall(r"\w+", "".join(re.findall(r"`[^`]+`", self._reference("native.md")))))
+        if unknown := _words(self.answers.manifest.get("native")) - words:
+            raise GapError(f"native.md does not tell of {', '.join(sorted(unknown))}")
         for language, body in _FENCE.findall(text):
             named |= set(re.findall(r"^(\w+):", body, re.MULTILINE)) if language == "yaml" else set()
         path = self.package / "policy.yml"
@@ -177,11 +190,12 @@ class LiteralAgent:
         """Put the weights into `checkpoints/` and name them; see that the interpreter is as declared."""
         weights = self.package / "checkpoints" / self.answers.weights.name
         weights.parent.mkdir(exist_ok=True)
-        shutil.copyfile(self.answers.weights, weights)
+        for file in (self.answers.weights, *self.answers.beside):
+            shutil.copyfile(file, weights.with_name(file.name))
         path = self.package / "deploy.yml"
         path.write_text(_with_key(path.read_text(encoding="utf-8"), "ckpt_name", weights.name), encoding="utf-8")
         if "environment" in self.answers.manifest:
-            self._run("xpl install POLICY --check")
+            self.run("xpl install POLICY --check")
 
     def _write_model(self) -> None:
         """Put model.py together from the sections of adapter.md that fit, and the model's own code beside it."""
@@ -193,6 +207,10 @@ class LiteralAgent:
         wanted = [piece for piece in given if piece.section in self.answers.sections]
         (self.package / "model.py").write_text(self._filled(assembled(wanted)), encoding="utf-8")
 
+    def _answer_natively(self) -> None:
+        """Write native.py, from the authors' code."""
+        shutil.copyfile(self.answers.native, self.package / "native.py")
+
     def _describe(self) -> None:
         """Fill in the places of README.md in their order, and take out the sections that are said to go."""
         path = self.package / "README.md"
@@ -202,6 +220,19 @@ class LiteralAgent:
         answers = iter(self.answers.about)
         text = re.sub(rf"{MARK}:.*?(?=( \|)?$)", lambda _: next(answers), text, flags=re.MULTILINE)
         path.write_text(text, encoding="utf-8")
+
+
+_OPEN_NAMES = frozenset(("input", "file", "key", "names", "cameras", "arm"))
+"""Keys of a native block whose values are names, not words."""
+
+
+def _words(value: Any) -> set[str]:
+    """Return the words of a native block: its keys, and values that are words."""
+    if isinstance(value, dict):
+        return {*value, *(word for key, item in value.items() if key not in _OPEN_NAMES for word in _words(item))}
+    if isinstance(value, list):
+        return {word for item in value for word in _words(item)}
+    return {value} if isinstance(value, str) else set()
 
 
 def steps(skill: Bundle) -> list[Step]:
@@ -247,21 +278,10 @@ def assembled(wanted: list[Piece]) -> str:
         return next((list(piece.lines) for piece in reversed(wanted) if piece.place == place), [])
 
     module = _Module(of("the whole file"))
-    module.add_above_class(
-        [line for piece in wanted if piece.place == "above the class" for line in (*piece.lines, "", "")]
-    )
     for piece in wanted:
         if piece.place == "in the class":
             module.lines += ["", *piece.lines]
-    if of("decode"):
-        module.insert("decode", -1, of("decode"))
-    module.insert("load", 0, of("load"))
-    module.insert("encode", -1, of("encode"))
-    for method in ("encode", "decode"):
-        if instead := last(f"{method}, instead of the last line"):
-            module.replace(method, "return ", instead)
-    if instead := last("predict, instead of `batch = ...`"):
-        module.replace("predict", "batch = ", instead)
+    module.add_to("load", of("load"))
     call = last("predict, the model") or module.find("predict", "answer = ")
     before, after = of("predict, before the model"), of("predict, after the model")
     module.replace("predict", "answer = ", [*before, *call, *after])
@@ -280,14 +300,9 @@ class _Module:
                 return node.lineno, node.end_lineno or node.lineno
         raise GapError(f"there is a piece for {name}, and no section that was taken has that method")
 
-    def add_above_class(self, lines: list[str]) -> None:
-        """Insert lines before the class."""
-        at = next(number for number, line in enumerate(self.lines) if line.startswith("class "))
-        self.lines[at:at] = lines
-
-    def insert(self, method: str, at: int, lines: list[str]) -> None:
-        """Insert lines at the end of a method, or before its last line (`at` -1)."""
-        end = self._method(method)[1] + at
+    def add_to(self, method: str, lines: list[str]) -> None:
+        """Insert lines at the end of a method."""
+        end = self._method(method)[1]
         self.lines[end:end] = lines
 
     def find(self, method: str, beginning: str) -> list[str]:
