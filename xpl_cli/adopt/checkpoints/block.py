@@ -93,7 +93,7 @@ def inputs(block: Mapping[str, Tree], robot: Embodiment | None) -> dict[str, lis
         *(f"{sdk.Obs.VISION}.{name}" for name in dict.fromkeys(shown)),
     ]
     text = block.get(sdk.Obs.INSTRUCTION)
-    optional = []
+    optional: list[str] = []
     if text is not None:
         (optional if plain(text).get("empty") == "blank" else required).append(sdk.Obs.INSTRUCTION)
     usual = cameras.known(len(robot.arms))[:-1] if robot else ()

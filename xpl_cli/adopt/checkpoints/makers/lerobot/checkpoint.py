@@ -282,7 +282,7 @@ class _Reader:
         return Open("how many steps an answer has: config.json names no n_action_steps", (self.config.seen("type"),))
 
     def _ensembling(self) -> Told | None:
-        decay = self.config.get(float, "temporal_ensemble_coeff", default=None)
+        decay: float | None = self.config.get(float, "temporal_ensemble_coeff", default=None)
         return None if decay is None else certain(decay, self.config.seen("temporal_ensemble_coeff"))
 
     def _sampling(self) -> Tree:
