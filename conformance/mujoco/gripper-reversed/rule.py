@@ -17,8 +17,10 @@ from xpl_cli.audit.served.probe import blame
 _QUERIES = 4
 _MIDDLE = (spec.GRIPPER_CLOSED + spec.GRIPPER_OPEN) / 2
 _TRAVEL = 0.4 * abs(spec.GRIPPER_OPEN - spec.GRIPPER_CLOSED)
-"""How far the gripper has to have moved in the loop for its commands to be told from a decision."""
+"""How far gripper and commands have to have moved in the loop for them to be told from a decision."""
 _EVEN = 0.05
+_SELDOM = 0.25
+"""Share of the questions at which a gripper may change sides where its commands agree with it."""
 _TRIED = 4
 """Episodes in each environment in which something is exchanged."""
 _COMPARE = "compare what the model is told of the gripper, and what its answer means, with the authors' own code"
@@ -30,11 +32,11 @@ def gripper_reversed(simulation: Simulation) -> Iterator[Finding]:
 
     ## What it does
     Looks in every closed loop for a gripper that contradicts itself: at every question the policy commands the side
-    of the stroke on which the gripper is not, so that it swings to and fro, or comes to rest half open. Where the
-    manifest claims a success rate that is not reached, it plays the same episodes in environments in which one thing is
-    exchanged, and looks in which the policy does better: first red and blue of the pictures, then the pictures of two
-    cameras, then gripper commands, gripper observations or both. A finding says what was measured there. The cause is
-    where the adapter differs from the authors' own code.
+    of the stroke on which the gripper is not, so that it swings to and fro, or comes to rest half open. And it measures
+    the success rate that the manifest claims. Where one or the other is found, it plays the same in environments in
+    which one thing is exchanged: red and blue of the pictures, then the pictures of two cameras, then gripper commands,
+    gripper observations or both. A finding says what was measured, and where the policy does better. The cause is where
+    the adapter differs from the authors' own code.
 
     ## Why it matters
     A policy that holds an object open-handed fails every task, and its arm moves just as it should.
@@ -73,32 +75,33 @@ def _contradictions(simulation: Simulation, played: Rollout) -> Iterator[Finding
     for key, observed, commanded in _grippers(played):
         if not _contradicts(observed, commanded):
             continue
-        helping = _where_it_does_not(simulation, played, key)
-        elsewhere = f"; where {helping} they do not" if helping is not None else ""
+        worlds = list(_where_it_agrees(simulation, played, key))
+        elsewhere = f"; they agree with it where {', or where '.join(map(str, worlds))}" if worlds else ""
         yield blame(
             f"in {played.course} commands of {key} contradict the gripper at every question: it is told to close "
             f"where it is open, and to open where it is closed{elsewhere}",
             expected="commands that do not turn round whenever they were obeyed",
             got=f"{np.round(commanded[:8], 2).tolist()} for grippers at {np.round(observed[:8], 2).tolist()}",
-            evidence={"task": played.course.task, "questions": len(observed)},
-            fix=Fix("advice", _COMPARE if helping is None else helping.advice),
+            evidence={"task": played.course.task, "questions": len(observed), "agrees_where": list(map(str, worlds))},
+            fix=Fix("advice", worlds[0].advice if worlds else _COMPARE),
         )
 
 
-def _where_it_does_not(simulation: Simulation, played: Rollout, key: str) -> World | None:
-    """Return the first world with other pictures in which the gripper is not contradicted."""
-    for world in pictured(simulation.cameras):
+def _where_it_agrees(simulation: Simulation, played: Rollout, key: str) -> Iterator[World]:
+    """Yield the worlds in which the gripper is told to go where it is or goes already, those of the pictures first."""
+    for world in (*pictured(simulation.cameras), *GRIPPERS_TURNED):
         try:
             other = simulation.mirrored(played.course, world)
         except NotRun:
             continue
-        if not any(name == key and _contradicts(*values) for name, *values in _grippers(other)):
-            return world
-    return None
+        values = next(values for name, *values in _grippers(other) if name == key)
+        against, between = _sides(*world.real(*values))
+        if len(against) >= _QUERIES and (against | between)[1:].mean() <= _SELDOM:
+            yield world
 
 
 def _grippers(played: Rollout) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Yield each gripper's key, with where it was at every question and what it was told."""
+    """Yield each gripper's key, with where it was seen at every question and what it was told."""
     dims = played.robot.dims(played.course.action_type)
     starts = dict(zip(dims, np.cumsum([0, *dims.values()])[:-1], strict=True))
     queries = played.queries[0]
@@ -110,6 +113,13 @@ def _grippers(played: Rollout) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
 
 
 def _contradicts(observed: np.ndarray, commanded: np.ndarray) -> bool:
-    against = (observed - _MIDDLE) * (commanded - _MIDDLE) < 0
-    in_the_middle = (np.abs(observed - _MIDDLE) < _EVEN) & (np.abs(commanded - _MIDDLE) < _EVEN)
-    return bool(len(observed) >= _QUERIES and np.ptp(observed) >= _TRAVEL and (against | in_the_middle).all())
+    against, between = _sides(observed, commanded)
+    moved = min(np.ptp(observed), np.ptp(commanded))
+    return bool(len(observed) >= _QUERIES and moved >= _TRAVEL and (against | between).all())
+
+
+def _sides(observed: np.ndarray, commanded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return at which questions a gripper is told to go to the other side, and at which it is and stays between."""
+    here, there = observed - _MIDDLE, commanded - _MIDDLE
+    is_between = (np.abs(here) < _EVEN) & (np.abs(there) < _EVEN)
+    return (here * there < 0) & (np.minimum(np.abs(here), np.abs(there)) >= _EVEN), is_between

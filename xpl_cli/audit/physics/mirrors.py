@@ -54,6 +54,12 @@ class World:
         what = " and ".join(self.names)
         return f"compare the {what} of the gripper with the authors' own code before anything is turned round"
 
+    def real(self, observed: np.ndarray, commanded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where a gripper was and went to, of what a policy saw and said in this world."""
+        both = sdk.GRIPPER_OPEN + sdk.GRIPPER_CLOSED
+        seen = both - observed if OBSERVATIONS in self.names else observed
+        return seen, both - commanded if COMMANDS in self.names else commanded
+
     def around(self, env: Any, robot: Embodiment) -> Mirror:
         """Return the environment as it is in this world."""
         return Mirror(env, self, [arm.prefix + sdk.State.EE_JOINT_STATE for arm in robot.arms])
