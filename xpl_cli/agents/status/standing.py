@@ -96,7 +96,8 @@ def standing(target: Target) -> Standing:
 
 def _verdict(target: Target, source: Source, taken: Sequence[Step], remembered: Mapping[str, Remembered]) -> Verdict:
     """Return what is proven of the files that are there now; what is no gate proves nothing, but may be in the way."""
-    ends, settings = [], []
+    ends: list[Ended] = []
+    settings: list[str] = []
     for step in taken:
         last = remembered.get(step.name)
         if step.name in _GATE_NAMES and last is not None and step.state is not State.STALE:

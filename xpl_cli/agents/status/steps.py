@@ -135,7 +135,8 @@ def _manifest(target: Target, source: Source, shown: str) -> Step:
     if target.kind == package.POLICY and source.is_ecosystem:
         detail = f"there is no {sdk.File.POLICY_YML}"
         return Step("manifest", State.OPEN, detail, (f"xpl adopt {shown} --dry-run", f"xpl adopt {shown}"))
-    older = "" if source.version == spec.CURRENT else f"; the newest is {spec.CURRENT}: `xpl update {shown} --dry-run`"
+    is_old = spec.order(source.version) < spec.order(spec.CURRENT)
+    older = f"; the newest is {spec.CURRENT}: `xpl update {shown} --dry-run`" if is_old else ""
     return Step("manifest", State.DONE, f"of {source.version}{older}")
 
 

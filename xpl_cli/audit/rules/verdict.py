@@ -280,12 +280,9 @@ def _about(word: Word, gates: Sequence[Ended], around: Circumstances) -> str:
     """Return what a word is about, but for green."""
     if word in (Word.RED, Word.INCOMPLETE):
         told = [
-            _counted([code for gate in gates for code in codes(gate)], what)
-            for codes, what in (
-                (lambda gate: gate.failed, "failed"),
-                (lambda gate: gate.crashed, "crashed"),
-                (lambda gate: gate.not_run if gate.reason is None else (), "could not run"),
-            )
+            _counted([code for gate in gates for code in gate.failed], "failed"),
+            _counted([code for gate in gates for code in gate.crashed], "crashed"),
+            _counted([code for gate in gates if gate.reason is None for code in gate.not_run], "could not run"),
         ]
         return ", ".join(filter(None, told)) or _silent(gates)
     caveats = [
