@@ -41,10 +41,12 @@ _PRELOADED: Final = (
     "xpl_cli.commands.run.serve",
     "xpl_cli.serving.run",
     "xpl_cli.serving.server",
-    "jsonschema",
-    "referencing",
-    "yaml",
+    "xpl_cli.isolation.sandbox",
+    "encodings.idna",
+    "encodings.utf_8_sig",
 )
+_SCHEMAS: Final = ("policy", "deploy")
+"""What every server reads its package's manifests by."""
 _START: Final = (
     "import sys; sys.path.insert(0, sys.argv[1]); from xpl_cli.serving.nursery import main; main(int(sys.argv[2]))"
 )
@@ -105,16 +107,20 @@ class Hosted:
 
 
 class Nursery:
-    """The process that servers are forked from, seen from the tool that wants them."""
+    """The process that servers are forked from, seen from the tool that wants them.
 
-    def __init__(self) -> None:
+    Args:
+        start: what it runs; its arguments are the folder of `xpl_cli` and the number of its end of the socket.
+    """
+
+    def __init__(self, start: str = _START) -> None:
         self._lock = threading.Lock()
         self._channel, theirs = socket.socketpair()
         self._link = Channel(self._channel)
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # only a process without threads can be forked
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _START, str(Path(xpl_cli.__file__).parents[1]), str(theirs.fileno())],
+                [sys.executable, "-P", "-c", start, str(Path(xpl_cli.__file__).parents[1]), str(theirs.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
@@ -209,6 +215,10 @@ def main(descriptor: int) -> None:
     """Fork what the process at the other end of a socket asks for, until it is gone."""
     for name in _PRELOADED:
         importlib.import_module(name)
+    from xpl_cli.standard.validate import validate
+
+    for name in _SCHEMAS:
+        validate({}, name)
     gc.collect()
     gc.freeze()
     channel = socket.socket(fileno=descriptor)
@@ -246,12 +256,38 @@ def _become(channel: socket.socket, order: Mapping[str, Any], descriptors: Seque
         with contextlib.suppress(OSError, ValueError):  # a hard limit above ours
             resource.setrlimit(number, tuple(limits))
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    gc.unfreeze()
     sys.argv = ["xpl", *order["arguments"]]
     with contextlib.suppress(OSError):  # its command line is still the nursery's; this is what `ps` and `top` show
         Path("/proc/self/comm").write_text(" ".join(sys.argv[:2]), encoding="utf-8")
-    runpy.run_module("xpl_cli", run_name="__main__")
-    raise SystemExit(0)
+    _end(_run())
+
+
+def _run() -> int:
+    """Run the command line of this process, and return its exit code."""
+    try:
+        runpy.run_module("xpl_cli", run_name="__main__")
+    except SystemExit as ended:
+        if ended.code is None or isinstance(ended.code, int):
+            return ended.code or 0
+        sys.stderr.write(f"{ended.code}\n")
+        return 1
+    except BaseException:  # noqa: BLE001 - what the interpreter would show
+        sys.excepthook(*sys.exc_info())
+        return 1
+    return 0
+
+
+def _end(code: int) -> NoReturn:
+    """End in order, as the interpreter does, but leave the memory to the system.
+
+    To take apart what was inherited, one by one, means to copy it first, and takes longer than a short command.
+    """
+    threading._shutdown()  # type: ignore[attr-defined]  # noqa: SLF001 - as `multiprocessing` ends what it forked
+    atexit._run_exitfuncs()  # noqa: SLF001
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody reads any more
+            stream.flush()
+    os._exit(code)
 
 
 def _received(channel: Channel) -> dict[str, Any]:
