@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any
+
+from xpl.environment import read_manifest
 
 
 @cache
 def manifest() -> dict[str, Any]:
     """Return `env.yml` as a map; callers do not change it."""
-    import yaml
-
-    text = Path(__file__).with_name("env.yml").read_text(encoding="utf-8")
-    parsed: dict[str, Any] = yaml.safe_load(text)
-    return parsed
+    return read_manifest(__file__)
 
 
 def manifest_for(arms: int) -> dict[str, Any]:

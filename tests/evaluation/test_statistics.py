@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from xpl_cli.evaluation.statistics import intervals as statistics
 from xpl_cli.evaluation.statistics.intervals import (
@@ -43,6 +42,8 @@ def test_intervals_of_a_share_are_those_of_published_tables(
 
 def test_the_score_interval_of_counts_is_that_of_the_library() -> None:
     """The formula is written out because means need it too; where both apply they agree."""
+    from scipy import stats
+
     for count in (1, 2, 17, 400):
         for successes in {0, 1, count // 2, count - 1, count}:
             theirs = stats.binomtest(successes, count).proportion_ci(0.95, method="wilson")
@@ -111,6 +112,26 @@ def test_the_exact_test_is_that_of_published_examples() -> None:
     assert mcnemar(Pairs(both=9, only_first=0, only_second=0, neither=11)) == 1.0
 
 
+@pytest.mark.parametrize("discordant", [1, 2, 9, 40, 501, statistics.MOST_COUNTED])
+def test_the_exact_test_is_that_of_the_library(discordant: int) -> None:
+    """It is counted out, so that no command has to import scipy for it."""
+    from scipy.stats import binomtest
+
+    for first in {0, 1, discordant // 3, discordant // 2, discordant}:
+        theirs = float(binomtest(first, discordant).pvalue)
+        found = mcnemar(Pairs(both=3, only_first=first, only_second=discordant - first, neither=4))
+        assert found == pytest.approx(theirs, rel=1e-9), first
+
+
+def test_more_cases_than_are_counted_are_left_to_the_library() -> None:
+    """And no step is seen where it takes over."""
+    counted, left = (
+        mcnemar(Pairs(0, count // 2 - 100, count - count // 2 + 100, 0))
+        for count in (statistics.MOST_COUNTED, statistics.MOST_COUNTED + 1)
+    )
+    assert counted == pytest.approx(left, rel=0.05)
+
+
 def test_pairing_narrows_the_interval_of_what_goes_together() -> None:
     """And exchanging the two subjects turns the difference round."""
     pairs = Pairs(both=25, only_first=2, only_second=6, neither=17)
@@ -122,6 +143,8 @@ def test_pairing_narrows_the_interval_of_what_goes_together() -> None:
 
 def test_the_paired_interval_holds_the_true_difference_as_often_as_it_says() -> None:
     """All tables of 20 pairs, weighted with their probability under rates that go together more or less."""
+    from scipy import stats
+
     tables = [t for t in itertools.product(range(21), repeat=4) if sum(t) == 20]
     intervals = np.array([paired(Pairs(*table)).interval for table in tables])
     for shares in ((0.5, 0.1, 0.2, 0.2), (0.25, 0.25, 0.25, 0.25), (0.7, 0.15, 0.05, 0.1), (0.3, 0.02, 0.18, 0.5)):
@@ -133,6 +156,8 @@ def test_the_paired_interval_holds_the_true_difference_as_often_as_it_says() -> 
 
 def test_a_mean_of_cells_holds_the_true_mean_as_often_as_it_says() -> None:
     """Three tasks of 12 episodes each, by the probabilities of all their outcomes."""
+    from scipy import stats
+
     shares = [_share(successes, 12) for successes in range(13)]
     for rates in ((0.5, 0.5, 0.5), (0.1, 0.5, 0.9), (0.02, 0.9, 0.95), (0.8, 0.9, 0.98)):
         chances = [stats.binom(12, rate).pmf(np.arange(13)) for rate in rates]

@@ -64,8 +64,14 @@ def render(template: str, context: Mapping[str, Any], leave_out: Sequence[str] =
         file name, relative to the package, to content; sorted.
     """
     import copier
+    from plumbum import local
 
-    with _assembled(*parts(template), kind) as source, tempfile.TemporaryDirectory(prefix="xpl-render-") as folder:
+    with (
+        _assembled(*parts(template), kind) as source,
+        tempfile.TemporaryDirectory(prefix="xpl-render-") as folder,
+        # Copier would ask git about each file that it writes, and what is rendered here lies in no repository.
+        local.env(PATH=""),
+    ):
         copier.run_copy(
             str(source),
             folder,

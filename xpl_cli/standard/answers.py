@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.basics.errors import UnknownTargetError, no_such
+from xpl_cli.basics.yaml import text as yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -119,7 +120,5 @@ def _closed(entry: Any) -> Any:
 
 @cache
 def _entries() -> dict[str, Any]:
-    import yaml
-
-    told: dict[str, Any] = yaml.safe_load(_LIST.read_bytes())
+    told: dict[str, Any] = yaml_text.parse(_LIST.read_bytes())
     return {name: entry for name, entry in told.items() if not name.startswith("_")}

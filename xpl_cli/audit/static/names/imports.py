@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit.static.names.offered import is_type_checking
-from xpl_cli.audit.static.syntax import called, constant, dotted, is_broad, last, names, texts
+from xpl_cli.audit.static.syntax import called, children, constant, dotted, is_broad, last, names, texts
 
 if TYPE_CHECKING:
     from xpl_cli.audit.static.source import Source
@@ -71,13 +71,13 @@ def certain(source: Source, *failures: str) -> Iterator[tuple[str, Iterator[ast.
     """
     files = [name for name in source.python_files if source.parses(name)]
     ends = _FAILURES | {*failures}
-    guarded = {word for name in files for word in _guarded_modules(source.tree(name))}
+    guarded = {word for name in files for word in _guarded_modules(source.nodes(name))}
     roots = {sdk.File.MODEL_PY, sdk.File.DEPLOY_PY, *(name for name in source.conversion_files)}
     for name in files:
         if name in roots or Path(name).stem not in guarded:
             tree = source.tree(name)
             body = [node for node in tree.body if name in source.conversion_files or not _is_for_scripts(node)]
-            yield name, _unguarded(body, _guarded_calls(tree, ends), ends)
+            yield name, _unguarded(body, _guarded_calls(source.nodes(name), ends), ends)
 
 
 def _modules(node: ast.Import | ast.ImportFrom) -> Iterator[tuple[int, str, tuple[str, ...]]]:
@@ -88,14 +88,17 @@ def _modules(node: ast.Import | ast.ImportFrom) -> Iterator[tuple[int, str, tupl
             yield 0, alias.name, ()
 
 
-def _unguarded(nodes: Iterable[ast.AST], guarded: set[str], failures: frozenset[str]) -> Iterator[ast.AST]:
-    for node in nodes:
+def _unguarded(nodes: Sequence[ast.AST], guarded: set[str], failures: frozenset[str]) -> Iterator[ast.AST]:
+    """Yield nodes and all below them, in the order of the source; on a stack, because deep generators take long."""
+    waiting = [*reversed(nodes)]
+    while waiting:
+        node = waiting.pop()
         if isinstance(node, (ast.If, ast.IfExp)) and (is_type_checking(node.test) or _asks(node.test)):
             otherwise = node.orelse if isinstance(node.orelse, list) else [node.orelse]
-            yield from _unguarded(otherwise if is_type_checking(node.test) else (), guarded, failures)
+            waiting += reversed(otherwise if is_type_checking(node.test) else ())
         elif not _is_guard(node, failures) and getattr(node, "name", None) not in guarded:
             yield node
-            yield from _unguarded(ast.iter_child_nodes(node), guarded, failures)
+            waiting += reversed(children(node))
 
 
 def _is_guard(node: ast.AST, failures: frozenset[str]) -> bool:
@@ -106,18 +109,18 @@ def _is_guard(node: ast.AST, failures: frozenset[str]) -> bool:
     return isinstance(node, ast.With) and any(last(called(item.context_expr)) == "suppress" for item in node.items)
 
 
-def _guards(tree: ast.Module, failures: frozenset[str]) -> Iterator[ast.AST]:
-    return (inner for node in ast.walk(tree) if _is_guard(node, failures) for inner in ast.walk(node))
+def _guards(nodes: Iterable[ast.AST], failures: frozenset[str]) -> Iterator[ast.AST]:
+    return (inner for node in nodes if _is_guard(node, failures) for inner in ast.walk(node))
 
 
-def _guarded_calls(tree: ast.Module, failures: frozenset[str]) -> set[str]:
+def _guarded_calls(nodes: Iterable[ast.AST], failures: frozenset[str]) -> set[str]:
     """Return the functions that are called where a failing import is dealt with."""
-    return {last(called(node)) for node in _guards(tree, failures) if isinstance(node, ast.Call)} - {""}
+    return {last(called(node)) for node in _guards(nodes, failures) if isinstance(node, ast.Call)} - {""}
 
 
-def _guarded_modules(tree: ast.Module) -> Iterator[str]:
+def _guarded_modules(nodes: Iterable[ast.AST]) -> Iterator[str]:
     """Yield the modules that are imported where a failing import is dealt with."""
-    for node in _guards(tree, _FAILURES):
+    for node in _guards(nodes, _FAILURES):
         if isinstance(node, (ast.Import, ast.ImportFrom)):
             for _, module, taken in _modules(node):
                 yield from (*module.split("."), *taken)
