@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import textwrap
 import uuid
 from collections.abc import Callable, Iterator
@@ -16,12 +17,17 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.support import forked
 from tests.support.peer import MARK, processes, wait_until
 from xpl_cli.serving import nursery
 from xpl_cli.serving.launch import RunningServer, serving
 
 # No test multiplies matrices, and threads for that cost every process that imports numpy half of its start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A thousand processes import the same modules; none shall compile them again because bytecode is not kept here.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+forked.remember()
 
 # How long an example takes, or its making, depends on what else the machine does.
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -15,24 +15,31 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from typer.main import get_command
 
+from tests.support import forked
 from tests.support.peer import MARK, processes, wait_until, xpl
 from xpl_cli.agents.mcp.tools import OFFERS, Tool, tools
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.main import app
 
-pytest.importorskip("mcp", reason="the extra `mcp` is not installed")
-
-import anyio
-from mcp import Client, StdioServerParameters
-
 if TYPE_CHECKING:
+    from mcp import Client
     from mcp.types import CallToolResult
 
-Talk = Callable[[Client], Awaitable[Any]]
+    Talk = Callable[[Client], Awaitable[Any]]
+
+# One process of the tests, and only when it comes to them, imports the client: a second and more.
+pytestmark = [pytest.mark.xdist_group("mcp"), pytest.mark.usefixtures("_client")]
+
+
+@pytest.fixture(scope="module")
+def _client() -> None:
+    pytest.importorskip("mcp", reason="the extra `mcp` is not installed")
 
 
 def talk(folder: Path, conversation: Talk, **environment: str) -> Any:
     """Start a server in a folder, talk to it, and return what came of that."""
+    import anyio
+    from mcp import Client, StdioServerParameters
 
     async def talking() -> Any:
         command = ["-m", "xpl_cli", "mcp", "--dir", str(folder)]
@@ -186,6 +193,8 @@ def test_an_argument_cannot_become_an_option() -> None:
 
 def test_a_call_that_is_given_up_ends_its_command(project: Path) -> None:
     """Neither the audit nor the server and the worker that it started are left."""
+    import anyio
+
     mark = uuid.uuid4().hex
 
     async def give_up(client: Client) -> None:
@@ -258,11 +267,11 @@ def test_the_server_ends_when_told_and_leaves_nothing(project: Path, number: sig
 def test_without_the_sdk_the_command_says_what_to_install(project: Path, tmp_path: Path) -> None:
     """One sentence and a command, and no traceback."""
     (tmp_path / "mcp.py").write_text("raise ImportError('there is none')\n")
-    done = xpl("mcp", cwd=tmp_path)
+    done = forked.anew("mcp", cwd=tmp_path)
     assert done.returncode == ExitCode.USAGE
     assert "there is none" in done.stderr
     assert "pip install 'mcp" in done.stderr
-    assert xpl("mcp", "--json", cwd=tmp_path).returncode == ExitCode.CLEAN
+    assert forked.anew("mcp", "--json", cwd=tmp_path).returncode == ExitCode.CLEAN
 
 
 @pytest.mark.parametrize("name", OFFERS)

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -348,7 +349,7 @@ def test_a_description_is_held_against_the_form_of_the_base(repository: Path) ->
     box = next(line for line in FORM.splitlines() if line.startswith("- [ ]"))
     (repository / TEMPLATE).write_text(FORM.replace(f"{box}\n", ""), encoding="utf-8")
     done = subprocess.run(
-        [*xpl("--version", cwd=repository).args[:3], "review", *STATIC, "--description", "-"],
+        [sys.executable, "-m", "xpl_cli", "review", *STATIC, "--description", "-"],
         cwd=repository,
         input=filled(["XPL-FINISH gate=static pass pass=1 digest=0 fingerprint=elsewhere"]).replace(
             box.replace("[ ]", "[x]"), ""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import forked
 from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import cache, engine
 from xpl_cli.audit.rules.gates import Gate
@@ -225,7 +226,6 @@ def test_the_cache_lies_where_the_user_keeps_caches(tmp_path: Path, monkeypatch:
 
 def test_no_cache_neither_reads_nor_writes(adapter: Path, tmp_path: Path) -> None:
     """`--no-cache` leaves the folder as it is."""
-    command = [sys.executable, "-m", "xpl_cli", "audit", str(adapter), "--gate", "static", "--no-cache"]
     surroundings = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "home")}
-    subprocess.run(command, env=surroundings, check=False, capture_output=True)
+    forked.run("audit", adapter, "--gate", "static", "--no-cache", env=surroundings)
     assert not (tmp_path / "home").exists()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.support import forked
 from tests.support.peer import DEADLINE_S, MARK, processes, wait_until
 from xpl_cli.basics.errors import ExitCode
 
@@ -53,10 +54,7 @@ def worker_runs(mark: str) -> bool:
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a scaffold Foo."""
     folder = tmp_path_factory.mktemp("workspace")
-    subprocess.run(
-        [sys.executable, "-m", "xpl_cli", "new-policy", "Foo"],
-        cwd=folder, check=True, stdin=subprocess.DEVNULL, capture_output=True,
-    )  # fmt: skip
+    forked.run("new-policy", "Foo", cwd=folder).check_returncode()
     return folder
 
 

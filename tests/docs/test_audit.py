@@ -6,7 +6,9 @@ import json
 import re
 import shlex
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -46,7 +48,16 @@ def workspace(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("example", blocks("console"))
+def _examples() -> Iterator[Any]:
+    """Yield every example; one that plays takes less episodes in the quick run."""
+    for number, example in enumerate(blocks("console")):
+        shorter = re.sub(r"--episodes \d+", "--episodes 1", example)
+        yield pytest.param(shorter, id=f"{number}")
+        if shorter != example:
+            yield pytest.param(example, id=f"{number} as it stands", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("example", list(_examples()))
 def test_every_command_of_the_page_runs(workspace: Path, example: str) -> None:
     """Line by line, in one folder."""
     found = commands(example)

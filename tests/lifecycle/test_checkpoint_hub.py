@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -16,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from tests.support.places import ROOT
+from tests.support import forked
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.lifecycle.checkpoints.specification import File, digest_of
 
@@ -101,10 +100,8 @@ def fetch(folder: Path, hub: str, *options: str, **entry: object) -> subprocess.
     place.mkdir(exist_ok=True)
     specified = {"name": "demo", "source": "hf://owner/model", "revision": COMMIT, "license": "MIT", **entry}
     (place / "policy.yml").write_text(json.dumps({"spec": "v1.1", "checkpoints": [specified]}))
-    command = [sys.executable, "-m", "xpl_cli", "checkpoint", "fetch", "Subject", "--cache", "store", *options]
     environment = {**os.environ, "HF_ENDPOINT": hub, "HF_HOME": str(folder / "home"), "HF_HUB_DISABLE_XET": "1"}
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return forked.run("checkpoint", "fetch", "Subject", "--cache", "store", *options, cwd=folder, env=environment)
 
 
 def test_a_repository_is_brought_at_its_commit(hub: str, tmp_path: Path) -> None:

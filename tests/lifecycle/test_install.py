@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from tests.support import forked
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 from tests.support.wheels import numpy_wheel, pinned, wheel
@@ -105,8 +106,7 @@ def planned(folder: Path, **environment: Any) -> Plan:
 
 def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run `xpl install Subject`."""
-    command = [sys.executable, "-m", "xpl_cli", "install", "Subject", *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    return forked.run("install", "Subject", *arguments, cwd=cwd)
 
 
 def listing(folder: Path) -> set[tuple[str, int]]:

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support import forked
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
@@ -418,9 +419,8 @@ def _hook(*files: str, cwd: Path, args: list[str] | None = None) -> subprocess.C
     """Run the hook as pre-commit does: entry, arguments, files."""
     program, *entry = shlex.split(HOOK["entry"])
     assert program == "xpl"
-    # -P: as of an installed command, the working directory is no place of modules.
-    command = [sys.executable, "-P", "-m", "xpl_cli", *entry, *(HOOK["args"] if args is None else args), *files]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    # As of an installed command, the working directory is no place of modules.
+    return forked.run(*entry, *(HOOK["args"] if args is None else args), *files, cwd=cwd)
 
 
 def test_the_hook_is_one_that_pre_commit_takes() -> None:

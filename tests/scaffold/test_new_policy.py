@@ -19,6 +19,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support import forked
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT, tracked
 from xpl.action import check_chunk
@@ -50,15 +51,7 @@ def adapter(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _xpl(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "xpl_cli", "new-policy", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        stdin=subprocess.DEVNULL,
-    )
+    return forked.run("new-policy", *arguments, cwd=cwd, env={**os.environ, **environment})
 
 
 def _tree(folder: Path) -> dict[str, bytes]:

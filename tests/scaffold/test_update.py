@@ -196,13 +196,7 @@ def test_an_update_goes_forward_only(tmp_path: Path) -> None:
 
 def test_the_older_version_can_still_be_scaffolded(tmp_path: Path) -> None:
     """`--spec v1` writes an adapter of v1, which is held to v1."""
-    done = subprocess.run(
-        [sys.executable, "-m", "xpl_cli", "new-policy", "Foo", "--spec", "v1", "--dir", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+    done = xpl("new-policy", "Foo", "--spec", "v1", "--dir", str(tmp_path), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert _tree(tmp_path / "Foo") == _render()
 

@@ -6,12 +6,12 @@ import ast
 import html
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support import forked
 from tests.support.places import ROOT, tracked
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import NotFoundError
@@ -273,14 +273,7 @@ def test_a_misspelt_name_shows_the_nearest() -> None:
 
 
 def _xpl(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "xpl_cli", "spec", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=_environment())
-
-
-def _environment() -> dict[str, str]:
-    import os
-
-    return {**os.environ, "PYTHONPATH": str(ROOT)}
+    return forked.run("spec", *arguments, cwd=cwd)
 
 
 def test_validate_prints_problems_and_fails(tmp_path: Path) -> None:

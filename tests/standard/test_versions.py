@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ import pytest
 import yaml
 from typer.main import get_command
 
+from tests.support import forked
 from tests.support.places import ROOT, copy, tracked
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules import registry
@@ -363,6 +363,4 @@ def _render(version: str, **answers: Any) -> adapter.Files:
 
 
 def _xpl(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "xpl_cli", "spec", *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment)
+    return forked.run("spec", *arguments, cwd=ROOT)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support import forked
 from tests.support.places import ROOT
 from xpl_cli.audit.engine.engine import audit
 from xpl_cli.audit.rules.gates import Gate
@@ -419,6 +419,5 @@ def test_from_evaluation_to_verification(run: Run, tmp_path: Path) -> None:
 
 
 def _xpl(*arguments: str) -> tuple[int, Any]:
-    command = [sys.executable, "-m", "xpl_cli", *arguments, "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=EXPERT.parent.parent)
+    done = forked.run(*arguments, "--json", cwd=EXPERT.parent.parent)
     return done.returncode, json.loads(done.stdout)

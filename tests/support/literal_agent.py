@@ -12,14 +12,12 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.support.places import ROOT
+from tests.support import forked
 from xpl_cli.agents.skills.bundle import Bundle, chosen
 
 SKILL = "xpl-integrate-policy"
@@ -145,15 +143,7 @@ class LiteralAgent:
             GapError: if it does not end with 0.
         """
         words = [self._filled(word) for word in shlex.split(command, comments=True)]
-        done = subprocess.run(
-            [sys.executable, "-m", "xpl_cli", *words[1:]],
-            cwd=self.project,
-            env={**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = forked.run(*words[1:], cwd=self.project, env={**os.environ, "NO_COLOR": "1"})
         self.runs.append(Run(shlex.join(words), done.returncode, done.stdout + done.stderr))
         if done.returncode:
             raise GapError(f"{shlex.join(words)} ended with {done.returncode}\n{done.stdout}{done.stderr}")

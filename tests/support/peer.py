@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import subprocess
-import sys
 import time
 import uuid
 from collections.abc import Callable, Mapping
@@ -14,6 +13,7 @@ from typing import Any
 
 from websockets.sync.client import connect
 
+from tests.support import forked
 from xpl.wire import codec
 
 DEADLINE_S = 100.0
@@ -43,8 +43,7 @@ def processes(mark: str) -> dict[int, str]:
 
 def xpl(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run the command line."""
-    command = [sys.executable, "-m", "xpl_cli", *args]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    return forked.run(*args, cwd=cwd)
 
 
 class Peer:
