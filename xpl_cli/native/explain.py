@@ -7,11 +7,12 @@ found.text        # "with `channels: bgr` the difference falls from 0.31 to 1e-0
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from xpl_cli.native.difference import Differences
+    from xpl_cli.native.patterns import Pattern
 
 _FACTOR = 100.0
 """A change that makes the difference fall by this much explains it, even if the rest is above the tolerance."""
@@ -77,7 +78,7 @@ class Explanation:
         ties: other changes that explain it as well.
         partial: where no change explains all: changes that each explain some parts, no part twice.
         lowers: where there is none of these: a change that clearly lowers the difference more than any other.
-        unmoved: conventions that a change of what is shown did not move the answers for; the adapter may not read them.
+        patterns: what the differences themselves tell.
     """
 
     before: float
@@ -86,7 +87,7 @@ class Explanation:
     ties: tuple[Cause, ...] = ()
     partial: tuple[Cause, ...] = ()
     lowers: Cause | None = None
-    unmoved: tuple[str, ...] = field(default=())
+    patterns: tuple[Pattern, ...] = ()
 
     @property
     def text(self) -> str:
@@ -95,12 +96,16 @@ class Explanation:
             others = _listed([f"`{tie.words}`" for tie in self.ties[:3]])
             more = f" (as with {others}: the pairs do not tell them apart)" if others else ""
             return self.cause.text + more
-        if self.partial:
-            each = [f"{one.text} in {ranges(one.parts)}" for one in self.partial]
-            return "; ".join(each)
+        told = [f"{one.text} in {ranges(one.parts)}" for one in self.partial]
         if self.lowers is not None:
-            return f"{self.lowers.text}, which does not explain all of it"
-        return ""
+            told.append(f"{self.lowers.text}, which does not explain all of it")
+        return "; ".join([*told, *(pattern.words for pattern in self.patterns[:1])])
+
+    @property
+    def leads(self) -> Cause | Pattern | None:
+        """What names a convention: the cause, or what comes nearest to one."""
+        found = (self.cause, *self.partial, *self.patterns, self.lowers)
+        return next((one for one in found if one is not None), None)
 
 
 def explain(before: Differences, tried: Iterable[Tried], tolerance: float) -> Explanation:

@@ -12,6 +12,7 @@ from xpl_cli.audit.offline.parity.search import Found
 from xpl_cli.audit.served.probe import blame
 from xpl_cli.native import names
 from xpl_cli.native.explain import ranges
+from xpl_cli.native.patterns import Pattern
 
 
 @rule(code="XPL260", requirement="XPL-NAT-3", after=("serves",), profile="full")
@@ -140,8 +141,10 @@ def _blamed(message: str, cause: Found | None, *, expected: str, got: str, evide
     explanation = None if cause is None else cause.explanation
     told = "" if explanation is None else explanation.text
     advice = f"compare the authors' code with the adapter; `{names.CODE}` names where it says what"
-    best = None if explanation is None else explanation.cause or (explanation.partial or (explanation.lowers,))[0]
-    if best is not None:
+    best = None if explanation is None else explanation.leads
+    if isinstance(best, Pattern):
+        evidence["cause"] = {"words": best.words, "convention": best.convention, "whole": False}
+    elif best is not None:
         where = "in the block `native`" if cause is not None and cause.in_block else "in encode, predict or decode"
         advice = f"the model means `{best.words}`: if the authors' code says so, mend that {where}"
         evidence["cause"] = {

@@ -17,11 +17,15 @@ from typing import Any, Callable, NoReturn
 
 from xpl import _spec as spec
 from xpl.policy import Policy
-from xpl.worker.encoded import pictures, texts, vectors
+from xpl.wire.arrays import as_array
+from xpl.worker.encoded import pictures, texts, turns, vectors
 from xpl.worker.encoded.walk import UnfitError, leaves
 from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.inprocess import load
 from xpl.worker.variants import renewed
+
+_SAMPLES = 6
+"""Observations by which it is seen what numbers are."""
 
 Encode = Callable[[Mapping[str, Any], int], Any]
 
@@ -39,36 +43,51 @@ def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Mapping[s
 
     Args:
         model: the adapter's; its `encode` is wrapped.
-        wanted: changes: maps with a `kind`, and what that needs.
+        wanted: changes: maps with a `kind`, and what that needs; `way`: in, out or both, where a change may be of what
+            the model answers, too.
         order: `calls` and `seconds`.
     """
     until = time.monotonic() + order["seconds"]
-    sample = next(obs for call in order["calls"] for _, obs in call.get("show", ()))
-    own = model.encode
+    samples = [obs for call in order["calls"] for _, obs in call.get("show", ())][:_SAMPLES]
+    own, predicts = model.encode, model.predict
     known: dict[str, Any] = {}
     for how in wanted:
         if time.monotonic() > until:
             return
         try:
             model.reset()
-            model.update_obs(sample)  # so that there is an environment that encodes
-            wrapped, told = _wrapped(model, own, how, sample, known)
-            model.encode = wrapped  # type: ignore[method-assign]
+            model.update_obs(samples[0])  # so that there is an environment that encodes
+            told = {}
+            if how.get("way") != "out":
+                wrapped, told = _wrapped(model, own, how, samples, known)
+                model.encode = wrapped  # type: ignore[method-assign]
+            if how.get("way") in ("out", "both"):
+                model.predict = _answering(predicts, how)  # type: ignore[method-assign]
             yield result({"answers": list(renewed(model, order["calls"])), **told})
         except FAILURES as error:
             yield failed(error)
         finally:
-            model.encode = own  # type: ignore[method-assign]
+            model.encode, model.predict = own, predicts  # type: ignore[method-assign]
+
+
+def _answering(predicts: Callable[..., Any], how: Mapping[str, Any]) -> Callable[..., Any]:
+    """Return the model with its answers changed."""
+
+    def predict(inputs: Any, envs: list[int]) -> Any:
+        return [_CHANGES[how["kind"]](as_array(row), how) for row in predicts(inputs, envs)]
+
+    return predict
 
 
 def _wrapped(
-    model: Policy, own: Encode, how: Mapping[str, Any], sample: Mapping[str, Any], known: dict[str, Any]
+    model: Policy, own: Encode, how: Mapping[str, Any], samples: Sequence[Mapping[str, Any]], known: dict[str, Any]
 ) -> tuple[Encode, dict[str, Any]]:
     """Return an `encode` with a change, and what is to be told of it.
 
     Raises:
         UnfitError: if the change has no meaning here.
     """
+    sample = samples[0]
 
     def encode(obs: Mapping[str, Any]) -> Any:
         return own(obs, sample.get(spec.Obs.ENV_IDX) or 0)
@@ -86,6 +105,9 @@ def _wrapped(
         numbers = known[kind]
         words = numbers.change(encode(sample), how)[1]
         return (lambda obs, env: numbers.change(own(obs, env), how)[0]), {"words": words}
+    if kind == "rotation":
+        turn = turns.Turned([encode(one) for one in samples], how)
+        return (lambda obs, env: turn(own(obs, env))), {}
     change = _CHANGES[kind]
     before = encode(sample)
     if _equal(change(before, how), before):

@@ -29,42 +29,25 @@ def ordered(value: Any, how: Mapping[str, Any]) -> Any:
     """Return vectors in another order.
 
     Args:
-        value: encoded inputs.
-        how: `order`: reversed, first_last, last_first, halves, or last_of_halves (x a, y b becomes x y, a b), and back
-            (apart).
+        value: encoded inputs, or what a model answered.
+        how: `order`: where each number is taken from; vectors of another width are left.
 
     Raises:
-        UnfitError: if there is no vector that has such an order.
+        UnfitError: if there is no vector of this width.
     """
-    seen = False
+    order, seen = np.asarray(how["order"]), False
 
     def change(leaf: Any) -> Any:
         nonlocal seen
-        if channel_axis(leaf) is not None or not is_vector(leaf):
+        if channel_axis(leaf) is not None or isinstance(leaf, str) or leaf.ndim < 1 or leaf.shape[-1] != order.size:
             return None
-        order = _order(leaf.shape[-1], how["order"])
         seen = True
         return leaf[..., order]
 
     result = changed(value, change)
     if not seen:
-        raise UnfitError("no vector")
+        raise UnfitError("no vector of this width")
     return result
-
-
-def _order(count: int, kind: str) -> np.ndarray:
-    straight = np.arange(count)
-    if kind == "reversed":
-        return straight[::-1].copy()
-    if kind in ("first_last", "last_first"):
-        return np.roll(straight, -1 if kind == "first_last" else 1)
-    if count % 2:
-        raise UnfitError("an odd number of numbers has no halves")
-    half = count // 2
-    if kind == "halves":
-        return np.roll(straight, half)
-    together = np.concatenate((straight[: half - 1], straight[half : count - 1], [half - 1, count - 1]))
-    return together if kind == "last_of_halves" else np.argsort(together)
 
 
 class Normalized:

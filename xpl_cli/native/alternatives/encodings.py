@@ -7,12 +7,15 @@ cannot be shown to it. `xpl.worker.encoded.play` carries these changes out.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl_cli.native.alternatives.block.timing import TEMPLATES
 from xpl_cli.native.alternatives.forms import MEANS, RANGES
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
 
 _FILTERS: tuple[tuple[str, bool], ...] = (
     ("bilinear", True),
@@ -55,17 +58,21 @@ class Encoding:
     geometry: str = ""
 
 
-def encodings(*, pictures: bool = True, text: bool = True) -> Iterator[Encoding]:
+def encodings(
+    embodiment: Embodiment, action_type: str, *, pictures: bool = True, text: bool = True
+) -> Iterator[Encoding]:
     """Yield changes of encoded inputs, the likeliest first.
 
     Of pictures of another size a process tells how far they are from those before: the geometry of those that are
     nearest is that of the adapter, and where a change leaves it, the filter is the mistake (`convention_of`).
 
     Args:
+        embodiment: the robot.
+        action_type: joint or ee.
         pictures: whether the adapter reads any.
         text: whether it reads an instruction.
     """
-    found = [*_vectors()]
+    found = [*_vectors(list(embodiment.dims(action_type).values()))]
     if pictures:
         found = [*_ranges(), *_axes(), *_sizes(), *found]
     if text:
@@ -82,6 +89,7 @@ def _ranges() -> Iterator[Encoding]:
     forms: list[tuple[int, str, list[list[float]]]] = [
         (rank, f"range: {span}", [[span[0]] * 3, [span[1]] * 3]) for rank, span in RANGES
     ]
+    bytes_forms: list[tuple[int, str, list[list[float]]]] = []
     for name, (mean, std) in MEANS.items():
         if name == "0.5":  # which is the range from -1 to 1
             continue
@@ -89,7 +97,10 @@ def _ranges() -> Iterator[Encoding]:
             ends = [(one, other) for one, other in zip(mean[order], std[order], strict=True)]
             black, white = [-one / other for one, other in ends], [(1 - one) / other for one, other in ends]
             forms.append((1 + bool(told), f"mean and std: {name}{told}", [black, white]))
-    for (rank, words, to), (other_rank, other, of) in itertools.permutations(forms, 2):
+            white = [(255 - one) / other for one, other in ends]
+            bytes_forms.append((2, f"mean and std: {name}{told}, of 0 to 255", [black, white]))
+    pairs = [*itertools.permutations(forms, 2), *itertools.product(forms, bytes_forms)]
+    for (rank, words, to), (other_rank, other, of) in pairs:
         how = {"kind": "scaled", "of": of, "to": to}
         told = other.removeprefix("range: ") if words.startswith("range: ") else other
         yield Encoding(max(rank, other_rank), f"{words}, not {told}", "image_range", how)
@@ -137,16 +148,59 @@ def _texts() -> Iterator[Encoding]:
             yield Encoding(rank + 1, told, "instruction", {**how, "template": template})
 
 
-def _vectors() -> Iterator[Encoding]:
+def _vectors(groups: Sequence[int]) -> Iterator[Encoding]:
     for number in range(_NUMBERS):
         how = {"kind": "normalized", "number": number}
         yield Encoding(1, "normalize: other numbers", "normalization", how)
-    for rank, order, words in (
-        (1, "last_of_halves", "parts: the arms, then the grippers"),
-        (1, "apart", "parts: arm by arm"),
-        (1, "last_first", "parts: the last number first"),
-        (1, "first_last", "parts: the first number last"),
-        (2, "halves", "parts: the halves exchanged"),
-        (2, "reversed", "parts: all numbers in the other order"),
+    for rank, words, order in _orders(list(groups)):
+        for way, told in (("both", ""), ("in", " (state)"), ("out", " (action)")):
+            yield Encoding(rank, words + told, "joint_order", {"kind": "ordered", "order": order, "way": way})
+    for rank, words, turn in (
+        (0, "rotation: rows for columns, or columns for rows", "transposed"),
+        (1, "rotation: two columns, number by number", "interleaved"),
+        (1, "rotation: two rows or columns, one after the other", "apart"),
+        (0, "quaternion: the last number first", "last_first"),
+        (0, "quaternion: the first number last", "first_last"),
+        (1, "quaternion: w >= 0, w first", "positive_first"),
+        (1, "quaternion: w >= 0, w last", "positive_last"),
+        (1, "quaternion: the other sign", "negative"),
     ):
-        yield Encoding(rank, words, "joint_order", {"kind": "ordered", "order": order})
+        yield Encoding(rank, words, "rotation", {"kind": "rotation", "turn": turn})
+
+
+def _orders(groups: list[int]) -> Iterator[tuple[int, str, list[int]]]:
+    """Yield orders of a vector of arms and grippers, each number by where it is taken from."""
+    starts = [sum(groups[:place]) for place in range(len(groups))]
+    parts = [list(range(start, start + width)) for start, width in zip(starts, groups, strict=True)]
+    arms, hands = parts[::2], parts[1::2]
+    orders = [
+        (0, "joint order: reversed", [part[::-1] if place % 2 == 0 else part for place, part in enumerate(parts)]),
+        (
+            1,
+            "parts: the grippers' first",
+            [part for arm, hand in zip(arms, hands, strict=True) for part in (hand, arm)],
+        ),
+        (1, "parts: the last number first", [[parts[-1][-1]], [one for part in parts for one in part][:-1]]),
+        (1, "parts: the first number last", [[one for part in parts for one in part][1:], [0]]),
+        (2, "parts: all numbers in the other order", [part[::-1] for part in parts[::-1]]),
+    ]
+    if len(arms) > 1:
+        orders += [
+            (0, "arms: left and right exchanged", [*parts[2:], *parts[:2]]),
+            (1, "parts: the arms, then the grippers", [*arms, *hands]),
+            (1, "parts: arm by arm", _undone([*arms, *hands], groups)),
+            (1, "parts: the grippers, then the arms", [*hands, *arms]),
+        ]
+    seen = {tuple(range(sum(groups)))}
+    for rank, words, order in orders:
+        flat = [one for part in order for one in part]
+        if tuple(flat) not in seen:
+            seen.add(tuple(flat))
+            yield rank, words, flat
+
+
+def _undone(order: list[list[int]], groups: list[int]) -> list[list[int]]:
+    flat = [one for part in order for one in part]
+    back = [flat.index(place) for place in range(len(flat))]
+    starts = [sum(groups[:place]) for place in range(len(groups))]
+    return [back[start : start + width] for start, width in zip(starts, groups, strict=True)]

@@ -12,7 +12,7 @@ import functools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
@@ -28,9 +28,11 @@ from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.native.alternatives.block import alternatives
 from xpl_cli.native.alternatives.encodings import encodings
 from xpl_cli.native.alternatives.signals import Signal, signals
+from xpl_cli.native.alternatives.signals.pictures import dark
 from xpl_cli.native.difference import Thread, differences
 from xpl_cli.native.explain import Explanation, Tried
 from xpl_cli.native.fitted import fitted
+from xpl_cli.native.patterns import Kind, Pattern, patterns
 from xpl_cli.native.record import is_free, span
 
 if TYPE_CHECKING:
@@ -102,6 +104,7 @@ class Search:
         A word of the block is preferred to a change around the adapter that does the same.
         """
         found: list[Found] = []
+        self._unseen: list[Pattern] = []
         for family in (self._by_block, self._by_commands, self._by_encodings, self._by_shown):
             explanation = family()
             if explanation is None:
@@ -109,7 +112,10 @@ class Search:
             found.append(Found(explanation, in_block=family == self._by_block))
             if explanation.cause is not None:
                 return found[-1]
-        return next((one for one in found if one.explanation.text), None)
+        best = next((one for one in found if one.explanation.text), found[0])
+        told = (*self._unseen, *patterns(self._threads, self._judgement.spread, self._judgement.tolerance, self._kind))
+        explanation = replace(best.explanation, patterns=told)
+        return Found(explanation, best.in_block) if explanation.text else None
 
     # -- words of the block --------------------------------------------------------------------------------------------
 
@@ -156,8 +162,9 @@ class Search:
         """Return what changes of encoded inputs explain; None if there is no time for them."""
         if self._left <= 0:
             return None
-        inputs = self._inputs
-        changes = list(encodings(pictures=bool(inputs.cameras), text=bool(inputs.instructions)))
+        inputs, session = self._inputs, self._judgement.session
+        has = {"pictures": bool(inputs.cameras), "text": bool(inputs.instructions)}
+        changes = list(encodings(session.robot, session.action_type, **has))
         encoded = Encoded(self._probe, self._course, self._config)
         contest = Contest(self._course, self._judgement, self._course.everything)
 
@@ -194,7 +201,30 @@ class Search:
         changes = [one for one in self._signals if one.shown is not None and same and not self._breaks(one)]
         if not same and contest.explained([alone]).cause is not None:
             return contest.explained([alone])
-        return contest.held(len(changes), self._asking(around, changes, contest))
+        found = contest.held(len(changes), self._asking(around, changes, contest))
+        if found.cause is None and same:
+            self._unseen += self._cameras_without_effect(around)
+        return found
+
+    def _cameras_without_effect(self, around: Around) -> Iterator[Pattern]:
+        """Tell which cameras may be exchanged for darkness."""
+        judgement, number = self._judgement, self._replayable[-1]
+        for camera in self._inputs.cameras if self._left > 0 else ():
+            answers = around.answers(Signal(0, camera, "camera", dark(camera)), [number])
+            if answers is None:
+                continue
+            far = differences([judgement.given[one] for one in answers], list(answers.values()), judgement.spread)
+            if max(far.values()) == 0.0:
+                yield Pattern(f"a dark {camera} changes no answer: the model does not see it", "camera")
+
+    @property
+    def _kind(self) -> Kind:
+        temporal = self._manifest.get("temporal") or {}
+        return Kind(
+            keeps_state=bool(self._native.get("recurrent")) or temporal.get("kind") == "memory",
+            history=span(self._manifest),
+            draws=not self._manifest.get("deterministic", True),
+        )
 
     def _asking(self, around: Around, changes: Sequence[Signal], contest: Contest) -> Ask:
         """Return what tries changes; those that are less likely than one that leaves nothing are not tried."""

@@ -103,7 +103,7 @@ def grippers(block: Mapping[str, Any], embodiment: Embodiment) -> Iterator[Candi
     for rank, closed, opened in ends:
         told = f"gripper: closed {closed:g}, open {opened:g}"
         yield from everywhere(sites, rank, told, "gripper", _ended(closed, opened))
-    for factor, told in ((2.0, "twice as open"), (0.5, "half as open")):
+    for factor, told in ((2.0, "open is twice as much"), (0.5, "open is half as much")):
         yield from everywhere(sites, 1, f"gripper: {told}", "gripper", _scaled(factor))
     yield from everywhere(sites, 1, "gripper: the fingers exchanged", "gripper", _fingers)
     acts = [site for site in sites if site.group == "action"]

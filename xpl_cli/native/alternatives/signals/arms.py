@@ -111,8 +111,8 @@ def _ranges(stroke: float | None) -> list[tuple[int, str, float, float]]:
     """Return rank, words, and what closed and open are for the model where the adapter says 0 and 1."""
     found = [
         (0, "closed and open exchanged", 1.0, 0.0),
-        (0, "half as open", 0.0, 0.5),
-        (0, "twice as open", 0.0, 2.0),
+        (0, "open is half as much", 0.0, 0.5),
+        (0, "open is twice as much", 0.0, 2.0),
         (1, "closed -1, open 1", -1.0, 1.0),
         (1, "closed 1, open -1", 1.0, -1.0),
         (1, "closed 0, open 1, not -1 and 1", 0.5, 1.0),

@@ -58,6 +58,11 @@ def _exchanges(cameras: Sequence[str]) -> Iterator[Signal]:
             yield Signal(2, f"cameras: {', '.join(order)}", "camera", _placed(dict(zip(cameras, order, strict=True))))
 
 
+def dark(camera: str) -> Shown:
+    """Return the change that shows one camera's pictures black."""
+    return _seen(np.zeros_like, [camera])
+
+
 def _mapped(obs: Obs, change: Callable[[str, Mapping[str, Any]], Any]) -> dict[str, Any]:
     vision = obs.get(spec.Obs.VISION) or {}
     return {**obs, spec.Obs.VISION: {camera: change(camera, entry) for camera, entry in vision.items()}}

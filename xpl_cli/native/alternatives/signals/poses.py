@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -105,11 +105,38 @@ def _points(embodiment: Embodiment) -> Iterator[Change]:
         return
     keys = [prefix + key for prefix in embodiment.prefixes for key in _KEYS]
     away = pose_math.invert(tool)
-    there = on(keys, lambda pose: pose_math.compose(pose, tool))
-    back = on(keys, lambda pose: pose_math.compose(pose, away))
-    change = Change(0, "point: tcp", "point", there, back, None)
-    yield change
-    yield change.inverse("point: flange, not tcp")
+    for later, told, only in _PARTS:
+        there = on(keys, only(lambda pose: pose_math.compose(pose, tool)))
+        back = on(keys, only(lambda pose: pose_math.compose(pose, away)))
+        if told == " of the position":  # which moves by what the rotation says, and that stays
+            back = on(keys, only(lambda pose: pose_math.compose(pose, _unturned(tool))))
+        change = Change(later, f"point{told}: tcp", "point", there, back, None)
+        yield change
+        yield change.inverse(f"point{told}: flange, not tcp")
+
+
+def _unturned(tool: Numbers) -> Numbers:
+    return np.concatenate((-tool[_PLACE], rotation.identity()))
+
+
+def _whole(function: Function) -> Function:
+    return function
+
+
+def _position(function: Function) -> Function:
+    return lambda pose: np.concatenate((function(pose)[..., _PLACE], pose[..., _TURN]), axis=-1)
+
+
+def _rotation(function: Function) -> Function:
+    return lambda pose: np.concatenate((pose[..., _PLACE], function(pose)[..., _TURN]), axis=-1)
+
+
+_PARTS: tuple[tuple[int, str, Callable[[Function], Function]], ...] = (
+    (0, "", _whole),
+    (1, " of the position", _position),
+    (1, " of the rotation", _rotation),
+)
+"""What of a pose is changed: how much later it is tried, how it is called."""
 
 
 def _frames(embodiment: Embodiment) -> Iterator[Change]:
@@ -118,19 +145,27 @@ def _frames(embodiment: Embodiment) -> Iterator[Change]:
         mounts = {arm.prefix: frames.mount(embodiment, side) for arm, side in zip(embodiment.arms, sides, strict=True)}
     except NativeError:
         return
-    inward, outward = _mounted(mounts, inverse=True), _mounted(mounts, inverse=False)
-    change = Change(0, "frame: base", "frame", inward, outward, _mounted(mounts, inverse=False, delta=True))
-    yield change
-    yield change.inverse("frame: world, not base", _mounted(mounts, inverse=True, delta=True))
+    for later, told, only in _PARTS:
+        inward, outward = _mounted(mounts, _moved, only, inverse=True), _mounted(mounts, _moved, only, inverse=False)
+        into, out = _mounted(mounts, _axes, only, inverse=True), _mounted(mounts, _axes, only, inverse=False)
+        change = Change(later, f"frame{told}: base", "frame", inward, outward, out)
+        yield change
+        yield change.inverse(f"frame{told}: world, not base", into)
 
 
-def _mounted(mounts: dict[str, Numbers], *, inverse: bool, delta: bool = False) -> Turn:
-    """Return the change of each arm's poses from its base to the world, or back; of differences only their axes."""
+def _mounted(
+    mounts: dict[str, Numbers],
+    moved: Callable[[Numbers, Numbers], Numbers],
+    only: Callable[[Function], Function],
+    *,
+    inverse: bool,
+) -> Turn:
+    """Return the change of each arm's poses, or of differences of them, from its base to the world, or back."""
     turns = {}
     for prefix, mount in mounts.items():
         outer = pose_math.invert(mount) if inverse else mount
         for key in _KEYS:
-            turns[prefix + key] = partial(_axes if delta else _moved, outer)
+            turns[prefix + key] = only(partial(moved, outer))
 
     def turn(fields: Fields) -> dict[str, object]:
         result = dict(fields)

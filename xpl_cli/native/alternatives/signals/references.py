@@ -45,7 +45,7 @@ def references(embodiment: Embodiment, action_type: str, history: int, stride: i
             ):
                 change = _commands(mode, to_command=to_command)
                 yield Signal(later, _said(words, told), "action_reference", None, _counted(change, chosen))
-        for one, other in (("fixed", "body"), ("body", "fixed")) if len(modes) > 1 else ():
+        for one, other in (("fixed", "body"), ("body", "fixed")) if len(modes) > 1 and "gripper" not in told else ():
             words = f"applied: {one}, not {other}"
             change = _applied(other, one)
             yield Signal(later, words + told, "action_reference", None, _counted(change, chosen))

@@ -1,0 +1,104 @@
+"""Which change explains a difference: wholly, as well as another, in part, or not at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from xpl_cli.native.explain import Explanation, Tried, explain, only, ranges
+from xpl_cli.native.patterns import Pattern
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+BEFORE = {"arm_joint_state[0]": 0.4, "arm_joint_state[1]": 0.2, "ee_joint_state[0]": 0.9, "ee_joint_state[1]": 0.0}
+FINE = 1e-4
+
+
+def _tried(words: str, convention: str = "gripper", **left: float) -> Tried:
+    keys = {"a": "arm_joint_state[0]", "b": "arm_joint_state[1]", "c": "ee_joint_state[0]", "d": "ee_joint_state[1]"}
+    return Tried(words, convention, {**BEFORE, **{keys[name]: value for name, value in left.items()}})
+
+
+def _explained(*tried: Tried, before: Mapping[str, float] = BEFORE) -> Explanation:
+    return explain(before, tried, FINE)
+
+
+def test_a_change_that_leaves_nothing_is_the_cause() -> None:
+    """How far the difference falls is told."""
+    found = _explained(_tried("worse", c=2.0), _tried("right", "camera", a=1e-7, b=0.0, c=2e-8))
+    assert found.cause is not None
+    assert (found.cause.words, found.cause.convention) == ("right", "camera")
+    assert found.text == "with `right` the difference falls from 0.9 to 1e-07"
+    assert found.parts == ("ee_joint_state[0]", "arm_joint_state[0]", "arm_joint_state[1]")
+    assert found.leads is found.cause
+
+
+@pytest.mark.parametrize(("rest", "is_cause"), [(0.008, True), (0.02, False)])
+def test_a_fall_by_a_hundred_is_decisive(rest: float, is_cause: bool) -> None:
+    """Another library's filter never leaves nothing."""
+    assert (_explained(_tried("nearly", a=rest, b=rest, c=rest)).cause is not None) == is_cause
+
+
+def test_changes_with_the_same_effect_are_ties() -> None:
+    """The likeliest comes first; one that leaves far more is none; equal words count once."""
+    right = {"a": 0.0, "b": 0.0, "c": 0.0}
+    found = _explained(
+        _tried("one", **right),
+        _tried("one", **right),
+        _tried("other", **right),
+        _tried("third", **{**right, "a": 9e-5}),
+    )
+    assert found.cause is not None
+    assert (found.cause.words, [tie.words for tie in found.ties]) == ("one", ["other"])
+    assert found.text.endswith("to 0 (as with `other`: the pairs do not tell them apart)")
+
+
+def test_parts_are_explained_by_themselves() -> None:
+    """Where two mistakes are in different numbers, each change mends its own; none makes another worse."""
+    found = _explained(_tried("arm", a=0.0, b=0.0), _tried("hand", c=1e-6), _tried("bad", c=0.0, a=0.8))
+    assert found.cause is None
+    assert [(one.words, one.parts) for one in found.partial] == [
+        ("arm", ("arm_joint_state[0]", "arm_joint_state[1]")),
+        ("hand", ("ee_joint_state[0]",)),
+    ]
+    assert "with `arm` the difference falls from 0.4 to 0 in arm_joint_state[0..1]" in found.text
+
+
+def test_small_parts_that_fall_explain_nothing() -> None:
+    """They may by chance."""
+    before = {**BEFORE, "ee_joint_state[1]": 0.001}
+    tried = Tried("chance", "camera", {**before, "ee_joint_state[1]": 0.0})
+    assert _explained(tried, before=before).text == ""
+
+
+def test_a_change_that_lowers_more_than_all_others_is_told() -> None:
+    """But not that it explains it; and not where others do as well."""
+    best = _tried("crop", "image_size", a=0.1, b=0.1, c=0.1)
+    found = _explained(_tried("mirror", "image_orientation", c=0.7), best)
+    assert found.lowers is not None
+    assert found.text == "with `crop` the difference falls from 0.9 to 0.1, which does not explain all of it"
+    rival = _tried("filter", "image_filter", a=0.12, b=0.1, c=0.1)
+    assert _explained(best, rival).text == ""
+
+
+def test_nothing_is_told_where_nothing_explains() -> None:
+    """Changes that could not be tried do not count."""
+    assert _explained(_tried("no", c=0.8), Tried("broken", "chunk", {"arm_joint_state[0]": 0.0})).text == ""
+    assert _explained(_tried("fine", a=0.0), before=dict.fromkeys(BEFORE, 1e-5)) == Explanation(1e-5, ())
+
+
+def test_patterns_lead_where_no_change_does() -> None:
+    """They name a convention too."""
+    pattern = Pattern("every step is the same", "chunk")
+    found = Explanation(0.5, ("a[0]",), patterns=(pattern,))
+    assert (found.text, found.leads) == ("every step is the same", pattern)
+
+
+def test_numbers_are_told_in_ranges() -> None:
+    """And only where they are not all."""
+    parts = ["left_arm_joint_state[2]", "right_ee_joint_state[0]", "left_arm_joint_state[0]", "left_arm_joint_state[1]"]
+    assert ranges(parts) == "left_arm_joint_state[0..2], right_ee_joint_state[0]"
+    assert only(["ee_joint_state[0]"], BEFORE) == "only ee_joint_state[0] differs"
+    assert only(list(BEFORE), BEFORE) == ""

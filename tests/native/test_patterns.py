@@ -1,0 +1,63 @@
+"""What is seen where no change explains a difference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from xpl_cli.native.difference import Thread, spreads
+from xpl_cli.native.patterns import Kind, patterns
+
+RNG = np.random.default_rng(1)
+NATIVE = RNG.normal(size=(3, 2, 5, 2))
+"""Of three episodes, two questions, five steps, two numbers."""
+
+
+def _seen(given: np.ndarray, kind: Kind | None = None) -> list[str]:
+    def chunks(rows: np.ndarray) -> list[list[dict[str, Any]]]:
+        return [[{"arm_joint_state": values} for values in chunk] for chunk in rows]
+
+    threads = [Thread([{}, {}], [0, 1], chunks(one), chunks(two)) for one, two in zip(NATIVE, given, strict=True)]
+    spread = spreads([chunk for thread in threads for chunk in thread.native])
+    return [one.convention for one in patterns(threads, spread, 1e-4, kind or Kind())]
+
+
+def _off(*where: Any) -> np.ndarray:
+    given = NATIVE.copy()
+    for place in where:
+        given[place] += 0.3
+    return given
+
+
+def test_a_state_that_is_not_carried_on() -> None:
+    """First answers are right, and later ones are not: what that means depends on the policy."""
+    given = _off(np.s_[:, 1])
+    assert _seen(given, Kind(keeps_state=True)) == ["recurrent"]
+    assert _seen(given, Kind(history=3)) == ["history"]
+    assert _seen(given) == ["action_reference"]
+    assert _seen(_off(np.s_[1, 1]), Kind(keeps_state=True)) == []
+
+
+def test_a_state_that_outlives_a_reset() -> None:
+    """Only the first episode begins right."""
+    assert _seen(_off(np.s_[1:], np.s_[0, 1]), Kind(keeps_state=True)) == ["recurrent"]
+
+
+def test_a_chunk_that_stands_still() -> None:
+    """While the model's moves."""
+    assert _seen(np.repeat(NATIVE[:, :, :1], 5, axis=2)) == ["chunk", "action_reference"]
+    assert _seen(np.repeat(NATIVE[:, :, 1:2], 5, axis=2)) == ["chunk"]
+
+
+def test_later_steps_alone() -> None:
+    """They are counted from each other."""
+    assert _seen(_off(np.s_[:, :, 1:])) == ["action_reference"]
+
+
+def test_other_draws_are_random_about_zero() -> None:
+    """A policy that draws nothing has no such excuse."""
+    given = NATIVE + RNG.normal(size=NATIVE.shape) * 0.2
+    assert _seen(given, Kind(draws=True)) == ["sampling"]
+    assert _seen(given) == []
+    assert _seen(_off(np.s_[:]), Kind(draws=True)) == []

@@ -1,0 +1,128 @@
+"""What differences themselves tell, where no single change explains them: which answers are wrong, and which right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from xpl_cli.native.difference import columns, differences
+
+if TYPE_CHECKING:
+    from xpl_cli.native.difference import Differences, Thread
+
+_SAME = 1e-6
+"""Share of the span below which steps are the same."""
+_SIGMAS = 4.0
+"""How far the mean of differences may be from zero, in its standard errors, where they are drawn."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One thing that is seen.
+
+    Attributes:
+        words: what is seen, and what it suggests.
+        convention: of the vocabulary, that it suggests.
+    """
+
+    words: str
+    convention: str
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is known of a policy.
+
+    Attributes:
+        keeps_state: whether it is recurrent.
+        history: observations that it sees.
+        draws: whether it samples.
+    """
+
+    keeps_state: bool = False
+    history: int = 1
+    draws: bool = False
+
+
+def patterns(threads: Sequence[Thread], spread: Differences, tolerance: float, kind: Kind) -> Iterator[Pattern]:
+    """Yield what is seen, the most telling first.
+
+    Args:
+        threads: all episodes, in their order; something differs.
+        spread: of `difference.spreads`.
+        tolerance: largest share of it that is no difference.
+        kind: of policy.
+    """
+    if _still(threads, spread):
+        yield Pattern("every step of a chunk is the same, and the model's are not", "chunk")
+    yield from _memory(threads, spread, tolerance, kind)
+    yield from _steps(threads, spread, tolerance)
+    if kind.draws and _is_drawn(threads, spread):
+        yield Pattern("differences are random about zero, as if other numbers were drawn: look at the seed", "sampling")
+
+
+def _still(threads: Sequence[Thread], spread: Differences) -> bool:
+    chunks = [chunk for thread in threads for chunk in thread.given if len(chunk) > 1]
+    native = [chunk for thread in threads for chunk in thread.native if len(chunk) > 1]
+    return bool(chunks) and _moves(chunks, spread) <= _SAME < _moves(native, spread)
+
+
+def _moves(chunks: Sequence[Sequence[object]], spread: Differences) -> float:
+    """Return the largest share that a number moves by within a chunk."""
+    largest = 0.0
+    for chunk in chunks:
+        for key, values in columns([chunk]).items():  # type: ignore[list-item]
+            for index in range(values.shape[1]):
+                largest = max(largest, float(np.ptp(values[:, index])) / spread[f"{key}[{index}]"])
+    return largest
+
+
+def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, kind: Kind) -> Iterator[Pattern]:
+    """Tell which answers of the episodes are right: those to the first observation, or those of the first episode."""
+    first, later = [], []
+    for thread in threads:
+        for place, native, given in zip(thread.asked, thread.native, thread.given, strict=True):
+            far = max(differences([native], [given], spread).values())
+            (later if place else first).append(far <= tolerance)
+    convention = "recurrent" if kind.keeps_state else "history" if kind.history > 1 else "action_reference"
+    if first and later and all(first) and not any(later):
+        told = {
+            "recurrent": "the state is not carried on, or not as often as the model does it",
+            "history": "earlier observations are not the model's",
+            "action_reference": "something is remembered that the model does not remember, or the other way round",
+        }[convention]
+        yield Pattern(
+            f"answers to the first observation of an episode are right, and later ones are not: {told}", convention
+        )
+    elif len(first) > 1 and first[0] and not any(first[1:]) and kind.keeps_state:
+        yield Pattern("only the first answer of all is right: the state outlives a reset", "recurrent")
+
+
+def _steps(threads: Sequence[Thread], spread: Differences, tolerance: float) -> Iterator[Pattern]:
+    """Tell if the first step of each chunk is right, and later ones are not."""
+    native = [chunk for thread in threads for chunk in thread.native]
+    given = [chunk for thread in threads for chunk in thread.given]
+    if any(len(one) != len(other) or len(one) < 2 for one, other in zip(native, given, strict=True)):
+        return
+    begins = differences([chunk[:1] for chunk in native], [chunk[:1] for chunk in given], spread)
+    if max(begins.values()) <= tolerance:
+        told = (
+            "the first step of each chunk is right, and later ones are not: steps are counted from each other otherwise"
+        )
+        yield Pattern(told, "action_reference")
+
+
+def _is_drawn(threads: Sequence[Thread], spread: Differences) -> bool:
+    wanted = columns([chunk for thread in threads for chunk in thread.native])
+    found = columns([chunk for thread in threads for chunk in thread.given])
+    for key, values in wanted.items():
+        if key not in found or found[key].shape != values.shape:
+            return False
+        far = found[key] - values
+        error = far.std(0) / np.sqrt(len(far))
+        if (np.abs(far.mean(0)) > _SIGMAS * error + _SAME * spread[f"{key}[0]"]).any():
+            return False
+    return True
