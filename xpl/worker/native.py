@@ -104,11 +104,11 @@ def play(answer: Answer, order: Mapping[str, Any]) -> Iterator[bytes]:
         episodes: dict[int, Episode] = {}
         number, has_shown = 0, False
         for call in order["calls"]:
-            if "reset" in call:
+            if spec.Method.RESET in call:
                 number, has_shown, episodes = number + has_shown, False, {}
             for env, observation in call.get("show", ()):
                 has_shown = True
-                episodes.setdefault(env, Episode(env, number, order["seed"])).observations.append(observation)
+                episodes.setdefault(env, Episode(env, number, order[spec.Deploy.SEED])).observations.append(observation)
             if "ask" in call:
                 yield _asked(answer, [episodes[env] for env in call["ask"]], robot, order)
 
@@ -118,7 +118,7 @@ def _asked(answer: Answer, episodes: Sequence[Episode], robot: Embodiment, order
         told = []
         for episode in episodes:
             episode.asked.append(len(episode.observations) - 1)
-            told.append([_steps(answer, episode, robot, order["action_type"]) for _ in range(order["takes"])])
+            told.append([_steps(answer, episode, robot, order[spec.Deploy.ACTION_TYPE]) for _ in range(order["takes"])])
         return result(told)
     except FAILURES as error:
         return failed(error, trace=_own_lines(error, Path(order["policy_dir"])))

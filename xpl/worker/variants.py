@@ -19,6 +19,7 @@ from typing import Any, Callable, NoReturn
 
 import numpy as np
 
+from xpl import _spec as spec
 from xpl.convert import Interface, compile_interface
 from xpl.policy import Policy
 from xpl.worker.errand import FAILURES, carry_out, failed, result
@@ -68,7 +69,7 @@ def renewed(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
     model.reset()
     model._episodes.clear()  # noqa: SLF001 - which seed the generators
     for call in calls:
-        if "reset" in call:
+        if spec.Method.RESET in call:
             model.reset()
         if "show" in call:
             model.update_obs_batch([observation for _, observation in call["show"]])

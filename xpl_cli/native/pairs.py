@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from xpl import _spec as sdk
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl_cli.basics import files
 from xpl_cli.basics.atomic import write_file
@@ -232,7 +233,7 @@ def _written(session: Session) -> dict[str, Any]:
     calls: list[dict[str, Any]] = []
     for call in session.calls:
         if call.reset:
-            calls.append({"reset": True})
+            calls.append({sdk.Method.RESET: True})
         elif call.show:
             calls.append({"show": [list(recipe) for recipe in call.show]})
         else:
@@ -240,8 +241,8 @@ def _written(session: Session) -> dict[str, Any]:
             calls.append({"ask": list(call.ask), "answers": told})
     return {
         "embodiment": session.embodiment,
-        "action_type": session.action_type,
-        "seed": session.seed,
+        sdk.Deploy.ACTION_TYPE: session.action_type,
+        sdk.Deploy.SEED: session.seed,
         "cameras": {name: list(size) for name, size in session.cameras.items()},
         "takes": session.takes,
         "calls": calls,
@@ -254,12 +255,12 @@ def _read(entry: Mapping[str, Any]) -> Session:
     Raises:
         ValueError: if it asks about what was not shown, or its answers have not the shapes that they should have.
     """
-    dims = get_embodiment(entry["embodiment"]).dims(entry["action_type"])
+    dims = get_embodiment(entry["embodiment"]).dims(entry[sdk.Deploy.ACTION_TYPE])
     calls, answers = [], []
     shown: set[int] = set()
     for number, told in enumerate(entry["calls"]):
         call = Call(
-            reset="reset" in told,
+            reset=sdk.Method.RESET in told,
             show=tuple((env, place) for env, place in told.get("show", ())),
             ask=tuple(told.get("ask", ())),
         )
@@ -274,8 +275,8 @@ def _read(entry: Mapping[str, Any]) -> Session:
     sizes = {name: (height, width) for name, (height, width) in entry["cameras"].items()}
     return Session(
         embodiment=entry["embodiment"],
-        action_type=entry["action_type"],
-        seed=entry["seed"],
+        action_type=entry[sdk.Deploy.ACTION_TYPE],
+        seed=entry[sdk.Deploy.SEED],
         cameras=sizes,
         takes=entry["takes"],
         calls=tuple(calls),

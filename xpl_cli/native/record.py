@@ -170,8 +170,8 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
         "file": names.CODE,
         "function": names.ANSWERS,
         "embodiment": session.embodiment,
-        "action_type": session.action_type,
-        "seed": session.seed,
+        sdk.Deploy.ACTION_TYPE: session.action_type,
+        sdk.Deploy.SEED: session.seed,
         "takes": session.takes,
         "rounds": rounds,
         "calls": [_told(call, session) for call in session.calls],
@@ -193,14 +193,14 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
             raise UserError(_failure(answer, number, asking), hint="native.py speaks the standard: docs/contract.md")
     if done.problem is not None or len(done.answers) < whole + 2:
         raise UserError(f"{names.CODE} {done.ended}", code=ExitCode.NOT_RUN)
-    given = [_stacked(answer["result"]) for answer in done.answers[1 : whole + 1]]
+    given = [_stacked(answer[sdk.Payload.RESULT]) for answer in done.answers[1 : whole + 1]]
     recordings = [tuple(given[start : start + len(asking)]) for start in range(0, whole, len(asking))]
-    return [session.with_answers(answers) for answers in recordings], done.answers[-1]["result"]
+    return [session.with_answers(answers) for answers in recordings], done.answers[-1][sdk.Payload.RESULT]
 
 
 def _told(call: Call, session: Session) -> dict[str, Any]:
     if call.reset:
-        return {"reset": True}
+        return {sdk.Method.RESET: True}
     if call.ask:
         return {"ask": list(call.ask)}
     return {"show": [[env, session.scene.observation(env, place)] for env, place in call.show]}

@@ -91,7 +91,7 @@ def _deviating(parity: Parity, compared: Compared, *, explained: bool) -> Iterat
         got=f"{found.given:.6g} at step {found.step} of {found.question.where}",
         evidence={
             "embodiment": compared.session.embodiment,
-            "action_type": compared.session.action_type,
+            spec.Deploy.ACTION_TYPE: compared.session.action_type,
             "part": found.part,
             "parts": ranges(found.parts),
             "environment": found.question.env,
@@ -125,7 +125,7 @@ def _shifted(parity: Parity, compared: Compared, *, explained: bool) -> Iterator
         got=f"{found.given:.4g} {where}",
         evidence={
             "embodiment": compared.session.embodiment,
-            "action_type": compared.session.action_type,
+            spec.Deploy.ACTION_TYPE: compared.session.action_type,
             "part": found.part,
             "parts": ranges(found.parts),
             "what": found.what,

@@ -156,7 +156,7 @@ def test_a_missing_part_makes_a_shadow_that_is_told_and_can_be_clean(package: Pa
     gate = _gate(report)
     assert set(_outcomes(gate).values()) == {"pass"}, gate.results
     assert (judged(report).word, exit_code([report])) == (Word.SHADOW, ExitCode.CLEAN)
-    assert str(judged(report)).startswith("SHADOW without the model, offline only: nothing wrong in what ran")
+    assert str(judged(report)).startswith("SHADOW without the model, offline only, only serves, ")
     assert gate.profile is Profile.SHADOW
     assert lacks in str(gate.stood_in)
     assert str(gate.finish).endswith("profile=shadow")

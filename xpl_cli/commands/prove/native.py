@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from xpl import _spec as sdk
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.run.serve import PATIENCE_HELP, POLICY, POLICY_ENV, SETTINGS
 
@@ -65,7 +66,7 @@ def _document(name: str, path: str, done: Recorded) -> dict[str, Any]:
         "sessions": [
             {
                 "embodiment": one.embodiment,
-                "action_type": one.action_type,
+                sdk.Deploy.ACTION_TYPE: one.action_type,
                 "pairs": len(one.questions),
                 "takes": one.takes,
             }

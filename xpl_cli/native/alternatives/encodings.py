@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli.native.alternatives.block.timing import TEMPLATES
 from xpl_cli.native.alternatives.forms import MEANS, RANGES
 
@@ -142,10 +143,10 @@ def _texts() -> Iterator[Encoding]:
     ):
         how = {"kind": "text", "case": case, "strip": strip}
         words = f"instruction: case: {case}, strip: {strip!r}"
-        yield Encoding(rank, words, "instruction", how)
+        yield Encoding(rank, words, sdk.Obs.INSTRUCTION, how)
         for template in TEMPLATES:
             told = f"{words}, template: {template!r}"
-            yield Encoding(rank + 1, told, "instruction", {**how, "template": template})
+            yield Encoding(rank + 1, told, sdk.Obs.INSTRUCTION, {**how, "template": template})
 
 
 def _vectors(groups: Sequence[int]) -> Iterator[Encoding]:

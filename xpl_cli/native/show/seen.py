@@ -99,7 +99,7 @@ class Seen:
                 {"input": one.input, "words": one.words, "numbers": [number.document() for number in one.numbers]}
                 for one in self.vectors
             ],
-            "instruction": {"standard": self.instruction, "model": dict(self.texts)},
+            sdk.Obs.INSTRUCTION: {"standard": self.instruction, "model": dict(self.texts)},
             "action": {
                 "from": self.action_from,
                 "words": self.action_words,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli.audit.offline import inprocess
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.isolation import errand
@@ -56,7 +57,9 @@ def answers(  # noqa: PLR0913, PLR0917 - who, what, how, and for how long
         found = inprocess.loaded(done)
     except NotRun:
         return None
-    if done.answers[0]["result"] is not None:
+    if done.answers[0][sdk.Payload.RESULT] is not None:
         return None
     numbers = course.with_earlier(wanted)
-    return [None if "error" in answer else dict(zip(numbers, answer["result"], strict=True)) for answer in found]
+    return [
+        None if "error" in answer else dict(zip(numbers, answer[sdk.Payload.RESULT], strict=True)) for answer in found
+    ]

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli.native.script import Call, played
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ class Course:
     def told(self, calls: Iterable[Call]) -> list[Mapping[str, Any]]:
         """Return calls with their observations, as a process in the adapter's interpreter takes them."""
         return [
-            {"reset": True}
+            {sdk.Method.RESET: True}
             if call.reset
             else {"ask": list(call.ask)}
             if call.ask

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli.audit.offline import inprocess
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.isolation import errand
@@ -66,7 +67,7 @@ class Encoded:
             found = inprocess.loaded(done)
         except NotRun:
             return []
-        tried = list(zip(changes, (answer.get("result") for answer in found), strict=False))
+        tried = list(zip(changes, (answer.get(sdk.Payload.RESULT) for answer in found), strict=False))
         sizes = [(told["apart"], change.geometry) for change, told in tried if told and change.geometry]
         self._nearest = self._nearest or min(sizes, default=(0.0, ""))[1]  # of the first, which were all
         numbers = self._course.with_earlier(wanted)

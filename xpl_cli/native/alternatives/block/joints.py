@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli.native.alternatives.block.edits import GONE, Candidate, edited, everywhere, parts, word
 
 if TYPE_CHECKING:
@@ -185,7 +186,8 @@ def _sides(sites: Sequence[Any]) -> dict[Any, Any]:
 
 
 def _wrists(block: Mapping[str, Any]) -> dict[Any, Any]:
-    other = {"cam_left_wrist": "cam_right_wrist", "cam_right_wrist": "cam_left_wrist"}
+    left, right = sdk.CAMERAS[2][-2:]
+    other = {left: right, right: left}
     return {
         ("images", index, "cameras"): [other.get(camera, camera) for camera in entry["cameras"]]
         for index, entry in enumerate(block.get("images") or ())

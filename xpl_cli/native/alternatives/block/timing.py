@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from xpl import _spec as sdk
 from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Site, everywhere, parts, word
 
 TEMPLATES = (
@@ -59,22 +60,24 @@ def histories(block: Mapping[str, Any]) -> Iterator[Candidate]:
 
 def instructions(block: Mapping[str, Any]) -> Iterator[Candidate]:
     """Yield other ways to write the instruction."""
-    how = block.get("instruction")
+    how = block.get(sdk.Obs.INSTRUCTION)
     if not how:
         return
-    site = [Site(("instruction",), how)]
+    site = [Site((sdk.Obs.INSTRUCTION,), how)]
     for case in ("lower", "keep"):
-        yield from everywhere(site, 0, f"instruction: case: {case}", "instruction", word("case", case, "keep"))
+        yield from everywhere(site, 0, f"instruction: case: {case}", sdk.Obs.INSTRUCTION, word("case", case, "keep"))
     for strip in ("", " ", ".", ". ", " .", " \n", "\n"):
         told = f"instruction: strip: {strip!r}"
-        yield from everywhere(site, 0 if strip in ("", " ") else 1, told, "instruction", word("strip", strip, ""))
+        yield from everywhere(site, 0 if strip in ("", " ") else 1, told, sdk.Obs.INSTRUCTION, word("strip", strip, ""))
     template = how.get("template", "{instruction}")
     for text in dict.fromkeys((*TEMPLATES, template.strip(), f"{template}\n", f"{template} ", template.lower())):
         if "{instruction}" in text:
             told = f"instruction: template: {text!r}"
-            yield from everywhere(site, 1, told, "instruction", word("template", text, "{instruction}"))
+            yield from everywhere(site, 1, told, sdk.Obs.INSTRUCTION, word("template", text, "{instruction}"))
     for empty in ("blank", "refuse"):
-        yield from everywhere(site, 3, f"instruction: empty: {empty}", "instruction", word("empty", empty, "refuse"))
+        yield from everywhere(
+            site, 3, f"instruction: empty: {empty}", sdk.Obs.INSTRUCTION, word("empty", empty, "refuse")
+        )
 
 
 def _without(key: str) -> Any:

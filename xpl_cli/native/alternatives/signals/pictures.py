@@ -35,7 +35,8 @@ def pictures(cameras: Sequence[str]) -> Iterator[Signal]:
 
 def wrists(obs: Obs) -> Obs:
     """Return an observation whose wrist cameras are exchanged."""
-    return _placed({"cam_left_wrist": "cam_right_wrist", "cam_right_wrist": "cam_left_wrist"})([obs])[0]
+    left, right = spec.CAMERAS[2][-2:]
+    return _placed({left: right, right: left})([obs])[0]
 
 
 def _crops(cameras: Sequence[str]) -> Iterator[Signal]:

@@ -28,10 +28,10 @@ _CHANGES: tuple[tuple[int, str, Callable[[str], str]], ...] = (
 def texts(others: Sequence[str] = ()) -> Iterator[Signal]:
     """Yield changes of the instruction; `others` are those of other environments and episodes."""
     for rank, words, change in _CHANGES:
-        yield Signal(rank, f"instruction: {words}", "instruction", _said(change))
+        yield Signal(rank, f"instruction: {words}", spec.Obs.INSTRUCTION, _said(change))
     for other in dict.fromkeys(others):
-        yield Signal(1, f"instruction: always {other!r}", "instruction", _said(lambda _, other=other: other))
-    yield Signal(1, "instruction: the episode's first", "instruction", _first)
+        yield Signal(1, f"instruction: always {other!r}", spec.Obs.INSTRUCTION, _said(lambda _, other=other: other))
+    yield Signal(1, "instruction: the episode's first", spec.Obs.INSTRUCTION, _first)
 
 
 def _said(change: Callable[[str], str]) -> Shown:
