@@ -147,7 +147,11 @@ def test_success_is_reported_with_its_interval(package: Callable[..., Path]) -> 
 def test_a_claim_is_measured_as_it_says(package: Callable[..., Path]) -> None:
     """Its task, robot, kind of action and setting; one that was exceeded is none either."""
     claim = "{environment: mujoco, task: push_block, embodiment: piper, action_type: ee, setting: randomized, "
-    folder = package(end=f"claims:\n  - {claim}success_rate: 0.9, episodes: 4}}\n")
+    declared = {
+        "embodiments: [arx_x5]": "embodiments: [arx_x5, piper]",
+        "action_types: [joint]": "action_types: [joint, ee]",
+    }
+    folder = package(declared, end=f"claims:\n  - {claim}success_rate: 0.9, episodes: 4}}\n")
     found = gate(folder, "claimed-success")
     assert found.outcome is Outcome.FAIL
     assert found.figures[0].course == Course("push_block", "piper", "ee", "randomized")

@@ -94,12 +94,11 @@ def located(folder: Path, parts: Iterable[str]) -> Module | Missing | None:
 def offer(tree: ast.Module) -> Offer:
     """Return what a module offers, by its syntax tree; what is defined under a condition counts as there."""
     given = {name for node in run_at_import(tree.body) for name in bound(node)}
+    given |= {node.target.id for node in _outside_scopes(tree.body) if isinstance(node, ast.NamedExpr)}
     is_open = bool(given & {"*", "__getattr__"})
     for node in ast.walk(tree):
         if isinstance(node, ast.Global):
             given.update(node.names)
-        elif isinstance(node, ast.NamedExpr):
-            given.add(node.target.id)
         elif isinstance(node, ast.Call):
             is_open |= called(node) in _BINDS_ANYTHING or (called(node) in _OWN_NAMES and not node.args)
         is_open |= dotted(node) == "sys.modules"
@@ -114,6 +113,14 @@ def run_at_import(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
             continue
         is_for_checkers = isinstance(node, ast.If) and is_type_checking(node.test)
         yield from run_at_import(node.orelse if is_for_checkers else ast.iter_child_nodes(node))  # type: ignore[attr-defined]
+
+
+def _outside_scopes(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """Yield what lies in no function or class; a comprehension hands on what `:=` binds in it."""
+    for node in nodes:
+        yield node
+        if not isinstance(node, SCOPES):
+            yield from _outside_scopes(ast.iter_child_nodes(node))
 
 
 def is_type_checking(test: ast.expr) -> bool:
