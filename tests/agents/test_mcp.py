@@ -115,6 +115,7 @@ def test_every_tool_answers_what_the_command_answers(calls: list[tuple[str, dict
                 assert line in said(answer), where
 
 
+@pytest.mark.slow
 def test_a_recorded_run_is_summarised(tmp_path: Path) -> None:
     """What `xpl report` writes of it, from its record."""
     recorded = ("--env", "mujoco", "--episodes", "1", "--out", "run", "--film", "0")

@@ -219,6 +219,7 @@ def test_every_description_is_in_the_question(program: Callable[[str], Agent]) -
     assert _make(Query("xpl-audit-policy", "Bake a cake.", None), agent).passed
 
 
+@pytest.mark.slow
 def test_a_task_is_judged_by_the_audit_and_not_by_what_is_said(task: Task, program: Callable[[str], Agent]) -> None:
     """The same claim with and without the deed."""
     claim = "pathlib.Path('REPORT.md').write_text('Everything is green.')\n"
@@ -243,6 +244,7 @@ def test_what_was_given_and_is_changed_is_noticed(task: Task, program: Callable[
     assert [check["told"] for check in result.checks if "unchanged" in check["check"]] == ["changed: upstream/code.py"]
 
 
+@pytest.mark.slow
 def test_an_agent_that_takes_too_long_is_ended_with_all_that_it_started(
     task: Task, program: Callable[[str], Agent]
 ) -> None:

@@ -124,6 +124,7 @@ def without(program: str) -> str:
 # -- uv and pip --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("installer", INSTALLERS)
 def test_a_lock_becomes_an_environment_that_serves(
     installer: str, surroundings: pytest.MonkeyPatch, shelf: Path, tmp_path: Path
