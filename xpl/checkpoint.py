@@ -54,6 +54,21 @@ def resolve(config: Mapping[str, Any], policy_dir: str | Path) -> Path:
     )
 
 
+def folders(config: Mapping[str, Any], policy_dir: str | Path) -> list[Path]:
+    """Return where what belongs to a model may lie, such as statistics: the policy's folder, and its checkpoint's.
+
+    Args:
+        config: values of deploy.yml after overrides.
+        policy_dir: the policy's folder; alone, if no checkpoint is there.
+    """
+    base = Path(policy_dir)
+    try:
+        found = resolve(config, base)
+    except CheckpointError:
+        return [base]
+    return [base, found if found.is_dir() else found.parent]
+
+
 def run_name(config: Mapping[str, Any]) -> str | None:
     """Return the conventional run name, or None where a part of it is not configured."""
     parts = []

@@ -297,15 +297,8 @@ class Policy:
             return None
         from xpl.convert import compile_interface
 
-        return compile_interface(native, self.embodiment, self.action_type, self._native_folders(), self.chunk)
-
-    def _native_folders(self) -> list[Path]:
-        """Return where files of statistics may lie: the package, and the checkpoint if there is one."""
-        try:
-            found = checkpoint.resolve(self.config, self.policy_dir)
-        except checkpoint.CheckpointError:
-            return [self.policy_dir]
-        return [self.policy_dir, found if found.is_dir() else found.parent]
+        folders = checkpoint.folders(self.config, self.policy_dir)
+        return compile_interface(native, self.embodiment, self.action_type, folders, self.chunk)
 
     def _observe(self, observations: Sequence[Observation], envs: list[int]) -> None:
         for env in envs:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Callable, NoReturn
 
 from xpl.policy import Policy
 from xpl.worker import stubs
@@ -76,10 +76,23 @@ def main(asked: str, answers: str) -> NoReturn:
 
 
 def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+    def script(model: Any) -> Iterator[bytes]:
+        yield result(None)
+        yield from play(model, order["script"])
+
+    return on_model(order, script)
+
+
+def on_model(order: Mapping[str, Any], errand: Callable[[Any], Iterator[bytes]]) -> Iterator[bytes]:
+    """Load an adapter's model and yield what an errand says of it; only the error, if it cannot be loaded.
+
+    Args:
+        order: as `load` reads it.
+        errand: yields answers, packed, that for the load first.
+    """
     try:
         model = load(order)
     except FAILURES as error:
         yield failed(error)
         return
-    yield result(None)
-    yield from play(model, order["script"])
+    yield from errand(model)

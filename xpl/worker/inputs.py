@@ -18,7 +18,7 @@ from xpl.policy import Policy
 from xpl.wire import packed
 from xpl.worker.copies import own
 from xpl.worker.errand import FAILURES, carry_out, failed, result
-from xpl.worker.inprocess import load
+from xpl.worker.inprocess import on_model
 from xpl.worker.loading import LoadError
 
 _DEEPEST = 8
@@ -30,18 +30,17 @@ def main(asked: str, answers: str) -> NoReturn:
 
 
 def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
-    try:
-        model = load(order)
+    def play(model: Any) -> Iterator[bytes]:
         if not isinstance(model, Policy):
-            raise LoadError("the model is no xpl.Policy: it has no predict whose inputs could be shown")
-    except FAILURES as error:
-        yield failed(error)
-        return
-    yield result(None)
-    try:
-        yield result(_seen(model, order["observations"]))
-    except FAILURES as error:
-        yield failed(error)
+            yield failed(LoadError("the model is no xpl.Policy: it has no predict whose inputs could be shown"))
+            return
+        yield result(None)
+        try:
+            yield result(_seen(model, order["observations"]))
+        except FAILURES as error:
+            yield failed(error)
+
+    return on_model(order, play)
 
 
 def _seen(model: Any, observations: list[Any]) -> dict[str, Any]:

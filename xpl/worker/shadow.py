@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Callable
 import numpy as np
 
 from xpl import _spec as spec
+from xpl import checkpoint
 from xpl.action import action_dim
 from xpl.decoding import decode_rows
 from xpl.policy import Observation, Policy
@@ -146,7 +147,7 @@ class _Shadow(Policy):
             return None
         from xpl.convert.gaps import absent, filled
 
-        lacking = absent(native, self._native_folders())
+        lacking = absent(native, checkpoint.folders(self.config, self.policy_dir))
         return super()._compiled(filled(native, self.embodiment, self.action_type, lacking))
 
     def _in_native_words(self, interface: Interface, answer: np.ndarray, env: int) -> np.ndarray:

@@ -14,16 +14,16 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Callable, NoReturn
 
 import numpy as np
 
 from xpl import _spec as spec
+from xpl import checkpoint
 from xpl.convert import Interface, compile_interface
 from xpl.policy import Policy
 from xpl.worker.errand import FAILURES, carry_out, failed, result
-from xpl.worker.inprocess import load
+from xpl.worker.inprocess import on_model
 
 _MOST_BYTES = 256 << 20
 """What remembered answers and pictures may hold, each."""
@@ -43,14 +43,14 @@ def variants(model: Policy, blocks: Sequence[Mapping[str, Any]], order: Mapping[
     Args:
         model: the adapter's; its `interface` is exchanged.
         blocks: native blocks; pictures that the first one makes are remembered.
-        order: `calls`, `seconds`, `policy_dir`.
+        order: `calls` and `seconds`.
     """
     until = time.monotonic() + order["seconds"]
     asked_alike = not blocks[0].get("recurrent") and blocks[0].get("sampling", "none") == "none" if blocks else False
     if asked_alike:  # equal inputs have equal answers
         model.predict = _remembering(model.predict)  # type: ignore[method-assign]
     pictures = _Pictures(blocks[0]) if blocks else None
-    folders = [Path(order["policy_dir"])]
+    folders = checkpoint.folders(model.config, model.policy_dir)
     for block in blocks:
         if time.monotonic() > until:
             return
@@ -143,12 +143,10 @@ def main(asked: str, answers: str) -> NoReturn:
 
 
 def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
-    try:
-        model = load(order)
-    except FAILURES as error:
-        yield failed(error)
-        return
-    why = unfit(model)
-    yield result(why)
-    if why is None:
-        yield from variants(model, order["blocks"], order)
+    def play(model: Any) -> Iterator[bytes]:
+        why = unfit(model)
+        yield result(why)
+        if why is None:
+            yield from variants(model, order["blocks"], order)
+
+    return on_model(order, play)

@@ -97,10 +97,9 @@ def _convert(interface: Interface, cameras: Mapping[str, Any], block: Mapping[st
 def _folders(source: Source) -> list[Path]:
     """Return where the statistics may lie, as `xpl.Policy` looks for them: the package, and its checkpoint."""
     try:
-        found = checkpoint.resolve(source.deploy, source.path)
-    except (OSError, ValueError, RuntimeError):  # none, or a name that no file can have
+        return checkpoint.folders(source.deploy, source.path)
+    except (OSError, ValueError, RuntimeError):  # a name that no file can have, or that nobody may look for
         return [source.path]
-    return [source.path, found if found.is_dir() else found.parent]
 
 
 def _lacking(source: Source, native: Mapping[str, Any], folders: Sequence[Path]) -> list[str]:

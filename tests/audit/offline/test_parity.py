@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -282,6 +284,20 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     assert result.reason == "there is no native.py: the conversions are unproven"
 
 
+def test_a_word_is_named_where_the_statistics_lie_in_the_checkpoint(tmp_path: Path) -> None:
+    """The search looks for files where the adapter does."""
+    block = parity.block(state=[{**parity.BLOCK["state"][0], "normalize": {"rule": "min_max", "file": "stats.json"}}])
+    folder = parity.made(tmp_path / "Foo", block)
+    (folder / "weights").mkdir()
+    (folder / "weights" / "stats.json").write_text(json.dumps(parity.BLOCK["state"][0]["normalize"]["values"]))
+    asked = record.Options(overrides={"ckpt_name": "./weights"})
+    record.record(package.load(folder), asked)
+    block["images"][0]["channels"] = "rgb"
+    (folder / "policy.yml").write_text(yaml.safe_dump(parity.manifest("Foo", block), sort_keys=False))
+    finding = only(audited(folder, overrides={"ckpt_name": "./weights"}))
+    assert "with `channels: bgr" in finding.message
+
+
 # -- one word after another --------------------------------------------------------------------------------------------
 
 
@@ -312,7 +328,7 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     absolute = {**native, "action": {**native["action"], "reference": "absolute"}}
     broken = {**native, "action": {**native["action"], "pad": 3}}
     course = Course(Session("franka_single", "joint", 0, {}, 1, script.brief()))
-    order = {"calls": course.told(script.brief()), "seconds": 100.0, "policy_dir": "/"}
+    order = {"calls": course.told(script.brief()), "seconds": 100.0}
     told = [packed.decode(one) for one in variants.variants(model, [native, absolute, broken, native], order)]
     assert model.calls == 3
     assert "NativeError" in told[2]["error"]

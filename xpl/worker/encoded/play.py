@@ -21,7 +21,7 @@ from xpl.wire.arrays import as_array
 from xpl.worker.encoded import pictures, texts, turns, vectors
 from xpl.worker.encoded.walk import UnfitError, leaves
 from xpl.worker.errand import FAILURES, carry_out, failed, result
-from xpl.worker.inprocess import load
+from xpl.worker.inprocess import on_model
 from xpl.worker.variants import renewed
 
 _SAMPLES = 6
@@ -132,13 +132,11 @@ def main(asked: str, answers: str) -> NoReturn:
 
 
 def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
-    try:
-        model = load(order)
-    except FAILURES as error:
-        yield failed(error)
-        return
-    if not isinstance(model, Policy):
-        yield result("the adapter does not derive from xpl.Policy")
-        return
-    yield result(None)
-    yield from changes(model, order["changes"], order)
+    def play(model: Any) -> Iterator[bytes]:
+        if not isinstance(model, Policy):
+            yield result("the adapter does not derive from xpl.Policy")
+            return
+        yield result(None)
+        yield from changes(model, order["changes"], order)
+
+    return on_model(order, play)

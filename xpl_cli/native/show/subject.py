@@ -73,7 +73,7 @@ def subject(package: Package, overrides: Mapping[str, Any]) -> Subject:
     if not told:
         return Subject(package, config, None, None, body, ())
     made = Subject(package, config, told, None, body, tuple(_holes(package.path, config, told)))
-    folders = _folders(package.path, config)
+    folders = checkpoint.folders(config, package.path)
     try:
         native = filled(told, body, made.action_type, absent(told, folders)) if made.notes else told
         chunk = (package.manifest.get("temporal") or {}).get("chunk")
@@ -85,14 +85,5 @@ def subject(package: Package, overrides: Mapping[str, Any]) -> Subject:
 def _holes(path: Path, config: Mapping[str, Any], native: Mapping[str, Any]) -> list[str]:
     """Return what is open in a block, or not there, and was filled in."""
     found = [f"open: {gap.where} ({gap.reason}); a plain value stands there" for gap in gaps(native)]
-    lacking = absent(native, _folders(path, config))
+    lacking = absent(native, checkpoint.folders(config, path))
     return [*found, *(f"{file} is not there: its normalisation is left out" for file in lacking)]
-
-
-def _folders(path: Path, config: Mapping[str, Any]) -> list[Path]:
-    """Return where files of statistics may lie: the package, and the checkpoint if there is one."""
-    try:
-        found = checkpoint.resolve(dict(config), path)
-    except checkpoint.CheckpointError:
-        return [path]
-    return [path, found if found.is_dir() else found.parent]

@@ -6,10 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from xpl import _spec as sdk
-from xpl_cli.audit.offline import inprocess
-from xpl_cli.audit.rules.model import NotRun
-from xpl_cli.isolation import errand
+from xpl_cli.audit.offline.parity.changed import replayed
 from xpl_cli.native.alternatives.encodings import convention_of
 
 if TYPE_CHECKING:
@@ -17,9 +14,6 @@ if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.native.alternatives.encodings import Encoding
     from xpl_cli.native.pairs import Chunk
-
-_MORE_S = 30.0
-"""What loading the model may take besides."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +40,7 @@ class Encoded:
     """
 
     def __init__(self, probe: Probe, course: Course, config: Mapping[str, Any]) -> None:
-        self._probe, self._course = probe, course
-        self._config = probe.package.config({**probe.options.overrides, **config})
+        self._probe, self._course, self._config = probe, course, config
         self._nearest = ""
 
     def answers(self, changes: Sequence[Encoding], wanted: Sequence[int], seconds: float) -> list[Answered]:
@@ -55,19 +48,9 @@ class Encoded:
 
         Nothing, if the adapter does not derive from `xpl.Policy`, or cannot be loaded there.
         """
-        order = {
-            **inprocess.loading(self._probe),
-            "config": self._config,
-            "changes": [dict(change.how) for change in changes],
-            "calls": self._course.told(self._course.calls(wanted)),
-            "seconds": seconds,
-        }
-        done = errand.run("xpl.worker.encoded.play", order, inprocess.place(self._probe, seconds + _MORE_S))
-        try:
-            found = inprocess.loaded(done)
-        except NotRun:
-            return []
-        tried = list(zip(changes, (answer.get(sdk.Payload.RESULT) for answer in found), strict=False))
+        how = {"changes": [dict(change.how) for change in changes]}
+        found = replayed(self._probe, self._course, self._config, "xpl.worker.encoded.play", how, wanted, seconds)
+        tried = list(zip(changes, found or [], strict=False))
         sizes = [(told["apart"], change.geometry) for change, told in tried if told and change.geometry]
         self._nearest = self._nearest or min(sizes, default=(0.0, ""))[1]  # of the first, which were all
         numbers = self._course.with_earlier(wanted)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
+from xpl import checkpoint
 from xpl.client import ClientError
 from xpl.convert import NativeError
 from xpl_cli.audit.offline.parity import blocks
@@ -125,8 +126,10 @@ class Search:
         if not self._native:
             return None
         chunk = (self._manifest.get("temporal") or {}).get("chunk")
+        config = package.config({**self._probe.options.overrides, **self._config})
+        folders = checkpoint.folders(config, package.path)
         try:
-            changes = list(alternatives(self._native, session.robot, session.action_type, [package.path], chunk))
+            changes = list(alternatives(self._native, session.robot, session.action_type, folders, chunk))
         except NativeError:
             return None
         converts_by_it = True
