@@ -82,7 +82,8 @@ def _moves(chunks: Sequence[Sequence[object]], spread: Differences) -> float:
 
 def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, kind: Kind) -> Iterator[Pattern]:
     """Tell which answers of the episodes are right: those to the first observation, or those of the first episode."""
-    first, later = [], []
+    first: list[bool] = []
+    later: list[bool] = []
     for thread in threads:
         for place, native, given in zip(thread.asked, thread.native, thread.given, strict=True):
             far = max(differences([native], [given], spread).values())

@@ -57,10 +57,10 @@ def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Mapping[s
         try:
             model.reset()
             model.update_obs(samples[0])  # so that there is an environment that encodes
-            told = {}
+            told: dict[str, Any] = {}
             if how.get("way") != "out":
                 wrapped, told = _wrapped(model, own, how, samples, known)
-                model.encode = wrapped  # type: ignore[method-assign]
+                model.encode = wrapped  # type: ignore[method-assign, assignment]
             if how.get("way") in ("out", "both"):
                 model.predict = _answering(predicts, how)  # type: ignore[method-assign]
             yield result({"answers": list(renewed(model, order["calls"])), **told})

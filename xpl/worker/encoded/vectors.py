@@ -89,7 +89,7 @@ class Normalized:
         """Return by which numbers the vectors are normalised now: undone, most of them are those of the state."""
         state = np.concatenate([np.ravel(item) for item in sample[spec.Obs.STATE].values() if _is_numbers(item)])
         vector = next((leaf for leaf in leaves(value) if channel_axis(leaf) is None and is_vector(leaf)), None)
-        best = (0, None)
+        best: tuple[int, int | None] = (0, None)
         for number, (_, _, back) in enumerate(self._lines):
             raw = np.ravel(back(vector))
             known = int((np.abs(raw[:, None] - state[None]).min(1) < _NEAR * (1 + np.abs(raw))).sum())
@@ -140,7 +140,7 @@ def _arrays(model: Any, width: int) -> dict[str, Any]:
     return found
 
 
-def _named(places: Mapping[str, Any], depth: int = 3) -> Iterator[tuple[str, Any]]:
+def _named(places: Mapping[Any, Any], depth: int = 3) -> Iterator[tuple[str, Any]]:
     for name, value in list(places.items()):
         if not isinstance(name, str) or name.startswith("__"):
             continue

@@ -29,7 +29,7 @@ def groups(manifest: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return the parts of earlier observations that have to count, each alone; all together where nothing says it."""
     native = manifest.get("native") or {}
     read = [name for name in _told(manifest).get("of", _GROUPS) if native.get(name)]
-    found = [(_GROUPS[name],) for name in read if _told(manifest)]
+    found: list[tuple[str, ...]] = [(_GROUPS[name],) for name in read if _told(manifest)]
     return found or [tuple(_GROUPS.values())]
 
 

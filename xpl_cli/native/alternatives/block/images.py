@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from xpl.convert.images import shape_after
-from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Site, everywhere, word
+from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Place, Site, everywhere, word
 from xpl_cli.native.alternatives.forms import MEANS, RANGES
 
 _NOMINAL = (480, 640)
@@ -86,7 +86,7 @@ def _cameras(entries: Sequence[Mapping[str, Any]], known: Sequence[str]) -> Iter
     pairs = sorted(itertools.combinations(used, 2), key=lambda pair: not set(pair) <= set(wrists))
     for one, other in pairs:
         places = {one: other, other: one}
-        edits = {
+        edits: dict[Place, Any] = {
             ("images", index, "cameras"): [places.get(camera, camera) for camera in entry["cameras"]]
             for index, entry in enumerate(entries)
             if set(entry["cameras"]) & {one, other}

@@ -113,10 +113,10 @@ def grippers(block: Mapping[str, Any], embodiment: Embodiment) -> Iterator[Candi
     for value in (0.0, 0.5):
         change = word("threshold", value)
         yield from everywhere(acts, 2, f"gripper: threshold {value:g}", "gripper", change)
-    for value in ("delta_state", "absolute", "delta_command", "cumulative"):
-        rank = 1 if value in ("delta_state", "absolute") else 3
-        told = f"gripper: reference: {value}"
-        yield from everywhere(acts, rank, told, "action_reference", word("reference", value, "absolute"))
+    for reference in ("delta_state", "absolute", "delta_command", "cumulative"):
+        rank = 1 if reference in ("delta_state", "absolute") else 3
+        told = f"gripper: reference: {reference}"
+        yield from everywhere(acts, rank, told, "action_reference", word("reference", reference, "absolute"))
 
 
 def _exchanged(entry: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -127,17 +127,22 @@ def _masks(block: Mapping[str, Any], sites: Sequence[Site]) -> Iterator[Candidat
     """Yield normalisation of all but grippers, as OpenVLA masks them."""
     for site in sites:
         listed = _at(block, site.place[:-1])["parts"]
-        mask: list[bool] | None = []
-        for part in listed:
-            ((kind, how),) = part.items()
-            width = _width(kind, how)
-            if width is None:
-                mask = None
-                break
-            mask += [kind != "gripper"] * width
+        mask = _arms(listed)
         if mask and False in mask and site.entry.get("only") != mask:
             told = f"normalize: only: all but grippers ({_called(site)})"
             yield Candidate(2, told, "normalization", {(*site.place, "only"): mask})
+
+
+def _arms(parts: Sequence[Mapping[str, Any]]) -> list[bool] | None:
+    """Return which numbers of a vector are no gripper's; None if the width of a part is not known."""
+    mask: list[bool] = []
+    for part in parts:
+        ((kind, how),) = part.items()
+        width = _width(kind, how)
+        if width is None:
+            return None
+        mask += [kind != "gripper"] * width
+    return mask
 
 
 def _width(kind: str, how: Mapping[str, Any]) -> int | None:

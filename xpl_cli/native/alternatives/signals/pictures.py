@@ -81,14 +81,11 @@ def _seen(change: _Change, cameras: Sequence[str]) -> Shown:
 def _placed(places: Mapping[str, str]) -> Shown:
     """Return the change that shows each camera another one's picture."""
 
-    def shown(observations: Sequence[Obs]) -> list[dict[str, Any]]:
-        result = []
-        for obs in observations:
-            vision = obs.get(spec.Obs.VISION) or {}
-            result.append(_mapped(obs, lambda camera, was, vision=vision: vision.get(places.get(camera, camera), was)))
-        return result
+    def exchanged(obs: Obs) -> dict[str, Any]:
+        vision = obs.get(spec.Obs.VISION) or {}
+        return _mapped(obs, lambda camera, was: vision.get(places.get(camera, camera), was))
 
-    return shown
+    return lambda observations: [exchanged(obs) for obs in observations]
 
 
 def _squared(picture: Picture, *, how: str) -> Picture:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -61,12 +62,12 @@ def _scopes(embodiment: Embodiment) -> Iterator[tuple[int, str, _Chosen]]:
     yield 1, " (arm and gripper)", lambda _key: True
     prefixes = embodiment.prefixes
     for prefix in prefixes if len(prefixes) > 1 else ():
-        yield 1, f" ({prefix.rstrip('_')})", lambda key, prefix=prefix: key.startswith(prefix) and is_arm(key)
-        yield (
-            2,
-            f" (gripper {prefix.rstrip('_')})",
-            lambda key, prefix=prefix: key.startswith(prefix) and not is_arm(key),
-        )
+        yield 1, f" ({prefix.rstrip('_')})", functools.partial(_is_of, prefix, arm=True)
+        yield 2, f" (gripper {prefix.rstrip('_')})", functools.partial(_is_of, prefix, arm=False)
+
+
+def _is_of(prefix: str, key: str, *, arm: bool) -> bool:
+    return key.startswith(prefix) and is_arm(key) == arm
 
 
 def _counted(change: _Change, chosen: _Chosen) -> Commanded:

@@ -30,8 +30,12 @@ def texts(others: Sequence[str] = ()) -> Iterator[Signal]:
     for rank, words, change in _CHANGES:
         yield Signal(rank, f"instruction: {words}", spec.Obs.INSTRUCTION, _said(change))
     for other in dict.fromkeys(others):
-        yield Signal(1, f"instruction: always {other!r}", spec.Obs.INSTRUCTION, _said(lambda _, other=other: other))
+        yield Signal(1, f"instruction: always {other!r}", spec.Obs.INSTRUCTION, _said(_always(other)))
     yield Signal(1, "instruction: the episode's first", spec.Obs.INSTRUCTION, _first)
+
+
+def _always(text: str) -> Callable[[str], str]:
+    return lambda _said: text
 
 
 def _said(change: Callable[[str], str]) -> Shown:
