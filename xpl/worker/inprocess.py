@@ -17,12 +17,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
+from xpl import ecosystem
 from xpl.policy import Policy
 from xpl.worker import stubs
 from xpl.worker.copies import own
 from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.lacking import StandInError
-from xpl.worker.loading import ecosystem, load_model_class
+from xpl.worker.loading import load_model_class
 
 
 def load(order: Mapping[str, Any]) -> Any:
@@ -35,7 +36,7 @@ def load(order: Mapping[str, Any]) -> Any:
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]
     if order.get("stub_missing"):
-        stubs.Stubs(policy_dir, [policy_dir, *ecosystem(policy_dir)]).install()
+        stubs.Stubs(policy_dir, [policy_dir, *ecosystem.roots(policy_dir)]).install()
     model_class = load_model_class(policy_dir)
     if order.get("shadow"):
         from xpl.worker.shadow import shadow_of

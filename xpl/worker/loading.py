@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 from xpl import _spec as spec
+from xpl import ecosystem
 
 
 class LoadError(RuntimeError):
@@ -19,8 +20,8 @@ class LoadError(RuntimeError):
 def load_model_class(policy_dir: Path) -> type:
     """Import model.py of an adapter under a module name of its own and return its class `Model`.
 
-    The package's `__init__.py` is not run. Relative imports work, and so do imports of the ecosystem's package where
-    the adapter lies inside a checkout of it.
+    The package's `__init__.py` is not run. Relative imports work, and so do imports of the ecosystem's package and of
+    what the adapter's scripts put on the path (`xpl.ecosystem`).
 
     Raises:
         LoadError: if there is no model.py or no class `Model` in it.
@@ -28,7 +29,7 @@ def load_model_class(policy_dir: Path) -> type:
     path = policy_dir / spec.File.MODEL_PY
     if not path.is_file():
         raise LoadError(f"{policy_dir} has no model.py")
-    _offer_ecosystem(policy_dir)
+    ecosystem.offer(policy_dir)
     package = f"_xpl_policy_{policy_dir.name}"
     for name in [name for name in sys.modules if name == package or name.startswith(f"{package}.")]:
         del sys.modules[name]  # a model that is built anew gets modules that know nothing of the one before
@@ -46,18 +47,6 @@ def load_model_class(policy_dir: Path) -> type:
     if not inspect.isclass(model):
         raise LoadError(f"{path} defines no class {spec.MODEL_CLASS}")
     return model
-
-
-def ecosystem(policy_dir: Path) -> list[Path]:
-    """Return the XPolicyLab checkout that an adapter lies in, if it lies in one."""
-    root = policy_dir.parent.parent
-    return [root] if (root / "model_template.py").is_file() else []
-
-
-def _offer_ecosystem(policy_dir: Path) -> None:
-    """Let an adapter inside an XPolicyLab checkout import that package, as its own server would."""
-    for root in ecosystem(policy_dir):
-        sys.path[:0] = [place for place in (str(root.parent), str(root)) if place not in sys.path]
 
 
 def check_shareable(model_class: type, ambiguous: Sequence[str]) -> None:

@@ -25,9 +25,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 
 from xpl import _spec as spec
+from xpl import ecosystem
 from xpl.process import child
 from xpl.wire import packed, telling
-from xpl.worker.loading import check_shareable, ecosystem, load_model_class
+from xpl.worker.loading import check_shareable, load_model_class
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data
@@ -105,7 +106,7 @@ class Worker:
         if message.get("stub_missing"):
             from xpl.worker.stubs import Stubs
 
-            self._stubs = Stubs(policy_dir, [policy_dir, *ecosystem(policy_dir)])
+            self._stubs = Stubs(policy_dir, [policy_dir, *ecosystem.roots(policy_dir)])
             self._stubs.install()
         model_class = load_model_class(policy_dir)
         if message.get("shadow"):

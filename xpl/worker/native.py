@@ -29,11 +29,12 @@ from typing import Any, Callable, NoReturn
 import numpy as np
 
 from xpl import _spec as spec
+from xpl import ecosystem
 from xpl.action import check_chunk
 from xpl.embodiment import Embodiment, get_embodiment
 from xpl.worker.copies import own
 from xpl.worker.errand import FAILURES, carry_out, failed, result
-from xpl.worker.loading import LoadError, ecosystem
+from xpl.worker.loading import LoadError
 
 _SDK = "xpl"
 _MOST_LIBRARIES = 64
@@ -73,7 +74,7 @@ def load(folder: Path, file: str, function: str, config: Mapping[str, Any]) -> A
         NativeImportError: if it imports the SDK or the adapter.
     """
     path = folder / file
-    sys.path[:0] = [place for root in ecosystem(folder) for place in (str(root.parent), str(root))]
+    ecosystem.offer(folder)
     _guard(folder)
     package = f"_xpl_native_{folder.name}"
     holder = ModuleType(package)

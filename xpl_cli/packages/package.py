@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import NotFoundError, UserError
-from xpl_cli.packages import manifests
+from xpl_cli.packages import documented, manifests
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -44,9 +44,13 @@ class Package:
     def config(self, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the configuration of a run: the spec's defaults, deploy.yml, then overrides.
 
-        What stays open after that is taken from the manifest: the first embodiment and the first action type.
+        What stays open after that is taken from the manifest: the first embodiment and the first action type. An
+        adapter without a manifest gets what its documents say that a run gets.
         """
         given = {**self.deploy, **(overrides or {})}
+        if not self.manifest and given.get(sdk.Deploy.ENV_CFG_TYPE) is None:
+            told = documented.run(self.path)
+            given |= {key: value for key, value in told.items() if given.get(key) is None}
         config = {**sdk.DEPLOY_DEFAULTS, **given}
         fallbacks = {
             sdk.Deploy.POLICY_NAME: self.name,

@@ -1,0 +1,221 @@
+"""What the tool makes of adapters of the field, unmodified and without their weights and libraries.
+
+    python benchmarks/field.py CHECKOUT [ADAPTER...] [--copied] [--defects FILE] [--json FILE]
+
+CHECKOUT is a clone of the ecosystem's repository. Each adapter is audited in the static and in the offline gate, by the
+commands that anybody would run, and this is written down of it:
+
+- loaded: `Model(config)` returned; served: it answered a plain observation with something;
+- judged: the offline gate came to a verdict from rules that ran, which are told as passed, failed and warned, and how
+  many could not be run; seconds of the offline gate;
+- findings: of MUST (failures) and of SHOULD (warnings), each gate by itself;
+- found: verified defects, given in a file, that a finding of either gate is about: in the same file not farther than
+  some lines from it, or of a rule that proves this class of defect.
+
+`--copied` audits a copy of each adapter's folder alone, outside of the checkout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+LIMIT_S = 120.0
+"""How long the offline gate of one adapter may take."""
+JUDGED = 10
+"""How many rules of the offline gate must have run for a verdict."""
+_NEAR = 25  # lines between a finding and the defect that it is about
+
+
+@dataclass
+class Row:
+    """What was seen of one adapter."""
+
+    adapter: str
+    loaded: bool = False
+    served: bool = False
+    judged: bool = False
+    seconds: float = 0.0
+    outcomes: dict[str, int] = field(default_factory=dict)
+    verdict: str = ""
+    why: str = ""
+    stubbed: list[str] = field(default_factory=list)
+    must: list[dict[str, Any]] = field(default_factory=list)
+    warned: list[dict[str, Any]] = field(default_factory=list)
+    static: list[dict[str, Any]] = field(default_factory=list)
+    defects: int = 0
+    found: list[dict[str, Any]] = field(default_factory=list)
+    missed: list[dict[str, Any]] = field(default_factory=list)
+
+
+def main() -> None:
+    """Audit and print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("checkout", type=Path)
+    parser.add_argument("adapters", nargs="*")
+    parser.add_argument("--copied", action="store_true", help="audit a copy of the folder alone")
+    parser.add_argument("--no-static", action="store_true", help="the offline gate alone")
+    parser.add_argument("--defects", type=Path, help="JSON with verified defects: adapter, file, line, defect_class")
+    parser.add_argument("--options", default="--stub-missing", help="options of xpl audit (default: --stub-missing)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything there")
+    asked = parser.parse_args()
+    names = asked.adapters or sorted(path.parent.name for path in asked.checkout.glob("policy/*/model.py"))
+    known = json.loads(asked.defects.read_text())["defects"] if asked.defects else []
+    print(f"{'adapter':<20} {'loaded':<6} {'served':<6} {'judged':<6} {'s':>5}  pass fail warn n/r n/a  must  found")
+    rows = []
+    for name in names:
+        row = _audited(asked.checkout / "policy" / name, asked)
+        _compare(row, [defect for defect in known if defect["adapter"] == name])
+        rows.append(row)
+        _tell(row)
+        if asked.json:
+            asked.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+    _sum_up(rows)
+
+
+def _audited(folder: Path, asked: argparse.Namespace) -> Row:
+    with tempfile.TemporaryDirectory(prefix="xpl-field-") as name:
+        if asked.copied:
+            copy = Path(name) / "policy" / folder.name
+            shutil.copytree(folder, copy, symlinks=True)
+            folder = copy
+        row = Row(folder.name)
+        started = time.monotonic()
+        offline = _gate(folder, "offline", asked.options.split())
+        row.seconds = round(time.monotonic() - started, 1)
+        _read(row, offline)
+        if not asked.no_static:
+            row.static = _findings(_gate(folder, "static", []))
+    return row
+
+
+def _gate(folder: Path, gate: str, options: list[str]) -> dict[str, Any]:
+    """Return the report of one gate."""
+    command = [sys.executable, "-m", "xpl_cli", "audit", str(folder), "--gate", gate, "--format", "json", *options]
+    command += ["--time-limit", f"{2 * LIMIT_S:g}s"]
+    environment = {**os.environ, "PYTHONSAFEPATH": "1"}
+    done = subprocess.run(command, check=False, capture_output=True, stdin=subprocess.DEVNULL, env=environment)
+    try:
+        target: dict[str, Any] = json.loads(done.stdout)["targets"][0]
+    except (ValueError, LookupError):
+        return {
+            "statement": (done.stderr.decode(errors="replace").strip().splitlines() or ["no output"])[-1],
+            "gates": [],
+        }
+    return target
+
+
+def _read(row: Row, target: dict[str, Any]) -> None:
+    row.verdict = target["statement"]
+    for gate in target["gates"]:
+        results = {result["slug"]: result for result in gate["results"]}
+        row.outcomes = dict(Counter(result["outcome"] for result in gate["results"]))
+        row.stubbed = gate["stubbed"]
+        serves, structure = results.get("serves", {}), results.get("action-structure", {})
+        row.loaded = gate["profile"] is not None
+        ran = sum(row.outcomes.get(kind, 0) for kind in ("pass", "fail", "warn"))
+        row.served = row.loaded and structure.get("outcome") in {"pass", "fail", "warn"}
+        row.judged = row.served and ran >= JUDGED and row.seconds <= LIMIT_S
+        row.why = serves.get("reason") or structure.get("reason") or ""
+        for found in _findings({"gates": [gate]}):
+            (row.must if found["outcome"] == "fail" else row.warned).append(found)
+
+
+def _findings(target: dict[str, Any]) -> list[dict[str, Any]]:
+    return [
+        {"code": result["code"], "slug": result["slug"], "outcome": result["outcome"], **_place(finding)}
+        for gate in target["gates"]
+        for result in gate["results"]
+        for finding in result["findings"]
+    ]
+
+
+def _place(finding: dict[str, Any]) -> dict[str, Any]:
+    return {key: finding.get(key) for key in ("path", "line", "message")}
+
+
+# -- verified defects --------------------------------------------------------------------------------------------------
+
+PROVES = {
+    "batch misalignment": {"XPL203", "XPL204", "XPL205", "XPL207", "XPL218", "XPL219", "XPL220"},
+    "batch: per-env loop": {"XPL207", "XPL203", "XPL218", "XPL219"},
+    "env_idx": {"XPL206"},
+    "empty env_idx_list": {"XPL204"},
+    "missing contract method": {"XPL202", "XPL203", "XPL204"},
+    "hard-coded env count": {"XPL205", "XPL203"},
+    "reset": {"XPL208", "XPL209", "XPL210", "XPL224", "XPL222"},
+    "model-side cache survives reset": {"XPL208"},
+    "counter survives reset": {"XPL208"},
+    "unbounded history": {"XPL223"},
+    "inference mutates": {"XPL211", "XPL226"},
+    "defaults set only in reset": {"XPL254", "XPL209"},
+    "channel swap": {"XPL225"},
+    "seed": {"XPL214", "XPL248"},
+    "run seed": {"XPL214", "XPL248"},
+    "bool() of a string": {"XPL249"},
+    "null in deploy.yml": {"XPL250"},
+    "missing camera": {"XPL213"},
+    "instruction ignored": {"XPL212", "XPL215", "XPL220"},
+    "normalisation silently skipped": {"XPL235"},
+    "missing action key": {"XPL202"},
+    "checkpoint step": {"XPL251"},
+    "mutates checkpoint": {"XPL252"},
+    "rotation singularity": {"XPL240"},
+    "action_type ignored": {"XPL202"},
+}
+"""Beginnings of a defect's class, and rules of the offline gate whose finding proves it, wherever it lies."""
+
+
+def _compare(row: Row, known: list[dict[str, Any]]) -> None:
+    """Note which verified defects a finding is about."""
+    row.defects = len(known)
+    for defect in known:
+        hit = next((found for found in row.static if _is_about(found, defect)), None)
+        proven = {code for start, codes in PROVES.items() if defect["defect_class"].startswith(start) for code in codes}
+        hit = hit or next((found for found in (*row.must, *row.warned) if found["code"] in proven), None)
+        entry = {key: defect.get(key) for key in ("file", "line", "defect_class")}
+        if hit is None:
+            row.missed.append(entry)
+        else:
+            row.found.append({**entry, "by": hit["code"]})
+
+
+def _is_about(found: dict[str, Any], defect: dict[str, Any]) -> bool:
+    path, line = str(found["path"] or ""), defect.get("line")
+    if not defect["file"].endswith("/" + path):
+        return False
+    return line is None or found["line"] is None or abs(found["line"] - line) <= _NEAR
+
+
+def _tell(row: Row) -> None:
+    counts = " ".join(
+        f"{row.outcomes.get(kind, 0):>4}" for kind in ("pass", "fail", "warn", "not_run", "not_applicable")
+    )
+    marks = " ".join(f"{'yes' if value else 'no':<6}" for value in (row.loaded, row.served, row.judged))
+    found = f"{len(row.found)}/{row.defects}" if row.defects else ""
+    print(
+        f"{row.adapter:<20} {marks} {row.seconds:>5.0f}  {counts}  {len(row.must):>4}  {found}  {row.why[:150]}",
+        flush=True,
+    )
+
+
+def _sum_up(rows: list[Row]) -> None:
+    total, defects = len(rows), sum(row.defects for row in rows)
+    parts = [f"{name} {sum(getattr(row, name) for row in rows)}/{total}" for name in ("loaded", "served", "judged")]
+    if defects:
+        parts.append(f"verified defects found {sum(len(row.found) for row in rows)}/{defects}")
+    print(", ".join(parts))
+
+
+if __name__ == "__main__":
+    main()

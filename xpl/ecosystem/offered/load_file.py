@@ -1,0 +1,42 @@
+"""Files that adapters of the field read: YAML, JSON and HDF5."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+
+def load_json(path: Any) -> Any:
+    """Return what a JSON file holds."""
+    return json.loads(Path(path).read_text(encoding="utf-8"))
+
+
+def load_yaml(path: Any) -> Any:
+    """Return what a YAML file holds; needs PyYAML."""
+    import yaml
+
+    return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+
+
+def load_hdf5(path: Any) -> dict[str, Any]:
+    """Return what an HDF5 file holds, groups as maps and its attributes under `_attrs`; needs h5py."""
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        found = _group(file, h5py)
+        if len(file.attrs):
+            found["_attrs"] = dict(file.attrs)
+        return found
+
+
+def _group(group: Any, h5py: Any) -> dict[str, Any]:
+    return {
+        name: _group(item, h5py) if isinstance(item, h5py.Group) else _value(item[()]) for name, item in group.items()
+    }
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, (bytes, bytearray)):
+        return value.decode("utf-8", errors="replace")
+    return value.item() if getattr(value, "ndim", 1) == 0 else value

@@ -1,0 +1,44 @@
+"""The class that adapters of the field derive from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class ModelTemplate:
+    """An adapter: shown observations and asked for actions. Adapters override what they offer.
+
+    Attributes:
+        model: the adapter's own.
+    """
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        self.model: Any = None
+
+    def update_obs(self, obs: Any) -> Any:  # noqa: ARG002 - of the interface
+        """Take in one observation."""
+        raise self._unwritten("update_obs")
+
+    def update_obs_batch(self, obs_list: Any) -> Any:  # noqa: ARG002 - of the interface
+        """Take in one observation of each of several environments."""
+        raise self._unwritten("update_obs_batch")
+
+    def get_action(self) -> Any:
+        """Return a chunk of actions."""
+        raise self._unwritten("get_action")
+
+    def get_action_batch(self, env_idx_list: Any = None) -> Any:  # noqa: ARG002 - as above
+        """Return a chunk of actions for each of the environments asked for."""
+        raise self._unwritten("get_action_batch")
+
+    def reset(self) -> Any:
+        """Forget the episode."""
+
+    def prepare_case(self, case_meta: Any = None) -> Any:
+        """Take in what is to be done next."""
+
+    def on_trial_end(self, result: Any = None) -> Any:
+        """Take in how a trial ended."""
+
+    def _unwritten(self, name: str) -> NotImplementedError:
+        return NotImplementedError(f"{type(self).__name__} has no {name}: write it in model.py")

@@ -1,0 +1,95 @@
+"""The folder `env_cfg` of a benchmark, which names each configuration's robot and its dimensions, where there is none.
+
+Benchmarks keep it beside the checkout. Adapters and the ecosystem's helpers read files of it by path. Where it is
+absent, the same files are written from the standard's robots into a folder of our own, and what is asked of the absent
+one is looked up there. A folder that exists is left alone, and so is every other path.
+"""
+
+from __future__ import annotations
+
+import atexit
+import builtins
+import io
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any, Callable
+
+from xpl import _spec as spec
+from xpl.ecosystem import checkout
+from xpl.embodiment import get_embodiment
+
+_SIM = "xpl"
+
+
+def offer(policy_dir: Path) -> list[Path]:
+    """Have what is read of absent folders `env_cfg` around a checkout come from the standard; return the folders.
+
+    One lies beside the checkout, where benchmarks keep it, and one within, where some adapters look.
+    """
+    root = checkout.root_of(policy_dir.resolve())
+    absent = [place for place in (root.parent / checkout.ENV_CFG, root / checkout.ENV_CFG) if not place.exists()]
+    new = [place for place in absent if str(place) not in _answered]
+    if new:
+        folder = _written()
+        _answered.update((str(place), folder) for place in new)
+        _redirect()
+    return absent
+
+
+_answered: dict[str, str] = {}  # absent folders, and where their files are
+_led_already: list[str] = []  # names of the functions that look there
+
+
+def _written() -> str:
+    """Return a new folder with a file for every robot of the standard, as benchmarks write them."""
+    folder = tempfile.mkdtemp(prefix="xpl-env-cfg-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    dimensions: dict[str, Any] = {}
+    for name, entry in spec.EMBODIMENTS.items():
+        arms = get_embodiment(name).arms
+        known = {"arm_dim": [arm.dof for arm in arms], "ee_dim": [arm.ee_dim for arm in arms]}
+        names = [name, *entry.get("aliases", ())]
+        for each in names:
+            dimensions[each] = known
+            text = f"config:\n  robot: {names[-1]}\n  sim: {_SIM}\n"
+            Path(folder, f"{each}.yml").write_text(text, encoding="utf-8")
+    for below, file, text in (
+        ("robot", "_robot_info.json", json.dumps(dimensions)),
+        ("sim", f"{_SIM}.yml", "scene:\n  num_envs: 1\n"),
+    ):
+        Path(folder, below).mkdir()
+        Path(folder, below, file).write_text(text, encoding="utf-8")
+    return folder
+
+
+def _redirect() -> None:
+    """Put ourselves before the few functions by which files are opened and looked for; once."""
+    if _led_already:
+        return
+    for module, name in ((builtins, "open"), (io, "open"), (os, "stat"), (os, "listdir"), (os, "scandir")):
+        setattr(module, name, _led(getattr(module, name)))
+        _led_already.append(name)
+
+
+def _led(real: Callable[..., Any]) -> Callable[..., Any]:
+    def instead(*arguments: Any, **named: Any) -> Any:
+        return real(*(_place(arguments[0]), *arguments[1:]), **named) if arguments else real(**named)
+
+    return instead
+
+
+def _place(path: Any) -> Any:
+    """Return where a path leads: into our folder if it lies in an absent one."""
+    if not isinstance(path, (str, os.PathLike)):
+        return path
+    text = os.fspath(path)
+    if not isinstance(text, str) or checkout.ENV_CFG not in text:
+        return path
+    whole = os.path.abspath(text)  # noqa: PTH100 - must not look at the disk, which leads here
+    for absent, folder in _answered.items():
+        if whole == absent or whole.startswith(absent + os.sep):
+            return folder + whole[len(absent) :]
+    return path
