@@ -57,6 +57,7 @@ _GROUPS: Final = {
     "env": "run.env",
     "checkpoint": "run.checkpoint",
     "native": "prove.native",
+    "zoo": "prove.zoo",
     "spec": "maintain.spec",
     "sdk": "maintain.sdk",
     "skills": "agents.skills",

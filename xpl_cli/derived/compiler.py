@@ -34,9 +34,9 @@ def derived(root: Any) -> dict[str, bytes]:
     Args:
         root: the whole command line, as typer builds it.
     """
-    from xpl_cli.derived import commands
+    from xpl_cli.derived import commands, zoo
 
-    pages = {**_folders(), commands.PAGE: commands.page(root)}
+    pages = {**_folders(), **zoo.pages(), commands.PAGE: commands.page(root)}
     return {"xpl/_spec.py": compile_source().encode(), **{name: text.encode() for name, text in pages.items()}}
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.standard import freeze, spec
 from xpl_cli.standard.problems import Problem
 from xpl_cli.standard.validate import registry, validate
+from xpl_cli.standard.zoo import check as zoo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,11 +22,12 @@ _DATA_FILES = ("conventions", "package", "requirements", "wire")
 
 
 def check_all() -> Iterator[Problem]:
-    """Yield every fault of every version, and every change to a version that is frozen."""
+    """Yield every fault of every version and of the zoo, and every change to a version that is frozen."""
     for version in spec.versions():
         for problem in check(version):
             yield replace(problem, file=f"{version}/{problem.file}")
         yield from freeze.changes(version)
+    yield from zoo.check()
 
 
 def check(version: str = spec.CURRENT) -> Iterator[Problem]:

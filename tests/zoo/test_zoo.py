@@ -1,0 +1,198 @@
+"""The zoo: its data hold together, levels follow from what ran, and whoever asks is told where a fact comes from."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.support.commands import xpl
+from tests.support.places import ROOT
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
+from xpl_cli.audit.rules.verdict import judged
+from xpl_cli.derived import zoo as pages
+from xpl_cli.standard import answers
+from xpl_cli.standard.zoo import check, policies
+from xpl_cli.zoo import prove
+
+OURS = ROOT / "policy" / "demo_policy"
+
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Return a copy of the zoo, which is read in place of ours."""
+    folder = tmp_path / "zoo"
+    shutil.copytree(policies.folder(), folder)
+    monkeypatch.setattr(policies, "folder", lambda: folder)
+    policies.policies.cache_clear()
+    yield folder
+    policies.policies.cache_clear()
+
+
+def _answer(*arguments: str | Path) -> dict[str, Any]:
+    ended = xpl(*arguments, "--json")
+    assert ended.code == 0, ended.stderr
+    told: dict[str, Any] = json.loads(ended.stdout)
+    assert answers.problems(told) == []
+    return told
+
+
+# -- data -------------------------------------------------------------------------------------------------------------
+
+
+def test_every_policy_of_the_paper_is_there() -> None:
+    """The table of the paper has 42; each fact has a value with its source, or a reason, and never both."""
+    found = policies.policies()
+    assert sum(policy.in_paper for policy in found) == 42
+    for policy in found:
+        assert tuple(policy.facts) == policies.fact_names()
+        for key, fact in policy.facts.items():
+            assert (fact.value is None) == bool(fact.unknown) != bool(fact.source), (policy.name, key)
+
+
+def test_the_page_and_its_picture_name_every_policy() -> None:
+    """With the digest of what was run of it."""
+    page, picture = pages.pages().values()
+    for policy in policies.policies():
+        assert policy.title in page
+        assert f">{policy.title}</text>" in picture
+        assert all(gate["digest"] in page for gate in (policy.proof or {"gates": ()})["gates"] if gate["digest"])
+    reached = sum(policy.level.number for policy in policies.policies())
+    assert picture.count('class="clean"') + picture.count('class="found"') == reached + 2  # two of the legend
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "said"),
+    [
+        ("policies/ACT.yml", {"family": {"value": "imitation"}}, "source"),
+        ("policies/ACT.yml", {"family": {"value": "imitations", "source": "a guess"}}, "imitations"),
+        ("policies/ACT.yml", {"chunk": {"value": 5, "source": "x", "unknown": "y"}}, "chunk"),
+        ("policies/ACT.yml", {"name": "ACTS"}, "expected the file's name ACT"),
+        ("policies/ACT.yml", {"robots": {"value": ["arx_x6"], "source": "x"}}, "no robot 'arx_x6'"),
+        ("proofs/ACT.json", {"level": 2}, "needs the offline gate"),
+        ("proofs/ACT.json", {"level": 4}, "recorded run"),
+        ("proofs/ACT.json", {"next": None}, "why the next level is not reached"),
+        ("proofs/ACT.json", {"date": "today"}, "today"),
+    ],
+)
+def test_a_fault_of_the_data_is_found(file: str, change: dict[str, Any], said: str, copied: Path) -> None:
+    """A guess without a source, a level without the run that it needs."""
+    path = copied / file
+    told = {**yaml.safe_load(path.read_text()), **change}
+    if file == "proofs/ACT.json" and "level" in change:
+        told["gates"] = [gate for gate in told["gates"] if gate["gate"] == "static"]
+    path.write_text(json.dumps(told))  # which is YAML, too
+    problems = [str(problem) for problem in check.check()]
+    assert problems
+    assert all(f"zoo/{file}" in problem for problem in problems)
+    assert any(said in problem for problem in problems), problems
+
+
+# -- levels -----------------------------------------------------------------------------------------------------------
+
+
+def _result(code: str, outcome: Outcome, reason: str | None = None) -> Result:
+    findings = (Finding("it broke"),) if outcome is Outcome.FAIL else ()
+    return Result(code, "slug", "XPL-CON-1", "must", outcome, findings=findings, reason=reason)
+
+
+def _level(**gates: list[Result]) -> tuple[int, str | None]:
+    """Return the level of an audit whose gates came to these results."""
+    reports = [GateReport(Gate(name), results, digest="0" * 16) for name, results in gates.items()]
+    report = TargetReport("policy/Foo", "Foo", "policy", gates=reports)
+    return prove._level(report, judged(report), None)
+
+
+PASSES = _result("XPL101", Outcome.PASS)
+FAILS = _result("XPL112", Outcome.FAIL)
+LACKS = _result("XPL216", Outcome.NOT_RUN, "no module torch")
+SERVED = _result("XPL201", Outcome.PASS)
+
+
+def test_a_level_is_how_far_it_was_carried() -> None:
+    """Rules that failed take no level away; what could not run, or be served, or crashed does, with its reason."""
+    assert _level(static=[PASSES, FAILS]) == (1, "the offline gate was not asked for")
+    assert _level(static=[PASSES, LACKS]) == (0, "XPL216: no module torch")
+    assert _level(static=[FAILS], offline=[SERVED, FAILS])[0] == 2
+    assert _level(static=[PASSES], offline=[SERVED, LACKS]) == (1, "XPL216: no module torch")
+    assert _level(static=[PASSES], offline=[_result("XPL201", Outcome.FAIL), PASSES]) == (1, "XPL201: it broke")
+    assert _level(static=[PASSES], offline=[SERVED, _result("XPL217", Outcome.ERROR, "KeyError")])[0] == 1
+
+
+def test_an_adapter_is_proven_and_stays_as_it_is(copied: Path, tmp_path: Path) -> None:
+    """The proof is written where the zoo keeps it, fits its schema, and is the same again for the same files."""
+    shutil.copytree(OURS, tmp_path / "policy" / "demo_policy")
+    before = {path: path.read_bytes() for path in (tmp_path / "policy").rglob("*") if path.is_file()}
+    adapter = prove.adapter_in(policies.find("demo_policy"), tmp_path)
+    from xpl_cli.audit.rules.options import Options
+
+    options = Options(gates=(Gate.STATIC,))
+    found = prove.proof(adapter, options, {"embodiments": {"value": ["arx_x5"], "source": "policy.yml"}})
+    assert found["level"] == 1
+    assert prove.write(found) == copied / "proofs" / "demo_policy.json"
+    assert list(check.check()) == []
+    assert policies.find("demo_policy").level.number == 1
+    assert prove.proof(adapter, options, found["read"]) == found
+    model = adapter.path / "model.py"
+    model.write_text(f"{model.read_text()}# more\n")
+    assert prove.proof(adapter, options, {})["adapter"]["files"] != found["adapter"]["files"]
+    model.write_bytes(before[model])
+    assert {path: path.read_bytes() for path in (tmp_path / "policy").rglob("*") if path.is_file()} == before
+
+
+def test_what_a_proof_holds_names_no_folder_of_this_machine() -> None:
+    """It is published: a path in it is one of the checkout's."""
+    for policy in policies.policies():
+        text = json.dumps(policy.proof)
+        assert not any(word in text for word in ("/home/", "/tmp/", "/work/", "/root/")), policy.name  # noqa: S108
+
+
+# -- commands ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_list_is_filtered() -> None:
+    """By family, robot and least level; without a command the list is what is meant."""
+    assert len(_answer("zoo")["policies"]) == len(policies.policies())
+    kinds = _answer("zoo", "--family", "diffusion")["policies"]
+    assert {"DP", "H_RDT", "RDT_1B"} == {one["name"] for one in kinds}
+    robots = _answer("zoo", "list", "--robot", "arx_x5", "--level", "1")["policies"]
+    assert "ACT" in {one["name"] for one in robots}
+    assert all(one["level"] >= 1 and "arx_x5" in one["facts"]["robots"]["value"] for one in robots)
+    assert "no policy fits" in xpl("zoo", "--level", "4", "--family", "reference").stdout
+
+
+def test_a_policy_is_shown_with_the_source_of_everything() -> None:
+    """What nobody found is unknown, and why stands there."""
+    told = xpl("zoo", "show", "ACT").stdout
+    assert "https://github.com/tonyzhaozh/act  [policy/ACT/README.md:3" in told
+    assert "memory      unknown: not stated" in told
+    assert _answer("zoo", "show", "RDT_1B")["policy"]["proof"] is None
+    ended = xpl("zoo", "show", "ACTT")
+    assert (ended.code, "did you mean ACT" in ended.stderr) == (3, True)
+
+
+def test_proving_tells_what_lacks(tmp_path: Path) -> None:
+    """A checkout without the adapter; nothing is written without need."""
+    ended = xpl("zoo", "prove", "ACT", tmp_path)
+    assert (ended.code, "has no adapter in policy/ACT" in ended.stderr) == (3, True)
+    told = _answer("zoo", "prove", "demo_policy", ROOT, "--gate", "static", "--dry-run")
+    assert (told["file"], told["proof"]["level"]) == (None, 1)
+
+
+def test_a_proof_of_other_robots_is_no_guess(copied: Path) -> None:
+    """What a manifest says stands in for what nobody wrote down, with the manifest as its source."""
+    policy = policies.find("ACT")
+    assert policy.facts["robots"].value == ["arx_x5"]
+    assert (policy.facts["robots"].source or "").startswith("manifest, ")
+    (copied / "proofs" / "ACT.json").unlink()
+    policies.policies.cache_clear()
+    assert policies.find("ACT").facts["robots"].value is None
+    assert policies.find("ACT").next == "not run here yet"
+    assert replace(policy, proof=None).level.number == 0

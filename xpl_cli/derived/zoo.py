@@ -1,0 +1,109 @@
+"""The page of the zoo, written from its data; a test writes it again and compares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.derived import picture
+from xpl_cli.derived.reference import NOTE, table
+from xpl_cli.standard.zoo import policies
+
+if TYPE_CHECKING:
+    from xpl_cli.standard.zoo.policies import Policy
+
+PAGE: Final = "docs/zoo.md"
+"""Where the page is, in a checkout."""
+PICTURE: Final = "docs/assets/zoo.svg"
+"""Where its picture is."""
+
+_UNKNOWN: Final = "-"
+_INTRODUCTION: Final = """\
+Which policies the field has, what is known of each, and how far each runs here. `xpl zoo` lists them, and `xpl zoo show
+NAME` tells every fact with its source, or with the reason why it is not known. Nothing is guessed: a dash means that
+nobody found it.
+"""
+_PROVING: Final = """\
+`xpl zoo prove NAME CHECKOUT` audits the adapter of a policy in a checkout of your own, and writes down how far it came,
+with the date, the version of xpl and the digests of what ran. Nobody types a level. It says what runs, and not that the
+adapter is right: that is what the audit found, which stands beside it.
+"""
+_FACTS: Final = """\
+`spec/zoo/policies/` has a file for each policy. To add one, or a fact, edit it there with its source, check it with
+`xpl spec check`, and renew this page with `xpl spec compile`. `xpl adopt` and `xpl new-policy --from` take from there
+what an adapter's own files leave open.
+"""
+
+
+def pages() -> dict[str, str]:
+    """Return the page and its picture, by their paths in a checkout."""
+    return {PAGE: "\n".join(_lines()), PICTURE: picture.drawn(grouped())}
+
+
+def grouped() -> dict[str, list[Policy]]:
+    """Return the policies by what their family is called, in the order of `words.yml`; those without one come last."""
+    called: dict[str | None, str] = {**policies.families(), None: "Family not known"}
+    order = list(called)
+    ranked = sorted(policies.policies(), key=lambda one: order.index(one.family))
+    return {called[name]: list(members) for name, members in groupby(ranked, lambda one: one.family)}
+
+
+def _lines() -> Iterator[str]:
+    found = policies.policies()
+    yield from (NOTE, "# Policies of the field", "", _INTRODUCTION)
+    yield f"![Every policy with the levels that it reached]({PICTURE.removeprefix('docs/')})"
+    yield from ("", "## Levels", "", *table(("level", "means", "policies"), _levels(found)), "", _PROVING)
+    yield from (
+        "## How far each runs",
+        "",
+        *table(("policy", "level", "came out", "last proven", "digests"), _runs(found)),
+    )
+    without = [one for one in found if one.proof is None]
+    yield from ("", "Not run:", "", *(f"- **{one.title}**: {one.next}" for one in without), "")
+    yield from ("## What is known of each", "", _FACTS)
+    for family, members in grouped().items():
+        rows = [tuple(_facts(one)) for one in members]
+        heads = ("policy", "paper", "code", "weights", "robots", "chunk", "memory", "licence")
+        yield from (f"### {family}", "", *table(heads, rows), "")
+
+
+def _levels(found: Sequence[Policy]) -> list[tuple[str, ...]]:
+    return [
+        (f"{level.number} {level.word}", level.meaning, str(sum(one.level == level for one in found)))
+        for level in policies.levels()
+    ]
+
+
+def _runs(found: Sequence[Policy]) -> list[tuple[str, ...]]:
+    rows = []
+    for one in found:
+        if one.proof is not None:
+            proof = one.proof
+            digests = ", ".join(f"{gate['gate']} `{gate['digest']}`" for gate in proof["gates"] if gate["digest"])
+            level = f"{one.level.number} {one.level.word}"
+            rows.append((one.title, level, one.said or "", f"{proof['date']}, xpl {proof['tool']['version']}", digests))
+    return rows
+
+
+def _facts(one: Policy) -> Iterator[str]:
+    """Yield the cells of a row."""
+    facts = one.facts
+    paper, code = facts["paper"].value, facts["code"].value
+    yield one.title if one.in_paper else f"{one.title} (not in the paper)"
+    yield _UNKNOWN if paper is None else _paper(**paper)
+    yield _UNKNOWN if code is None else f"[{code.removeprefix('https://github.com/')}]({code})"
+    yield ", ".join(map(_weights, facts["weights"].value or ())) or _UNKNOWN
+    yield ", ".join(facts["robots"].value or ()) or _UNKNOWN
+    yield str(facts["chunk"].value or _UNKNOWN)
+    yield facts["memory"].value or _UNKNOWN
+    yield facts["license"].value or _UNKNOWN
+
+
+def _paper(title: str, arxiv: str | None) -> str:
+    return title if arxiv is None else f"[{title}](https://arxiv.org/abs/{arxiv})"
+
+
+def _weights(place: str) -> str:
+    name = place.removeprefix("hf://")
+    return f"[{name}](https://huggingface.co/{name})" if name != place else f"<{place}>"

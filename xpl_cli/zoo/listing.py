@@ -1,0 +1,142 @@
+"""The policies of the zoo as a list, and each by itself, for people and for programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.basics.errors import one_of
+from xpl_cli.standard.zoo import policies
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl_cli.standard.zoo.policies import Policy
+
+UNKNOWN: Final = "-"
+"""How a table shows what is not known."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which policies are listed.
+
+    Attributes:
+        family: of this family; None for any.
+        robot: for this robot.
+        level: of this level, or a higher one.
+    """
+
+    family: str | None = None
+    robot: str | None = None
+    level: int = 0
+
+    def fits(self, policy: Policy) -> bool:
+        """Tell whether a policy is listed; one of which the robots are not known is for none."""
+        return (
+            self.family in (None, policy.family)
+            and (self.robot is None or self.robot in (policy.facts["robots"].value or ()))
+            and policy.level.number >= self.level
+        )
+
+
+def listed(wanted: Wanted) -> list[Policy]:
+    """Return the policies that are wanted.
+
+    Raises:
+        UnknownNameError: if there is no such family.
+        UserError: if the standard has no such robot.
+    """
+    if wanted.family is not None:
+        one_of("--family", wanted.family, policies.families())
+    if wanted.robot is not None:
+        from xpl_cli.standard import spec
+
+        one_of("--robot", wanted.robot, spec.embodiments(spec.NEWEST))
+    return [policy for policy in policies.policies() if wanted.fits(policy)]
+
+
+def as_json(policy: Policy) -> dict[str, Any]:
+    """Return all that is known of a policy."""
+    return {
+        "name": policy.name,
+        "title": policy.title,
+        "in_paper": policy.in_paper,
+        "level": policy.level.number,
+        "word": policy.level.word,
+        "why_not_further": policy.next,
+        "facts": {key: fact.as_json() for key, fact in policy.facts.items()},
+        "proof": policy.proof,
+    }
+
+
+def table(found: Sequence[Policy]) -> str:
+    """Return a line for each policy, in columns, and how many there are of each level."""
+    rows = [("policy", "family", "level", "proven", "verdict", "robots", "chunk", "license")]
+    rows += [tuple(_row(policy)) for policy in found]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return "\n".join([*lines, "", *_sums(found)])
+
+
+def _row(policy: Policy) -> Iterator[str]:
+    facts, proof = policy.facts, policy.proof
+    yield policy.name
+    yield policy.family or UNKNOWN
+    yield f"{policy.level.number} {policy.level.word}"
+    yield proof["date"] if proof is not None else UNKNOWN
+    yield policy.said or UNKNOWN
+    yield ", ".join(facts["robots"].value or (UNKNOWN,))
+    yield str(facts["chunk"].value or UNKNOWN)
+    yield facts["license"].value or UNKNOWN
+
+
+def _sums(found: Sequence[Policy]) -> Iterator[str]:
+    counts = {level: sum(policy.level == level for policy in found) for level in policies.levels()}
+    told = ", ".join(f"{count} at level {level.number} ({level.word})" for level, count in counts.items() if count)
+    yield f"{len(found)} {'policy' if len(found) == 1 else 'policies'}: {told}" if found else "no policy fits"
+
+
+def told(policy: Policy) -> str:
+    """Return everything that is known of one policy."""
+    return "\n".join(_told(policy))
+
+
+def _told(policy: Policy) -> Iterator[str]:
+    level, proof = policy.level, policy.proof
+    paper = "" if policy.in_paper else ", not in the table of the paper"
+    yield f"{policy.name}: {policy.title}{paper}"
+    yield _line("level", f"{level.number} {level.word}: {level.meaning}")
+    if proof is not None:
+        yield _line("proven", f"{proof['date']} by xpl {proof['tool']['version']}: {proof['command']}")
+        commit = proof["adapter"]["commit"] or "no commit"
+        yield _line("of", f"{proof['adapter']['folder']} at {commit[:12]}, files {proof['adapter']['files'][:16]}")
+        yield _line("verdict", proof["statement"])
+        for gate in proof["gates"]:
+            counts = ", ".join(f"{number} {outcome}" for outcome, number in gate["counts"].items())
+            yield _line(gate["gate"], f"{gate['outcome']}: {counts}; digest {gate['digest'] or UNKNOWN}")
+            if gate["stood_in"]:
+                yield _line("", gate["stood_in"])
+    if policy.next is not None:
+        yield _line("no further", policy.next)
+    yield ""
+    for key, fact in policy.facts.items():
+        if fact.unknown is not None:
+            yield _line(key, f"unknown: {fact.unknown}")
+        else:
+            yield _line(key, f"{_plain(fact.value)}  [{fact.source}]")
+        if fact.note is not None:
+            yield _line("", fact.note)
+
+
+def _line(name: str, text: str) -> str:
+    return f"  {name:<10}  {text}"
+
+
+def _plain(value: Any) -> str:
+    """Return a fact's value for people."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return ", ".join(str(entry) for entry in value.values() if entry is not None)
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -1,0 +1,210 @@
+"""Proves how far a policy runs here: an audit of its adapter in a checkout, written down with its digests.
+
+No level is typed by a person. It follows from which gates ran to their end, and from nothing else: whether an adapter
+is right is what the verdict says, which stands beside the level.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import shlex
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import xpl_cli
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome, counted
+from xpl_cli.audit.rules.verdict import PARITY, judged
+from xpl_cli.audit.static.source import Source
+from xpl_cli.basics import atomic
+from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.basics.git import place
+from xpl_cli.packages import package
+from xpl_cli.standard.zoo import policies
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from xpl_cli.audit.rules.model import GateReport, TargetReport
+    from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.rules.verdict import Verdict
+    from xpl_cli.standard.zoo.policies import Policy
+
+_SERVES: Final = "XPL201"
+"""The rule that says whether an adapter could be served."""
+_STATIC, _STAND_INS, _NATIVE, _WEIGHTS = range(1, 5)
+_LONGEST: Final = 300
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """An adapter in a checkout.
+
+    Attributes:
+        policy: whose.
+        path: its folder.
+        folder: the same within the checkout.
+        commit: the checkout's; None where there is no git.
+    """
+
+    policy: Policy
+    path: Path
+    folder: str
+    commit: str | None
+
+
+def adapter_in(policy: Policy, checkout: Path) -> Adapter:
+    """Return the adapter of a policy in a checkout, or in a folder that is the adapter itself.
+
+    Raises:
+        NotFoundError: if there is none.
+    """
+    told = policy.facts["adapter"].value
+    folder = told["folder"] if told is not None else f"policy/{policy.name}"
+    candidates = [checkout / folder, *([checkout] if checkout.resolve().name == policy.name else [])]
+    path = next((one for one in candidates if any((one / mark).is_file() for mark in package.MARKS)), None)
+    if path is None:
+        raise NotFoundError(f"{checkout} has no adapter in {folder}", hint="give the checkout that holds it")
+    return Adapter(policy, path.resolve(), folder, _commit(path))
+
+
+def _commit(path: Path) -> str | None:
+    """Return the commit that is checked out where a folder is."""
+    git = place.work_tree(path)
+    try:
+        return None if git is None else git.text("rev-parse", "HEAD").strip()
+    except UserError:
+        return None
+
+
+def proof(
+    adapter: Adapter,
+    options: Options,
+    manifest: Mapping[str, Mapping[str, Any]],
+    arguments: Sequence[str] = (),
+    run: Path | None = None,
+) -> dict[str, Any]:
+    """Audit an adapter, and return how far it runs, as `proof.schema.json` has it.
+
+    Args:
+        adapter: what to run.
+        options: of the audit; its gates are carried on with, whatever an earlier one finds.
+        manifest: what its manifest says, as `{key: {value, source}}`.
+        arguments: options of the command, by which it is repeated.
+        run: a recorded run of its weights.
+
+    Raises:
+        UserError: if the static gate could not judge it, or the run is not one of this adapter's weights.
+    """
+    from xpl_cli.audit.engine.engine import audit
+
+    report = audit(adapter.path, package.POLICY, options, shown=adapter.folder)
+    verdict = judged(report)
+    evaluated = None if run is None else _evaluated(adapter, run)
+    level, following = _level(report, verdict, evaluated)
+    if not level:
+        raise UserError(f"{adapter.folder} was not judged by the static gate: {following}", code=ExitCode.NOT_RUN)
+    name = adapter.policy.name
+    found = {
+        "name": name,
+        "level": level,
+        "date": dt.datetime.now(dt.UTC).date().isoformat(),
+        "tool": {"name": "xpl", "version": xpl_cli.__version__},
+        "command": shlex.join(["xpl", "zoo", "prove", name, "CHECKOUT", *arguments]),
+        "adapter": {"folder": adapter.folder, "commit": adapter.commit, "files": Source(adapter.path).record()},
+        "spec": report.spec,
+        "verdict": verdict.word.value,
+        "statement": _short(str(verdict)),
+        "gates": [_gate(gate) for gate in report.gates],
+        "read": {key: dict(entry) for key, entry in manifest.items()},
+        "next": following,
+    }
+    return found | ({"run": evaluated} if evaluated is not None and level == _WEIGHTS else {})
+
+
+def write(found: Mapping[str, Any]) -> Path:
+    """Put a proof where the zoo keeps it, in place of an older one, and return its path."""
+    path = policies.proof_path(found["name"])
+    path.parent.mkdir(exist_ok=True)
+    atomic.write_file(path, f"{json.dumps(found, indent=2, ensure_ascii=False)}\n".encode())
+    policies.policies.cache_clear()
+    return path
+
+
+def _level(report: TargetReport, verdict: Verdict, evaluated: Mapping[str, Any] | None) -> tuple[int, str | None]:
+    """Return the level, and why it is not the next one."""
+    gates = {gate.name: gate for gate in report.gates}
+    for level, gate in enumerate((Gate.STATIC, Gate.OFFLINE)):
+        if gate not in gates:
+            return level, f"the {gate} gate was not asked for"
+        if (reason := _missed(gates[gate])) is not None:
+            return level, reason
+    parity = next((item for item in verdict.unproven if item.claim is PARITY), None)
+    if parity is not None:
+        return _STAND_INS, _short(parity.reason)
+    return (_NATIVE, "no recorded run of its weights was given") if evaluated is None else (_WEIGHTS, None)
+
+
+def _missed(gate: GateReport) -> str | None:
+    """Return why a gate did not judge a package to the end; None if it did."""
+    served = next((item for item in gate.results if item.code == _SERVES), None)
+    if served is not None and served.outcome is Outcome.FAIL:
+        return _short(f"{_SERVES}: {served.findings[0].message}")
+    for item in gate.results:
+        if item.outcome in (Outcome.ERROR, Outcome.NOT_RUN):
+            return _short(f"{item.code}: {item.reason}")
+    return None if gate.digest is not None else _short(f"the {gate.name} gate: {gate.reason}")
+
+
+def _gate(gate: GateReport) -> dict[str, Any]:
+    of = {outcome: [item.code for item in gate.results if item.outcome is outcome] for outcome in Outcome}
+    silent = next((item.reason for item in gate.results if item.outcome is Outcome.NOT_RUN), None)
+    reason = gate.reason or silent
+    return {
+        "gate": gate.name.value,
+        "outcome": gate.outcome.value,
+        "counts": {outcome.value: number for outcome, number in counted(gate.results).items()},
+        "failed": [*of[Outcome.FAIL], *of[Outcome.ERROR]],
+        "not_run": of[Outcome.NOT_RUN],
+        "stood_in": _short(gate.stood_in) if gate.stood_in else None,
+        "reason": _short(reason) if reason else None,
+        "digest": gate.digest,
+        "fingerprint": gate.fingerprint,
+    }
+
+
+def _evaluated(adapter: Adapter, path: Path) -> dict[str, Any]:
+    """Return what a recorded run says of the weights of an adapter.
+
+    Raises:
+        UserError: if it is of other files, loaded no weights, or is not finished.
+    """
+    from xpl_cli.evaluation.records import records
+    from xpl_cli.evaluation.records.cells import cells
+    from xpl_cli.evaluation.records.fingerprints import package_digest
+
+    run = records.read(path)
+    played, found = run.plan["policy"], cells(run)
+    unplayed = sum(cell.unplayed for cell in found)
+    if played["digest"] != package_digest(adapter.path):
+        raise UserError(f"{path} is a run of other files than {adapter.folder}: expected one of this very adapter")
+    if played["checkpoint"] is None:
+        raise UserError(f"{path} is a run without weights: its configuration leads to no checkpoint")
+    outcomes = [outcome for cell in found for outcome in cell.outcomes]
+    if unplayed or not outcomes:
+        raise UserError(f"{path} is not finished: {unplayed} episodes are still to come", hint="xpl eval --resume")
+    return {
+        "run": run.plan["run"],
+        "environment": run.plan["environment"]["name"],
+        "checkpoint": played["checkpoint"]["digest"],
+        "episodes": len(outcomes),
+        "successes": sum(outcomes),
+    }
+
+
+def _short(text: str) -> str:
+    """Return a sentence of bounded length in one line, without this machine's folders."""
+    line = " ".join(text.split())
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
