@@ -445,7 +445,7 @@ def test_a_second_run_changes_nothing(tmp_path: Path) -> None:
     assert (again.returncode, again.stdout.splitlines()[0][:38]) == (0, "policy/Foo: already there, unchanged, ")
     other = _xpl("Foo", "--chunk", "4", cwd=tmp_path)
     assert other.returncode == 2
-    assert ".xpl/lock.yml, README.md, policy.yml" in other.stderr
+    assert ".xpl/lock.yml, README.md, model.py, policy.yml" in other.stderr
     assert _tree(tmp_path) == before
 
 

@@ -135,15 +135,14 @@ def test_a_conflict_is_shown_and_nothing_of_it_is_lost(adapter: Path) -> None:
     plan = _apply(adapter)
     assert [(step.name, step.conflicts) for step in plan.conflicts] == [(".gitignore", 1)]
     text = (adapter / ".gitignore").read_text()
-    assert text.startswith(
-        "<<<<<<< yours\n/environment/\n||||||| policy/v1\n/.venv/\n=======\n/.venv*\n>>>>>>> policy/v1.1\n"
-    )
+    theirs = f"=======\n/.venv*\n>>>>>>> {scaffold.POLICY_TEMPLATE}\n"
+    assert text.startswith(f"<<<<<<< yours\n/environment/\n||||||| policy/v1\n/.venv/\n{theirs}")
 
 
 def test_files_that_the_author_took_over_are_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What `free` in the lock names is not touched, and stays named there."""
     folder = tmp_path / "Foo"
-    scaffold.write(_render(scaffold.POLICY_TEMPLATE), folder)
+    scaffold.write(_render(scaffold.POLICY_TEMPLATE, block=False), folder)
     kept = lock.read(folder)
     assert kept is not None
     # As an adapter of an older version that already had a lock.
@@ -377,12 +376,17 @@ def test_the_command_tells_what_it_does_and_how_to_undo_it(adapter: Path) -> Non
     done = _xpl("Foo", "--json", cwd=adapter.parent)
     told, foretold = json.loads(done.stdout), json.loads(dry.stdout)
     assert done.returncode == 0
-    assert (told["from"], told["to"], told["state"], foretold["state"]) == ("v1", "v1.1", "updated", "would be updated")
+    assert (told["from"], told["to"], told["state"], foretold["state"]) == (
+        "v1",
+        spec.CURRENT,
+        "updated",
+        "would be updated",
+    )
     assert told["files"] == foretold["files"]
     assert {"name": "policy.yml", "action": "updated", "conflicts": 0, "note": None} in told["files"]
     assert all(change["adapters"] for change in told["changes"])
     again = _xpl("Foo", cwd=adapter.parent)
-    assert (again.returncode, again.stdout) == (0, "Foo: is of v1.1 already, nothing to do\n")
+    assert (again.returncode, again.stdout) == (0, f"Foo: is of {spec.CURRENT} already, nothing to do\n")
     assert told["undo"] == "xpl update Foo --undo"
     back = _xpl(*told["undo"].split()[2:], cwd=adapter.parent)
     assert back.returncode == 0, back.stderr
@@ -440,7 +444,7 @@ def test_an_updated_adapter_has_no_static_finding(adapter: Path) -> None:
     _edit(adapter / "policy.yml", "family: other", "family: act")
     _apply(adapter)
     report = engine.audit(adapter, "policy", Options(gates=(Gate.STATIC,)))
-    assert report.spec == "v1.1"
+    assert report.spec == spec.CURRENT
     assert {result.slug for result in report.results if result.findings} == {"placeholders"}
 
 
