@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.adopt import infer, manifest
+from xpl_cli.adopt import field, infer, manifest
 from xpl_cli.adopt.checkpoints import known
 from xpl_cli.adopt.checkpoints.told import findings
 from xpl_cli.adopt.facts import Fact, Question
@@ -112,6 +112,7 @@ def adoption(
     draft = infer.draft(Source(folder), given)
     if trained is not None:
         draft = _answered(draft, trained)
+    draft = _of_the_field(draft, folder.name)
     files: dict[str, bytes] = {}
     if existing is None:
         content = manifest.text(draft)
@@ -154,6 +155,21 @@ def _answered(draft: infer.Draft, trained: Trained) -> infer.Draft:
     questions = {key: question for key, question in draft.questions.items() if key not in told}
     notes = (*draft.notes, *found.trained.notes)
     return infer.Draft({**draft.facts, **told}, questions, notes, native)
+
+
+def _of_the_field(draft: infer.Draft, name: str) -> infer.Draft:
+    """Return a draft whose open questions are answered by what the zoo knows of the policy, if it is there."""
+    known, questions = dict(draft.facts), dict(draft.questions)
+    code = known.get("upstream")
+    policy = field.called(name, code.value["repository"] if code is not None and code.value else None)
+    for fact in field.facts(policy) if policy is not None else ():
+        if questions.pop(fact.key, None) is not None:
+            known[fact.key] = fact
+        elif fact.key in known and isinstance(known[fact.key].value, dict):
+            known[fact.key] = field.completed(known[fact.key], fact)
+    if code is not None and code.value:
+        known["upstream"] = field.licensed(known["upstream"])
+    return infer.Draft(known, questions, draft.notes, draft.native)
 
 
 def _only(draft: infer.Draft, names: list[str]) -> infer.Draft:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
+from xpl_cli.adopt import field
 from xpl_cli.adopt.checkpoints import block, known, second, writing
 from xpl_cli.adopt.checkpoints.known import ENVIRONMENTS, VERSION, Known
-from xpl_cli.adopt.checkpoints.told import findings, plain
+from xpl_cli.adopt.checkpoints.told import findings, likely, plain
 from xpl_cli.adopt.facts import Fact, Question
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UserError
@@ -19,6 +20,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from xpl_cli.adopt.checkpoints.told import Tree
     from xpl_cli.scaffold.template import Files
 
 _ANY: Final = "any"
@@ -97,6 +99,7 @@ def begin(paths: Sequence[Path], wanted: Wanted) -> Start:
     """
     found = known.read(paths, wanted.embodiment, wanted.action_type, wanted.choices)
     sections = found.sections()
+    sections = {**_of_the_field(wanted.name, plain(sections.get("upstream"))), **sections}
     notes = list(found.trained.notes)
     files = _rendered(wanted.name, found)
     manifest = files[sdk.File.POLICY_YML].decode()
@@ -113,6 +116,13 @@ def begin(paths: Sequence[Path], wanted: Wanted) -> Start:
         questions=[entry for entry in entries if isinstance(entry, Question)],
         notes=notes,
     )
+
+
+def _of_the_field(name: str, upstream: Mapping[str, Any] | None) -> dict[str, Tree]:
+    """Return what the zoo knows of the policy that a package is called like, for what no checkpoint says."""
+    policy = field.called(name, None if upstream is None else upstream.get("repository"))
+    known = field.facts(policy) if policy is not None else ()
+    return {fact.key: likely(fact.value, *fact.evidence) for fact in known if "." not in fact.key}
 
 
 def _rendered(name: str, found: Known) -> Files:
