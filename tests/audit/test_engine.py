@@ -358,6 +358,13 @@ def test_a_folder_outside_git_is_told(workspace: Path) -> None:
     assert "needs a git repository" in done.stderr
 
 
+def test_a_finding_may_be_milder_than_its_rule() -> None:
+    """A rule that demands only warns where all that it found is what a reader cannot know."""
+    unsure = Finding("unsure", must=False)
+    assert outcome_of((unsure,), "must") is Outcome.WARN
+    assert outcome_of((unsure, Finding("sure")), "must") is Outcome.FAIL
+
+
 @pytest.mark.parametrize(("must", "outcome"), [(True, Outcome.FAIL), (False, Outcome.WARN)])
 def test_a_finding_may_be_graver_than_its_rule(must: bool, outcome: Outcome) -> None:
     """A rule that warns fails where a finding says so, and no longer once that one is waived."""

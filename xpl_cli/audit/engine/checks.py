@@ -135,7 +135,8 @@ def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:
     """Return how a rule of a severity (`must`, `should`) ends with these findings."""
     if not findings:
         return Outcome.PASS
-    return Outcome.FAIL if severity == "must" or any(finding.must for finding in findings) else Outcome.WARN
+    fails = (severity == "must" if finding.must is None else finding.must for finding in findings)
+    return Outcome.FAIL if any(fails) else Outcome.WARN
 
 
 def told(error: BaseException) -> str:

@@ -89,7 +89,8 @@ class Finding:
         got: what came.
         evidence: frames and numbers that show it; JSON values.
         fix: what to do.
-        must: whether it fails although the rule's requirement is a SHOULD.
+        must: whether it fails. None: as the rule's requirement says. True: although that is a SHOULD. False: it only
+            warns although that is a MUST, since a reader cannot know; the message then says what is not known.
     """
 
     message: str
@@ -102,7 +103,7 @@ class Finding:
     got: str | None = None
     evidence: Mapping[str, Any] | None = None
     fix: Fix | None = None
-    must: bool = False
+    must: bool | None = None
 
     def fingerprint(self, code: str, path: str | None = None, occurrence: int = 1) -> str:
         """Return an identity that survives edits elsewhere in the file: rule, file and message without numbers.
