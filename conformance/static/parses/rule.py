@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotRun, rule
 from xpl_cli.audit.static import shell_syntax
+from xpl_cli.audit.static.around import vendored
 from xpl_cli.audit.static.source import Source
 
 _CONFLICT = re.compile(r"^(<{7} |>{7} |\|{7} )")
@@ -20,7 +21,8 @@ def parses(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Reads every file of the boundary, parses those in Python, YAML and shell, and looks for the markers that git leaves
-    at a conflict. Of scripts it tells what bash is sure to refuse: a quote or an `if` that is not closed.
+    at a conflict. Of scripts it tells what bash is sure to refuse: a quote or an `if` that is not closed. Vendored
+    trees are searched for markers only; the first one is a warning, since the adapter may never run that file.
 
     ## Why it matters
     A script with a marker in it fails when it is run, often hours after the job was queued. What does not parse cannot
@@ -59,6 +61,27 @@ def parses(source: Source) -> Iterator[Finding]:
                     got=message,
                     fix=Fix("advice", "mend the syntax at this place"),
                 )
+    yield from _vendored(source)
+
+
+def _vendored(source: Source) -> Iterator[Finding]:
+    """Yield the first conflict in a vendored tree."""
+    for name, text in vendored.texts(source):
+        if "<<<<<<< " in text and ">>>>>>> " in text:
+            for number, line in enumerate(text.split("\n"), start=1):
+                if _CONFLICT.match(line):
+                    yield Finding(
+                        f"a merge conflict is left in a vendored file: whoever runs {name} gets an error; "
+                        "whether the adapter does cannot be told",
+                        path=name,
+                        line=number,
+                        column=1,
+                        expected="one version",
+                        got=line[:40],
+                        fix=Fix("advice", "keep one side and delete the markers, or delete the file"),
+                        must=False,
+                    )
+                    return
 
 
 def _conflicts(source: Source, name: str) -> Iterator[Finding]:

@@ -9,10 +9,13 @@ from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.around import vendored
 from xpl_cli.audit.static.source import Source
 
 _ADDRESS = re.compile(r"(?<![\w.])(?:\d{1,3}\.){3}\d{1,3}(?![\w.])")
-_VERSION = re.compile(r"(?:[=<>~!]=|[-_v@]|version\S*\s*)$", re.IGNORECASE)
+_VERSION = re.compile(r"(?:[=<>~!]=|(?<!:)[-_v@]|version\S*\s*)$", re.IGNORECASE)
+_DEFAULT = re.compile(r"\$\{\w+:?[-=][^}\s]*$")
+"""What stands before the default of a variable in a script, as in `${HOST:-192.168.0.1}`."""
 _HOME = re.compile(r"(?<![\w.$}])/(?:home|Users)/([\w.-]+)")
 _PROXY = re.compile(r"\b(?:https?|all|ftp)_proxy\b\s*[=:]\s*[\"']?(\w+://[^\s\"'$]+|[\d.]+:\d+)", re.IGNORECASE)
 _LINK = re.compile(r"https?://[^\s\"'<>)}\]`]+")
@@ -20,6 +23,10 @@ _SECRET = re.compile(
     r"(?:api_?key|access_?key|secret(?:_?key)?|token|passw(?:or)?d)[\"']?\]?\s*[=:]\s*[\"']?([\w+=-]{16,})",
     re.IGNORECASE,
 )
+_KEY = re.compile(
+    r"(?:api|access|secret)_?key[\"']?\]?\s*[=:]\s*[\"']?([A-Za-z0-9+=-]{24,})[\"']?\s*(?:$|[#;,)])", re.IGNORECASE
+)
+"""What is certainly a credential also where others wrote the code: a key by its name, and long."""
 _ISSUED = re.compile(r"\b(?:hf_[A-Za-z0-9]{30,}|sk-[A-Za-z0-9-]{20,}|gh[pousr]_[A-Za-z0-9]{30,}|AKIA[A-Z0-9]{16})\b")
 _HINTS = (
     *("/home/", "/users/", "_proxy", "://", "key", "token", "secret", "passw", "hf_", "sk-", "akia"),
@@ -38,7 +45,9 @@ def private_places(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Reads code, scripts and configuration, comments too, and looks for addresses of private networks, home folders of a
-    person, proxies, index mirrors, and literals that look like credentials. Their values are not printed.
+    person, proxies, index mirrors, and literals that look like credentials. Their values are not printed. Vendored
+    trees are searched for keys and, in scripts, for private addresses as defaults; the first one of each is reported,
+    an address as a warning, since it cannot be told whether the adapter runs that script.
 
     ## Why it matters
     Elsewhere these places do not exist: the installation hangs at a proxy, or takes packages from a mirror that nobody
@@ -67,6 +76,44 @@ def private_places(source: Source) -> Iterator[Finding]:
                     got=got,
                     fix=Fix("advice", advice),
                 )
+    yield from _vendored(source)
+
+
+def _vendored(source: Source) -> Iterator[Finding]:
+    """Yield the first credential in a vendored tree, and the first private address that a script there falls back on."""
+    key = address = False
+    for name, text in vendored.texts(source):
+        small = text.lower()
+        may_hold = not key and any(hint in small for hint in ("key", "hf_", "sk-", "akia", "ghp_", "gho_"))
+        may_lead = not address and name.endswith(".sh") and _ADDRESS.search(text) is not None
+        for number, line in enumerate(text.split("\n"), start=1) if may_hold or may_lead else ():
+            issued = (_ISSUED.search(line[:2000]) or _KEY.search(line[:2000])) if may_hold and not key else None
+            if issued is not None and _is_random(issued.group(issued.lastindex or 0)):
+                key = True
+                yield Finding(
+                    "what looks like a credential is published in a vendored file of the adapter",
+                    path=name,
+                    line=number,
+                    column=issued.start() + 1,
+                    expected="nothing that only the author has",
+                    got=f"a literal of {len(issued.group(issued.lastindex or 0))} characters",
+                    fix=Fix("advice", "revoke it, and delete the line"),
+                )
+            for found in _ADDRESS.finditer(line[:2000]) if may_lead and not address else ():
+                if _is_private(found.group()) and _DEFAULT.search(line[: found.start()]):
+                    address = True
+                    yield Finding(
+                        "a vendored script falls back on a host of a private network; whether the adapter runs it "
+                        "cannot be told",
+                        path=name,
+                        line=number,
+                        column=found.start() + 1,
+                        expected="no default, or an argument",
+                        got=found.group(),
+                        fix=Fix("advice", "delete the default"),
+                        must=False,
+                    )
+                    break
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:

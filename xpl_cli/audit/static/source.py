@@ -48,7 +48,7 @@ class Source:
     Attributes:
         path: the adapter's folder.
         memory: what the names of each file mean (`adapter.symbols`), kept for whoever asks again.
-        views: what others made of the whole, by its type, likewise.
+        views: what others made of the whole, by its type or the function that made it, likewise.
     """
 
     path: Path
@@ -65,7 +65,7 @@ class Source:
     _functions: dict[int, Function] = field(default_factory=dict)
     _defined: dict[str, tuple[Function, ...]] = field(default_factory=dict)
     memory: dict[str, Symbols] = field(default_factory=dict)
-    views: dict[type, Any] = field(default_factory=dict)
+    views: dict[Any, Any] = field(default_factory=dict)
 
     @cached_property
     def files(self) -> tuple[str, ...]:

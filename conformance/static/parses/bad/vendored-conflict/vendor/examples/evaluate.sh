@@ -1,0 +1,5 @@
+<<<<<<< HEAD
+python one.py
+=======
+python other.py
+>>>>>>> main

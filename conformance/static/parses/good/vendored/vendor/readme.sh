@@ -1,0 +1,2 @@
+# git marks a conflict by <<<<<<< and >>>>>>> lines
+echo "======="

@@ -1,0 +1,1 @@
+export WANDB_API_KEY=3f9c1b7a2e8d4c6f5a0b9e7d1c3f2a4b6d8e0f1c

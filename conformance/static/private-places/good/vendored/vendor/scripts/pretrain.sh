@@ -1,0 +1,4 @@
+export WANDB_API_KEY="${WANDB_API_KEY:-}"
+MASTER_ADDR="${MASTER_ADDR:-127.0.0.1}"
+# a robot's box is often 192.168.1.100
+ROBOT_IP=192.168.1.100

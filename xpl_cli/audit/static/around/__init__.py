@@ -1,0 +1,1 @@
+"""What lies around the boundary of an adapter: trees that were vendored, and the checkout that holds it."""
