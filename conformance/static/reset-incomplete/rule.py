@@ -159,10 +159,16 @@ def _resets_all(function: Function, adapter: Adapter) -> bool:
     """Tell whether a reset clears everything at once, or hands over to a class that is not here."""
     for node in function.nodes:
         name = called(node)
-        if last(name) == "__init__" or name in {"setattr", "vars", "self.__dict__.clear"}:
+        if name in {"self.__init__", "__init__", "self.__dict__.clear"}:
             return True
-        if isinstance(node, ast.Attribute) and node.attr == "__dict__":
+        if name in {"setattr", "vars"} and isinstance(node, ast.Call) and any(map(_is_self, node.args[:1])):
+            return True
+        if isinstance(node, ast.Attribute) and node.attr == "__dict__" and _is_self(node.value):
             return True
         if name == "super" and not adapter.is_closed:
             return True
     return False
+
+
+def _is_self(node: ast.expr) -> bool:
+    return isinstance(node, ast.Name) and node.id == "self"

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
 from xpl_cli.audit.static.episode import is_memo
-from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.function import Function, Write
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, enclosing, last, self_attribute, targets
 
 _ADDS = frozenset(("append", "appendleft", "extend", "insert"))
+_ENTRIES = frozenset(("setdefault", "get"))
 _REMOVES = frozenset(("pop", "popleft", "clear", "remove", "get", "get_nowait"))
 
 
@@ -22,7 +23,7 @@ def unbounded_history(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks for lists that the observing and acting methods append to, in the class itself and in objects of the adapter's
-    own classes that it holds, and for anything that bounds them: `maxlen`, a slice that is assigned back, `pop`, `del`,
+    own classes that it holds, under their own name or that of an entry, and for anything that bounds them: `maxlen`, a slice that is assigned back, `pop`, `del`,
     a test of the length, or a new list.
 
     ## Why it matters
@@ -42,6 +43,7 @@ def unbounded_history(source: Source) -> Iterator[Finding]:
     for holder, one in (("self", adapter), *((f"self.{name}", other) for name, other in adapter.components.items())):
         functions = one.reach(*OBSERVING, *ACTING) if one is adapter else one.reach(*_used(adapter, holder))
         grown = [write for function in functions for write in function.writes if _adds(write.node)]
+        grown += [write for function in functions for write in _by_alias(function)]
         bounded = _bounded(functions, one) if grown else set()
         reported: set[str] = set()
         for write in grown:
@@ -70,6 +72,45 @@ def _used(adapter: Adapter, holder: str) -> list[str]:
     ]
 
 
+def _aliases(function: Function) -> dict[str, str]:
+    """Return the local names of entries: `frames` of `frames = self.frames.setdefault(env, [])`, with the attribute."""
+    found: dict[str, str] = {}
+    for node in function.of(ast.Assign):
+        value = node.value
+        if isinstance(value, ast.Call) and isinstance(value.func, ast.Attribute) and value.func.attr in _ENTRIES:
+            value = value.func.value
+        elif isinstance(value, ast.Subscript) and not isinstance(value.slice, ast.Slice):
+            value = value.value
+        else:
+            continue
+        attribute = self_attribute(value)
+        if attribute is not None and "maxlen" not in ast.unparse(node):
+            found |= {target.id: attribute for target in targets(node) if isinstance(target, ast.Name)}
+    return found
+
+
+def _by_alias(function: Function) -> Iterator[Write]:
+    """Yield what is added to an entry by a local name of it."""
+    known = _aliases(function)
+    for node in function.of(ast.Call) if known else ():
+        if isinstance(node.func, ast.Attribute) and node.func.attr in _ADDS and isinstance(node.func.value, ast.Name):
+            attribute = known.get(node.func.value.id)
+            if attribute is not None:
+                yield Write(attribute, "keyed", function, node)
+
+
+def _shortened(node: ast.AST, known: dict[str, str]) -> set[str | None]:
+    """Return the attribute whose entry a node shortens by a local name of it."""
+    names: list[ast.AST] = []
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _REMOVES:
+        names = [node.func.value]
+    elif isinstance(node, ast.Delete):
+        names = [target.value for target in node.targets if isinstance(target, ast.Subscript)]
+    elif isinstance(node, ast.Assign):
+        names = [target.value for target in targets(node) if isinstance(target, ast.Subscript)]
+    return {known.get(name.id) for name in names if isinstance(name, ast.Name)}
+
+
 def _adds(node: ast.AST) -> bool:
     if isinstance(node, ast.AugAssign):
         return isinstance(node.op, ast.Add) and isinstance(node.value, (ast.List, ast.ListComp))
@@ -80,7 +121,9 @@ def _bounded(functions: list[Function], adapter: Adapter) -> set[str]:
     """Return the attributes that something shortens, renews or bounds."""
     found: set[str | None] = set()
     for function in functions:
+        known = _aliases(function)
         for node in function.of(ast.Assign, ast.AnnAssign, ast.Delete, ast.Call):
+            found |= _shortened(node, known)
             if isinstance(node, (ast.Assign, ast.AnnAssign)):
                 found.update(self_attribute(target) for target in targets(node))
             elif isinstance(node, ast.Delete):

@@ -32,7 +32,17 @@ def mentioned(functions: list[Function]) -> set[str]:
 
 def read(functions: list[Function]) -> set[str]:
     """Return every attribute of `self` whose value these functions use, other than to report it or to change it."""
-    return {
+    asked = {
+        str(node.args[1].value)
+        for function in functions
+        for node in function.of(ast.Call)
+        if called(node) == "getattr"
+        and len(node.args) > 1
+        and dotted(node.args[0]) == "self"
+        and isinstance(node.args[1], ast.Constant)
+        and not is_reported(node, function)
+    }
+    return {name for name in asked if not _BOOKKEEPING.search(name)} | {
         node.attr
         for function in functions
         for node in function.nodes

@@ -92,10 +92,17 @@ def writes(functions: list[Function]) -> Iterator[Write]:
                     if attribute is not None:
                         yield Write(attribute, "keyed" if _has_key(target) else plain, function, node)
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in GROWING:
-                attribute = self_attribute(node.func.value)
+                attribute = self_attribute(_entry_of(node.func.value))
                 if attribute is not None:
                     keyed = _has_key(node.func.value) or node.func.attr == "setdefault"
                     yield Write(attribute, "keyed" if keyed else "grown", function, node)
+
+
+def _entry_of(node: ast.expr) -> ast.expr:
+    """Return the map that holds what a look-up with a default gives: `self.x` of `self.x.setdefault(k, [])`."""
+    while isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "setdefault":
+        node = node.func.value
+    return node
 
 
 def _has_key(node: ast.expr) -> bool:
