@@ -73,7 +73,7 @@ def _matters(change: Change) -> bool:
     if change.how == "augmented":
         matters = isinstance(change.node, ast.AugAssign) and isinstance(change.node.target, ast.Subscript)
     elif change.key is None:
-        matters = False
+        matters = change.how == "set" and _is_replaced(change)
     elif change.how == "set":
         value, before = change.value, change.before
         is_same = before is not None and before.keys == (*change.held.keys, change.key)
@@ -86,6 +86,20 @@ def _matters(change: Change) -> bool:
 def _is_made_anew(value: ast.expr, key: str) -> bool:
     """Tell whether a value is made of the entry that it replaces, and differs when that is done twice."""
     return key in texts(value) | names(value) and last(called(value)) not in _SAME_AGAIN
+
+
+def _is_replaced(change: Change) -> bool:
+    """Tell whether an entry whose key a name holds is replaced by what is made of it, through other names too."""
+    target = next((entry for entry in targets(change.node) if isinstance(entry, ast.Subscript)), None)
+    if target is None or not isinstance(target.slice, ast.Name) or change.value is None:
+        return False
+    before = ast.unparse(target)
+    made: set[str] = set()
+    for node in change.function.of(ast.Assign):
+        if node is not change.node and (before in ast.unparse(node.value) or names(node.value) & made):
+            made |= {entry.id for entry in targets(node) if isinstance(entry, ast.Name)}
+    is_made = before in ast.unparse(change.value) or bool(names(change.value) & made)
+    return is_made and last(called(change.value)) not in _SAME_AGAIN and not isinstance(change.value, ast.Name)
 
 
 def _is_guarded(change: Change) -> bool:
