@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import UPDATE_BATCH, Adapter
+from xpl_cli.audit.static.episode import is_reported
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import LOOPS, KeyRead, constant, enclosing, key_read, texts
+from xpl_cli.audit.static.syntax import LOOPS, KeyRead, called, constant, enclosing, key_read, names, parameters, texts
 
 _KEY = sdk.Obs.ENV_IDX
 _FIX = Fix("advice", f"enumerate the batch and use obs.get({_KEY!r}, place) both for the order and for the store")
@@ -22,7 +23,7 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks at how `update_obs_batch` takes the environment of each observation: a constant default puts the whole batch
-    into one slot, and `obs["env_idx"]` raises. It also compares the default of the list of environments with the
+    into one slot, and `obs["env_idx"]` raises; so do helpers that a loop over the batch calls. It also compares the default of the list of environments with the
     default of the store.
 
     ## Why it matters
@@ -38,7 +39,8 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    function = Adapter.of(source).method(UPDATE_BATCH)
+    adapter = Adapter.of(source)
+    function = adapter.method(UPDATE_BATCH)
     if function is None or _asks_first(function):
         return
     reads = [
@@ -60,6 +62,77 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
             yield _finding(
                 source, function, read, f"a batch without {_KEY} raises KeyError, although the key is optional"
             )
+    if not _gives(function):
+        yield from _in_helpers(source, adapter, function)
+
+
+def _in_helpers(source: Source, adapter: Adapter, function: Function) -> Iterator[Finding]:
+    """Yield what a helper that is given one observation of the batch after another does without the key."""
+    seen: set[int] = set()
+    for caller, helper, parameter in _handed(adapter, function, 2):
+        if id(helper.node) in seen or _asks_first(helper):
+            continue
+        seen.add(id(helper.node))
+        for node in helper.nodes:
+            read = key_read(node)
+            if read is None or read.key != _KEY or getattr(read.owner, "id", "") != parameter:
+                continue
+            if is_reported(node, helper):
+                continue
+            if isinstance(constant(read.default), int):
+                yield _finding(
+                    source,
+                    helper,
+                    read,
+                    f"{caller.name} hands a batch to {helper.name} one by one: without {_KEY} all count as "
+                    f"environment {constant(read.default)}, and overwrite each other or share one history",
+                )
+            elif read.required:
+                yield _finding(
+                    source, helper, read, f"a batch without {_KEY} raises KeyError, although the key is optional"
+                )
+
+
+def _handed(adapter: Adapter, function: Function, depth: int) -> Iterator[tuple[Function, Function, str]]:
+    """Yield the functions that a loop over the batch gives an observation, with the parameter that takes it."""
+    batch = set(parameters(function.node)[:1])
+    entries: set[str] = set()
+    for node in function.of(ast.For, ast.comprehension):
+        if names(node.iter) & batch:
+            entries |= names(node.target)
+    yield from _given(adapter, function, entries, depth)
+
+
+def _given(
+    adapter: Adapter, function: Function, entries: set[str], depth: int
+) -> Iterator[tuple[Function, Function, str]]:
+    for call in function.of(ast.Call) if depth and entries else ():
+        helper = adapter.callee(function, call)
+        if helper is None or helper.node is function.node:
+            continue
+        taken = list(zip(parameters(helper.node), call.args, strict=False))
+        taken += [(entry.arg, entry.value) for entry in call.keywords if entry.arg]
+        for parameter, value in taken:
+            if isinstance(value, ast.Name) and value.id in entries:
+                yield function, helper, parameter
+                yield from _given(adapter, helper, {parameter}, depth - 1)
+
+
+def _gives(function: Function) -> bool:
+    """Tell whether the method gives observations the key that they lack."""
+    for node in function.of(ast.Dict, ast.Call, ast.Subscript):
+        keys: list[ast.expr | None] = []
+        if isinstance(node, ast.Dict):
+            keys = list(node.keys)
+        elif isinstance(node, ast.Subscript):
+            keys = [node.slice] if isinstance(node.ctx, ast.Store) else []
+        elif isinstance(node, ast.Call):
+            keys = list(node.args[:1]) if called(node).endswith("setdefault") else []
+            if any(entry.arg == _KEY for entry in node.keywords):
+                return True
+        if any(constant(key) == _KEY for key in keys):
+            return True
+    return False
 
 
 def _finding(source: Source, function: Function, read: KeyRead, message: str) -> Finding:

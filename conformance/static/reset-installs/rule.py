@@ -9,7 +9,7 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESETTING, Adapter
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, enclosing, self_attribute, targets, texts
+from xpl_cli.audit.static.syntax import called, constant, dotted, enclosing, last, self_attribute, targets, texts
 
 
 @rule(code="XPL145", requirement="XPL-EPI-7")
@@ -18,7 +18,7 @@ def reset_installs(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Compares the attributes that the observing and acting methods read with those that construction sets, directly or
-    through what it calls. Reported is what only `reset` sets. Attributes of the class, and uses that ask first
+    through what it calls. Reported is what only `reset` sets, also on a part of the model that lacks it. Attributes of the class, and uses that ask first
     (`hasattr`, `getattr` with a default), do not count.
 
     ## Why it matters
@@ -51,9 +51,11 @@ def reset_installs(source: Source) -> Iterator[Finding]:
         for write in function.writes
         if write.kind == "assigned" and write.attribute not in made and not adapter.has(write.attribute)
     ]
+    acting = [*observing, *adapter.reach(*ACTING)]
+    yield from _defaults(source, adapter.reach(*resetting), loading, acting)
     if not installed:
         return
-    needed = _needed([*observing, *adapter.reach(*ACTING)])
+    needed = _needed(acting)
     missing = {write.attribute: write for write in installed if write.attribute in needed}
     if missing:
         first = next(iter(missing.values()))
@@ -66,6 +68,46 @@ def reset_installs(source: Source) -> Iterator[Finding]:
             got=f"first set in {first.function.name}, line {first.line}",
             fix=Fix("advice", "call self.reset() at the end of __init__"),
         )
+
+
+def _defaults(
+    source: Source, resetting: list[Function], loading: list[Function], acting: list[Function]
+) -> Iterator[Finding]:
+    """Yield a default that reset gives a part of the model where it lacks one, and that acting reads."""
+    before = {dotted(target) for function in loading for node in function.of(ast.Assign) for target in targets(node)}
+    reads = {node.attr for function in acting for node in function.of(ast.Attribute) if isinstance(node.ctx, ast.Load)}
+    known = {id(function.node) for function in (*loading, *acting) if function.name not in RESETTING}
+    for function in resetting:
+        if id(function.node) in known:
+            continue
+        for branch in function.of(ast.If):
+            missing = _lacking(branch.test)
+            for node in branch.body:
+                for target in targets(node):
+                    name = dotted(target)
+                    if name in missing and name not in before and last(name) in reads and name.count(".") > 1:
+                        yield Finding(
+                            f"{name} gets its default only in {RESET}: a model that was just made, or restarted, "
+                            "acts without it",
+                            **source.at(function.file, node),
+                            expected="construction sets every default",
+                            got=ast.unparse(node).split("\n")[0],
+                            fix=Fix("advice", "set it in __init__, or call self.reset() at its end"),
+                        )
+
+
+def _lacking(test: ast.expr) -> set[str]:
+    """Return what a test finds missing: `getattr(self.config, "causal", None) is None`, `not hasattr(...)`."""
+    node: ast.AST = test
+    if isinstance(test, ast.Compare) and isinstance(test.ops[0], ast.Is) and constant(test.comparators[0]) is None:
+        node = test.left
+    elif isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
+        node = test.operand
+    if isinstance(node, ast.Attribute):
+        return {dotted(node)}
+    if isinstance(node, ast.Call) and called(node) in {"getattr", "hasattr"} and len(node.args) > 1:
+        return {f"{dotted(node.args[0])}.{constant(node.args[1])}"}
+    return set()
 
 
 def _of_class(adapter: Adapter) -> set[str]:
