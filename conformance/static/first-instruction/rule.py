@@ -11,7 +11,7 @@ from xpl_cli.audit.static.adapter import ACT_BATCH, UPDATE_BATCH, Adapter
 from xpl_cli.audit.static.episode import mentioned
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import constant, enclosing, key_read, parameters, self_attribute, targets
+from xpl_cli.audit.static.syntax import called, constant, dotted, enclosing, key_read, parameters, self_attribute, targets
 
 _KEYS = frozenset((sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS, "prompt", "lang", "language", "text"))
 _FIX = Fix("advice", "keep the instruction with the observation it came with, and pass a list of them to the model")
@@ -22,7 +22,8 @@ def first_instruction(source: Source) -> Iterator[Finding]:
     """One environment's instruction is used for the whole batch.
 
     ## What it does
-    Looks in the batch operations and in `predict` for instructions that are taken from entry 0 of the batch, or
+    Looks in the batch operations and in `predict` for instructions that are taken from entry 0 of the batch, also of an
+    attribute that holds it, or
     stored in one attribute by a loop over the batch, so that the last one wins.
 
     ## Why it matters
@@ -40,11 +41,12 @@ def first_instruction(source: Source) -> Iterator[Finding]:
     """
     adapter = Adapter.of(source)
     reading = mentioned(adapter.reach(ACT_BATCH))
+    kept = _kept(adapter.method(UPDATE_BATCH))
     for name in (UPDATE_BATCH, ACT_BATCH, "predict"):
         function = adapter.method(name)
         if function is None or not parameters(function.node) or _refuses_batches(function):
             continue
-        for node, consequence in (*_first(function), *_last(function, reading)):
+        for node, consequence in (*_first(function, kept), *_last(function, reading)):
             yield Finding(
                 f"the whole batch acts on the instruction of {consequence}",
                 **source.at(function.file, node),
@@ -54,9 +56,28 @@ def first_instruction(source: Source) -> Iterator[Finding]:
             )
 
 
-def _first(function: Function) -> Iterator[tuple[ast.AST, str]]:
-    """Yield reads of the instruction from entry 0 of a batch, under its own name or another."""
+def _kept(function: Function | None) -> set[str]:
+    """Return the attributes that hold a whole batch, as it came or one entry for each observation: `self.batch`."""
+    if function is None or not parameters(function.node):
+        return set()
     batch = parameters(function.node)[0]
+    found: set[str] = set()
+    for node in function.of(ast.Assign):
+        value = node.value
+        if isinstance(value, ast.Call) and called(value) in {"list", "tuple"} and value.args:
+            value = value.args[0]
+        if isinstance(value, (ast.ListComp, ast.GeneratorExp)):
+            value = value.generators[0].iter
+        if isinstance(value, ast.Call) and called(value) == "enumerate" and value.args:
+            value = value.args[0]
+        if isinstance(value, ast.Name) and value.id == batch:
+            found |= {f"self.{target.attr}" for target in targets(node) if isinstance(target, ast.Attribute)}
+    return found
+
+
+def _first(function: Function, kept: set[str]) -> Iterator[tuple[ast.AST, str]]:
+    """Yield reads of the instruction from entry 0 of a batch, under its own name or that of an attribute."""
+    batch = {parameters(function.node)[0], *kept}
     firsts = {
         target.id
         for node in function.nodes
@@ -86,8 +107,8 @@ def _last(function: Function, reading: set[str]) -> Iterator[tuple[ast.AST, str]
                         yield node, "its last environment"
 
 
-def _is_first(node: ast.AST, batch: str) -> bool:
-    return isinstance(node, ast.Subscript) and constant(node.slice) == 0 and getattr(node.value, "id", "") == batch
+def _is_first(node: ast.AST, batch: set[str]) -> bool:
+    return isinstance(node, ast.Subscript) and constant(node.slice) == 0 and dotted(node.value) in batch
 
 
 def _refuses_batches(function: Function) -> bool:
