@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import ACTING, Adapter
+from xpl_cli.audit.static.episode import is_reported, only_reports
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, dotted, last, texts
+from xpl_cli.audit.static.syntax import dotted, last, targets, texts
 
 _KEY = sdk.Deploy.ACTION_TYPE
 _SUFFIXES = {sdk.State.ARM_JOINT_STATE: "joint", sdk.State.EE_POSE: "ee"}
-_REPORTS = frozenset(("print", "log", "info", "debug", "warning", "warn", "error"))
 
 
 @rule(code="XPL149", requirement="XPL-ACT-10")
@@ -22,8 +22,9 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     """The adapter answers with one type of action, whichever was asked for.
 
     ## What it does
-    Looks at how `action_type` decides: a comparison that only prints a warning, and adapters that write the keys of one
-    type into their actions and never mention `action_type` at all. Adapters that hand the configuration on as a whole,
+    Looks at how `action_type` decides: a comparison that only reports it, by `print`, a logger or a function that only
+    reports, and adapters that write the keys of one
+    type into their actions and never use `action_type`, though they may keep it. Adapters that hand the configuration on as a whole,
     or that raise, are left alone.
 
     ## Why it matters
@@ -45,7 +46,7 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     functions = adapter.reach(*adapter.methods)
     for function in functions:
         for node in function.of(ast.If):
-            if _only_reports(node) and _compares(node.test):
+            if _only_reports(adapter, function, node) and _compares(node.test):
                 yield Finding(
                     f"an {_KEY} that the adapter cannot serve is only warned about: "
                     "the run is labelled with one type of action and made with the other",
@@ -54,7 +55,8 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
                     got=ast.unparse(node.body[0]).split("\n")[0],
                     fix=Fix("advice", f"raise where {_KEY} is one that the policy cannot serve"),
                 )
-    if not adapter.config_escapes and not any(_mentions(function) for function in functions):
+    idle = _idle(functions)
+    if not adapter.config_escapes and not any(_mentions(function, idle) for function in functions):
         written = _written(adapter)
         if written is not None:
             function, key, kind = written
@@ -75,17 +77,38 @@ def _compares(test: ast.expr) -> bool:
     )
 
 
-def _only_reports(node: ast.If) -> bool:
+def _only_reports(adapter: Adapter, function: Function, node: ast.If) -> bool:
+    """Tell whether a branch prints or logs, also by a function of the adapter's own, and then goes on."""
     return not node.orelse and all(
-        isinstance(entry, ast.Expr) and last(called(entry.value)) in _REPORTS for entry in node.body
+        only_reports(entry, lambda call: adapter.callee(function, call)) for entry in node.body
     )
 
 
-def _mentions(function: Function) -> bool:
+def _mentions(function: Function, idle: set[int]) -> bool:
     return any(
-        _KEY in (getattr(node, name, None) for name in ("id", "attr", "value", "arg"))
+        _KEY in (getattr(node, name, None) for name in ("id", "attr", "value", "arg")) and id(node) not in idle
         for node in function.of(ast.Constant, ast.Name, ast.Attribute, ast.arg, ast.keyword)
     )
+
+
+def _idle(functions: list[Function]) -> set[int]:
+    """Return the nodes of statements that put the value into an attribute which nothing reads but messages."""
+    read = {
+        node.attr
+        for function in functions
+        for node in function.of(ast.Attribute)
+        if isinstance(node.ctx, ast.Load) and not is_reported(node, function)
+    }
+    found: set[int] = set()
+    for function in functions:
+        for node in function.of(ast.Assign, ast.AnnAssign):
+            stored = [target.attr for target in targets(node) if isinstance(target, ast.Attribute)]
+            if stored and not read.intersection(stored) and _KEY in texts(node) | set(stored):
+                found |= {id(child) for child in ast.walk(node)}
+        for node in function.of(ast.Attribute):
+            if node.attr == _KEY and is_reported(node, function):
+                found.add(id(node))
+    return found
 
 
 def _written(adapter: Adapter) -> tuple[Function, ast.AST, str] | None:

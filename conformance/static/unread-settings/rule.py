@@ -47,7 +47,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     read = {text for name in source.python_files if source.parses(name) for text in _texts(source, name)}
     scripts = "\n".join(source.text(name) for name in source.text_files if name.endswith(".sh"))
     unread = [key for key in source.deploy if key not in standard and key not in read and str(key) not in scripts]
-    yield from _stored(source, adapter)
+    yield from _stored(source, adapter, standard)
     if not unread:
         return
     lines = source.text(sdk.File.DEPLOY_YML).split("\n")
@@ -91,7 +91,7 @@ def _texts(source: Source, name: str) -> set[str]:
     return found
 
 
-def _stored(source: Source, adapter: Adapter) -> Iterator[Finding]:
+def _stored(source: Source, adapter: Adapter, standard: set[str]) -> Iterator[Finding]:
     """Yield values of deploy.yml that end in an attribute which nothing uses but messages."""
     mentions: dict[str, int] = {}
     for file in source.python_files:
@@ -102,7 +102,8 @@ def _stored(source: Source, adapter: Adapter) -> Iterator[Finding]:
         statement: ast.AST = setting.read.node
         while isinstance(parent := setting.function.up.get(statement), ast.Call) and called(parent) in _CONVERSIONS:
             statement = parent
-        if not isinstance(parent, (ast.Assign, ast.AnnAssign)) or setting.read.key not in source.deploy:
+        is_own = setting.read.key in source.deploy and setting.read.key not in standard
+        if not isinstance(parent, (ast.Assign, ast.AnnAssign)) or not is_own:
             continue
         for target in targets(parent):
             name = target.attr if isinstance(target, ast.Attribute) else ""

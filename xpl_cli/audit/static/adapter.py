@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.static.episode import is_reported
 from xpl_cli.audit.static.function import Function, Symbols
 from xpl_cli.audit.static.syntax import (
     KeyRead,
@@ -31,6 +32,8 @@ OBSERVING: Final = (UPDATE, UPDATE_BATCH, "encode")
 ACTING: Final = (ACT, ACT_BATCH, "predict", "decode")
 RESETTING: Final = (RESET, "reset_env")
 
+_ECOSYSTEM: Final = "XPolicyLab."
+"""Its own helpers read keys of the standard, and those that the adapter names to them."""
 _SDK_CLASS, _TEMPLATE = "Policy", "ModelTemplate"
 _TEMPLATE_GIVES: Final = ("__init__", RESET)
 _HARMLESS: Final = frozenset(("dict", "copy", "deepcopy", "isinstance", "len", "str", "repr", "print", "bool", "get"))
@@ -204,10 +207,14 @@ class Adapter:
         if isinstance(node, (ast.For, ast.comprehension)):
             return is_config(node.iter)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and is_config(node.func.value):
-            return node.func.attr in {"items", "keys", "values"}
-        if not isinstance(node, ast.Call) or not any(is_config(value) for value in _values(node)):
+            return node.func.attr in {"items", "keys", "values"} and not is_reported(node, function)
+        if not isinstance(node, ast.Call) or not any(is_config(_uncopied(value)) for value in _values(node)):
             return False
-        return last(called(node)) not in _HARMLESS and self.callee(function, node) is None
+        if last(called(node)) in _HARMLESS or self.callee(function, node) is not None:
+            return False
+        if self.is_closed and called(node) == "__init__":
+            return False  # that of a base class which is known
+        return not _origin(self.source, function.file, called(node)).startswith(_ECOSYSTEM)
 
     @cached_property
     def _configured(self) -> list[tuple[Function, Callable[[ast.AST], bool]]]:

@@ -10,6 +10,8 @@ from xpl_cli.audit.static.function import GROWING
 from xpl_cli.audit.static.syntax import called, dotted, enclosing, last, self_attribute, texts
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from xpl_cli.audit.static.function import Function, Kind, Write
 
 _SHRINKING: Final = frozenset(("clear", "pop", "popleft", "popitem", "remove", "discard"))
@@ -17,7 +19,10 @@ _SHRINKING: Final = frozenset(("clear", "pop", "popleft", "popitem", "remove", "
 _BOOKKEEPING: Final = re.compile(
     r"latenc|timing|elapsed|profil|debug|_log|metric|n(?:um)?_calls|call_count|request|warn", re.IGNORECASE
 )
-_REPORTS: Final = frozenset(("print", "log", "info", "debug", "warning"))
+_REPORTS: Final = re.compile(
+    r"(?:^|_|\b)(?:c|e|f|p|pp|r|w)?print(?:ln|_exc)?(?:_|$)|(?:^|_)(?:log|warn|warning|info|debug|critical|notice|tprint)(?:_|$)"
+)
+"""Names of functions that tell something and change nothing, one's own too: `cprint`, `log_once`, `_warn`."""
 
 
 def mentioned(functions: list[Function]) -> set[str]:
@@ -106,11 +111,37 @@ def is_reported(node: ast.AST, function: Function) -> bool:
     """Tell whether a mention only decides what is printed or logged."""
     inner = node
     for ancestor in enclosing(node, function.up):
-        if last(called(ancestor)) in _REPORTS or isinstance(ancestor, ast.Raise):
+        if _REPORTS.search(last(called(ancestor))) or isinstance(ancestor, ast.Raise):
             return True
         if isinstance(ancestor, ast.If) and inner is ancestor.test:
-            return all(isinstance(entry, ast.Expr) and last(called(entry.value)) in _REPORTS for entry in ancestor.body)
+            return all(map(only_reports, ancestor.body))
         if isinstance(ancestor, ast.stmt):
             return False
         inner = ancestor
     return False
+
+
+def only_reports(statement: ast.stmt, callee: Callable[[ast.Call], Function | None] | None = None) -> bool:
+    """Tell whether a statement prints or logs and does nothing else.
+
+    Args:
+        statement: what to look at.
+        callee: finds functions of the boundary, whose bodies then count; by name alone where it is missing.
+    """
+    if isinstance(statement, ast.Pass):
+        return True
+    if not isinstance(statement, ast.Expr) or isinstance(statement.value, ast.Constant):
+        return isinstance(statement, ast.Expr)
+    call = statement.value
+    own = callee(call) if callee is not None and isinstance(call, ast.Call) else None
+    if own is not None:
+        return all(only_reports(entry) or _is_plain(entry) for entry in own.node.body)
+    name = called(call)
+    return bool(_REPORTS.search(last(name))) or (last(name) == "error" and "log" in name.lower())
+
+
+def _is_plain(statement: ast.stmt) -> bool:
+    """Tell whether a statement of a reporting function only makes the text or ends the function."""
+    if isinstance(statement, ast.Return):
+        return statement.value is None
+    return isinstance(statement, ast.Assign) and all(isinstance(target, ast.Name) for target in statement.targets)
