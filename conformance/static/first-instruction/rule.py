@@ -11,7 +11,16 @@ from xpl_cli.audit.static.adapter import ACT_BATCH, UPDATE_BATCH, Adapter
 from xpl_cli.audit.static.episode import mentioned
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, constant, dotted, enclosing, key_read, parameters, self_attribute, targets
+from xpl_cli.audit.static.syntax import (
+    called,
+    constant,
+    dotted,
+    enclosing,
+    key_read,
+    parameters,
+    self_attribute,
+    targets,
+)
 
 _KEYS = frozenset((sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS, "prompt", "lang", "language", "text"))
 _FIX = Fix("advice", "keep the instruction with the observation it came with, and pass a list of them to the model")

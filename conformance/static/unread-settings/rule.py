@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.static.adapter import Adapter
 from xpl_cli.audit.static.episode import is_reported
+from xpl_cli.audit.static.keys import near
 from xpl_cli.audit.static.manifests import deleted
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, targets
 from xpl_cli.standard import spec
 
 _MOST_NAMED = 20
+_SHORTEST = 6
+"""Letters; shorter words, such as `name` or `type`, are part of too many keys."""
 _CONVERSIONS = frozenset(("int", "float", "str", "bool", "list", "tuple"))
 
 
@@ -25,7 +29,9 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     ## What it does
     Takes the adapter's own keys of `deploy.yml` and looks for each in the adapter's code and scripts; a value that is
     only stored in an attribute, or printed, is not read either. Where the whole configuration is handed on to another
-    package, that package may read any key, and nothing is reported.
+    package, that package may read any key, and nothing is reported; the helpers of the ecosystem read keys of the
+    standard only. A key that is read, that nobody sets, and that is short for one of the standard which is not read, is
+    reported too.
 
     ## Why it matters
     Whoever changes such a key sees no effect, and believes that there is none. Often it is a misspelt name of one that
@@ -48,6 +54,7 @@ def unread_settings(source: Source) -> Iterator[Finding]:
     scripts = "\n".join(source.text(name) for name in source.text_files if name.endswith(".sh"))
     unread = [key for key in source.deploy if key not in standard and key not in read and str(key) not in scripts]
     yield from _stored(source, adapter, standard)
+    yield from _misnamed(source, adapter, standard, scripts)
     if not unread:
         return
     lines = source.text(sdk.File.DEPLOY_YML).split("\n")
@@ -115,6 +122,36 @@ def _stored(source: Source, adapter: Adapter, standard: set[str]) -> Iterator[Fi
                     got=ast.unparse(parent),
                     fix=Fix("advice", "use the value, or delete the key"),
                 )
+
+
+def _misnamed(source: Source, adapter: Adapter, standard: set[str], scripts: str) -> Iterator[Finding]:
+    """Yield keys that nobody sets, whose name is short for one of the standard that the adapter does not read."""
+    read = {setting.read.key for setting in adapter.settings}
+    written = {text for name in source.python_files if source.parses(name) for text in _texts(source, name)}
+    reported: set[str] = set()
+    for setting in adapter.settings:
+        key = setting.read.key
+        is_set = source.deploy.get(key) is not None
+        if is_set or key in standard or key in reported or re.search(rf"\b{re.escape(key)}\b", scripts):
+            continue
+        meant = next((name for name in sorted(standard) if _is_short_for(key, name)), None)
+        if meant is not None and meant not in read and meant not in written:
+            reported.add(key)
+            yield Finding(
+                f"{key} is read, to which nobody gives a value, and {meant}, which launchers set, is not: "
+                "the adapter always acts as if it had not been given",
+                **source.at(setting.function.file, setting.read.node),
+                expected=meant,
+                got=key,
+                fix=Fix("advice", f"read {meant}"),
+            )
+
+
+def _is_short_for(key: str, name: str) -> bool:
+    """Tell whether a key is a misspelling of a name, or the name without its first or last word."""
+    return near(key, (name,)) == name or (
+        len(key) >= _SHORTEST and (name.startswith(f"{key}_") or name.endswith(f"_{key}"))
+    )
 
 
 def _reported(adapter: Adapter, name: str) -> int:
