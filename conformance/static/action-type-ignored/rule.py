@@ -23,9 +23,8 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks at how `action_type` decides: a comparison that only reports it, by `print`, a logger or a function that only
-    reports, and adapters that write the keys of one
-    type into their actions and never use `action_type`, though they may keep it. Adapters that hand the configuration on as a whole,
-    or that raise, are left alone.
+    reports, and adapters that write the keys of one type into their actions and never use `action_type`, though they
+    may keep it. Adapters that hand the configuration on as a whole, or that raise, are left alone.
 
     ## Why it matters
     A run that is labelled `ee` was a run with joint commands, or an environment that expects a pose gets none. A

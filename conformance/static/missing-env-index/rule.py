@@ -23,8 +23,8 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks at how `update_obs_batch` takes the environment of each observation: a constant default puts the whole batch
-    into one slot, and `obs["env_idx"]` raises; so do helpers that a loop over the batch calls. It also compares the default of the list of environments with the
-    default of the store.
+    into one slot, and `obs["env_idx"]` raises; so do helpers that a loop over the batch calls. It also compares the
+    default of the list of environments with the default of the store.
 
     ## Why it matters
     `env_idx` is optional; a batch without it counts by position. With one slot for all, every environment gets the

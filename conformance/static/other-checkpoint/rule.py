@@ -188,28 +188,30 @@ def _may_be_none(function: Function, name: str) -> bool:
 
 def _entries(adapter: Adapter, function: Function) -> set[str]:
     """Return the names that hold entries of a folder, listed here or by a helper, sifted or not."""
-
-    def lists(node: ast.AST) -> bool:
-        for child in ast.walk(node):
-            if isinstance(child, ast.Name) and child.id in found:
-                return True
-            if isinstance(child, ast.Call):
-                helper = adapter.callee(function, child)
-                own = helper.of(ast.Call) if helper is not None else [child]
-                if any(last(called(call)) in _LISTS for call in own):
-                    return True
-        return False
-
     found: set[str] = set()
     for _ in range(3):
-        for node in function.nodes:
-            if isinstance(node, ast.Assign) and lists(node.value):
+        for node in function.of(ast.Assign):
+            if _lists(adapter, function, node.value, found):
                 found.update(target.id for target in targets(node) if isinstance(target, ast.Name))
-            elif last(called(node)) in {"append", "extend"} and isinstance(node, ast.Call):
-                holder = node.func.value if isinstance(node.func, ast.Attribute) else None
-                if isinstance(holder, ast.Name) and any(map(lists, node.args)):
-                    found.add(holder.id)
+        for call in function.of(ast.Call):
+            holder = call.func.value if isinstance(call.func, ast.Attribute) else None
+            adds = last(called(call)) in {"append", "extend"}
+            if adds and isinstance(holder, ast.Name) and any(_lists(adapter, function, x, found) for x in call.args):
+                found.add(holder.id)
     return found
+
+
+def _lists(adapter: Adapter, function: Function, node: ast.AST, known: set[str]) -> bool:
+    """Tell whether an expression is made of a folder's entries."""
+    for child in ast.walk(node):
+        if isinstance(child, ast.Call):
+            helper = adapter.callee(function, child)
+            calls = helper.of(ast.Call) if helper is not None else [child]
+            if any(last(called(call)) in _LISTS for call in calls):
+                return True
+        elif isinstance(child, ast.Name) and child.id in known:
+            return True
+    return False
 
 
 def _chosen(nodes: Iterable[ast.AST], entries: set[str]) -> list[ast.AST]:
@@ -267,7 +269,7 @@ def _denies(test: ast.expr) -> bool:
 
 
 def _scaled(function: Function) -> Iterator[tuple[ast.AST, str]]:
-    """Yield a step that also matches itself times ten: `while len(str(step)) < ...: step *= 10`, `{step, step * 10}`."""
+    """Yield a step that also matches itself times ten: `while ...: step *= 10`, `{step, step * 10}`."""
     steps = _given_steps(function)
     for node in function.of(ast.AugAssign):
         if isinstance(node.op, ast.Mult) and constant(node.value) in _TENS and names(node.target) & steps:

@@ -80,7 +80,7 @@ def private_places(source: Source) -> Iterator[Finding]:
 
 
 def _vendored(source: Source) -> Iterator[Finding]:
-    """Yield the first credential in a vendored tree, and the first private address that a script there falls back on."""
+    """Yield the first credential in a vendored tree, and the first private address that a script falls back on."""
     key = address = False
     for name, text in vendored.texts(source):
         small = text.lower()

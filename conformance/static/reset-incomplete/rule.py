@@ -10,7 +10,7 @@ from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESET, RESE
 from xpl_cli.audit.static.episode import is_memo, mentioned, read
 from xpl_cli.audit.static.function import Function, Write, writes
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, is_conditional, last, self_attribute, targets
+from xpl_cli.audit.static.syntax import called, is_conditional, self_attribute, targets
 
 _FIX = Fix("advice", "set these attributes anew in reset, or derive from xpl.Policy, which keeps and clears them")
 

@@ -18,8 +18,8 @@ def reset_installs(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Compares the attributes that the observing and acting methods read with those that construction sets, directly or
-    through what it calls. Reported is what only `reset` sets, also on a part of the model that lacks it. Attributes of the class, and uses that ask first
-    (`hasattr`, `getattr` with a default), do not count.
+    through what it calls. Reported is what only `reset` sets, also on a part of the model that lacks it. Attributes of
+    the class, and uses that ask first (`hasattr`, `getattr` with a default), do not count.
 
     ## Why it matters
     The first observation after a start or a restart fails with AttributeError where the client, which thinks it is in

@@ -23,8 +23,8 @@ def unbounded_history(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks for lists that the observing and acting methods append to, in the class itself and in objects of the adapter's
-    own classes that it holds, under their own name or that of an entry, and for anything that bounds them: `maxlen`, a slice that is assigned back, `pop`, `del`,
-    a test of the length, or a new list.
+    own classes that it holds, under their own name or that of an entry, and for anything that bounds them: `maxlen`, a
+    slice that is assigned back, `pop`, `del`, a test of the length, or a new list.
 
     ## Why it matters
     Three cameras at 25 Hz are 70 MB a second: a long episode ends when memory does. Where the list is given to the

@@ -131,15 +131,16 @@ def _misnamed(source: Source, adapter: Adapter, standard: set[str], scripts: str
     reported: set[str] = set()
     for setting in adapter.settings:
         key = setting.read.key
-        is_set = source.deploy.get(key) is not None
-        if is_set or key in standard or key in reported or re.search(rf"\b{re.escape(key)}\b", scripts):
+        if source.deploy.get(key) is not None or key in standard or key in reported:
             continue
         meant = next((name for name in sorted(standard) if _is_short_for(key, name)), None)
         if meant is not None and meant not in read and meant not in written:
             reported.add(key)
+            is_given = re.search(rf"(?<![\w/]){re.escape(key)}\b(?!/)", scripts) is not None
+            who = "only the adapter's own scripts give a value" if is_given else "nobody gives a value"
             yield Finding(
-                f"{key} is read, to which nobody gives a value, and {meant}, which launchers set, is not: "
-                "the adapter always acts as if it had not been given",
+                f"{key} is read, to which {who}, and {meant}, which every launcher sets, is not: "
+                f"{'without them' if is_given else 'so'} the adapter acts as if it had not been given",
                 **source.at(setting.function.file, setting.read.node),
                 expected=meant,
                 got=key,

@@ -212,9 +212,8 @@ class Adapter:
             return False
         if last(called(node)) in _HARMLESS or self.callee(function, node) is not None:
             return False
-        if self.is_closed and called(node) == "__init__":
-            return False  # that of a base class which is known
-        return not _origin(self.source, function.file, called(node)).startswith(_ECOSYSTEM)
+        is_base = self.is_closed and called(node) == "__init__"  # that of a class which is known
+        return not is_base and not _origin(self.source, function.file, called(node)).startswith(_ECOSYSTEM)
 
     @cached_property
     def _configured(self) -> list[tuple[Function, Callable[[ast.AST], bool]]]:
