@@ -123,15 +123,21 @@ def test_the_interpreter_confirms_that_nothing_runs(adapter: Path, tmp_path: Pat
     assert not trace.exists()
 
 
-def test_of_a_vendored_tree_only_the_boundary_is_opened(adapter: Path, tmp_path: Path) -> None:
-    """800 files beside the adapter: what model.py imports is opened, once, and nothing else of them."""
-    plain = len(watched(adapter, tmp_path)["opened"])
+def test_of_a_vendored_tree_small_text_is_opened_once_and_nothing_else(adapter: Path, tmp_path: Path) -> None:
+    """800 files beside the adapter are searched for keys; data, links and what is hidden there are left alone."""
     vendor(adapter, 800)
+    (adapter / "vendor/.cache").mkdir()
+    (adapter / "vendor/.cache/kept.py").write_text("x = 1\n")
+    (adapter / "vendor/weights.bin").write_bytes(b"0" * 100)
+    (adapter / "vendor/table.py").write_text("x = 1\n" * 100_000)
+    (adapter / "vendor/link.py").symlink_to(adapter / "vendor/used.py")
     with (adapter / "model.py").open("a") as model:
         model.write("\nfrom .vendor.used import VALUE\n")
-    opened = watched(adapter, tmp_path)["opened"]
-    assert {name for name in opened if name.startswith("vendor")} == {"vendor/used.py"}
-    assert len(opened) <= plain + 1
+    seen = watched(adapter, tmp_path)
+    opened = [name for name in seen["opened"] if name.startswith("vendor")]
+    assert len(opened) == len(set(opened)) == 801
+    assert all(name == "vendor/used.py" or name.startswith("vendor/part") for name in opened)
+    assert seen["wrong"] == []
 
 
 def vendor(adapter: Path, count: int) -> None:
