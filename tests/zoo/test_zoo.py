@@ -147,6 +147,13 @@ def test_an_adapter_is_proven_and_stays_as_it_is(copied: Path, tmp_path: Path) -
     assert {path: path.read_bytes() for path in (tmp_path / "policy").rglob("*") if path.is_file()} == before
 
 
+def test_folders_of_a_machine_do_not_get_into_a_proof() -> None:
+    """The checkout has a name, other paths are cut; addresses and places in files are none."""
+    told = {"reason": ["/home/me/lab/policy/A1/model.py:3 wants /opt/w/last.pt, see https://a.b/c/d and policy/A1/x"]}
+    cut = "CHECKOUT/policy/A1/model.py:3 wants .../last.pt, see https://a.b/c/d and policy/A1/x"
+    assert prove._portable(told, "/home/me/lab") == {"reason": [cut]}
+
+
 def test_what_a_proof_holds_names_no_folder_of_this_machine() -> None:
     """It is published: a path in it is one of the checkout's."""
     for policy in policies.policies():

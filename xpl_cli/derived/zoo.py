@@ -43,10 +43,11 @@ def pages() -> dict[str, str]:
 
 def grouped() -> dict[str, list[Policy]]:
     """Return the policies by what their family is called, in the order of `words.yml`; those without one come last."""
-    called: dict[str | None, str] = {**policies.families(), None: "Family not known"}
-    order = list(called)
+    called = policies.families()
+    order = [*called, None]
     ranked = sorted(policies.policies(), key=lambda one: order.index(one.family))
-    return {called[name]: list(members) for name, members in groupby(ranked, lambda one: one.family)}
+    groups = groupby(ranked, lambda one: one.family)
+    return {called[name] if name else "Family not known": list(members) for name, members in groups}
 
 
 def _lines() -> Iterator[str]:
@@ -76,7 +77,7 @@ def _levels(found: Sequence[Policy]) -> list[tuple[str, ...]]:
 
 
 def _runs(found: Sequence[Policy]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for one in found:
         if one.proof is not None:
             proof = one.proof

@@ -72,8 +72,8 @@ def as_json(policy: Policy) -> dict[str, Any]:
 
 def table(found: Sequence[Policy]) -> str:
     """Return a line for each policy, in columns, and how many there are of each level."""
-    rows = [("policy", "family", "level", "proven", "verdict", "robots", "chunk", "license")]
-    rows += [tuple(_row(policy)) for policy in found]
+    rows = [["policy", "family", "level", "proven", "verdict", "robots", "chunk", "license"]]
+    rows += [list(_row(policy)) for policy in found]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     return "\n".join([*lines, "", *_sums(found)])

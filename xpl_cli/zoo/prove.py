@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import re
 import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -36,6 +37,8 @@ _SERVES: Final = "XPL201"
 """The rule that says whether an adapter could be served."""
 _STATIC, _STAND_INS, _NATIVE, _WEIGHTS = range(1, 5)
 _LONGEST: Final = 300
+_ELSEWHERE: Final = re.compile(r"(?<![\w.:/])/(?:[\w.+-]+/)+([\w.+-]+)")
+"""An absolute path, and the last name in it; no part of an address or of a relative path."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ def proof(
     if not level:
         raise UserError(f"{adapter.folder} was not judged by the static gate: {following}", code=ExitCode.NOT_RUN)
     name = adapter.policy.name
-    found = {
+    found: dict[str, Any] = {
         "name": name,
         "level": level,
         "date": dt.datetime.now(dt.UTC).date().isoformat(),
@@ -121,7 +124,10 @@ def proof(
         "read": {key: dict(entry) for key, entry in manifest.items()},
         "next": following,
     }
-    return found | ({"run": evaluated} if evaluated is not None and level == _WEIGHTS else {})
+    if evaluated is not None and level == _WEIGHTS:
+        found["run"] = evaluated
+    root = adapter.path.parents[1] if adapter.path.as_posix().endswith(f"/{adapter.folder}") else adapter.path
+    return {key: _portable(value, str(root)) for key, value in found.items()}
 
 
 def write(found: Mapping[str, Any]) -> Path:
@@ -165,7 +171,7 @@ def _gate(gate: GateReport) -> dict[str, Any]:
     return {
         "gate": gate.name.value,
         "outcome": gate.outcome.value,
-        "counts": {outcome.value: number for outcome, number in counted(gate.results).items()},
+        "counts": {str(outcome): number for outcome, number in counted(gate.results).items()},
         "failed": [*of[Outcome.FAIL], *of[Outcome.ERROR]],
         "not_run": of[Outcome.NOT_RUN],
         "stood_in": _short(gate.stood_in) if gate.stood_in else None,
@@ -204,7 +210,16 @@ def _evaluated(adapter: Adapter, path: Path) -> dict[str, Any]:
     }
 
 
+def _portable(value: Any, root: str) -> Any:
+    """Return a JSON value whose texts name the checkout and no other folder of this machine."""
+    if isinstance(value, str):
+        return _ELSEWHERE.sub(r".../\1", value.replace(root, "CHECKOUT"))
+    if isinstance(value, dict):
+        return {key: _portable(entry, root) for key, entry in value.items()}
+    return [_portable(entry, root) for entry in value] if isinstance(value, list) else value
+
+
 def _short(text: str) -> str:
-    """Return a sentence of bounded length in one line, without this machine's folders."""
+    """Return a sentence of bounded length in one line."""
     line = " ".join(text.split())
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."

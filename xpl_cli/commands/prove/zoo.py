@@ -80,6 +80,7 @@ def prove(
     ),
     gate: list[str] = typer.Option([], "--gate", help="Only this gate; may be repeated. static, offline."),
     shadow: bool = typer.Option(False, "--shadow", help="With stand-ins, also where the model could be loaded."),
+    stub_missing: bool = typer.Option(False, "--stub-missing", help="Stub modules that are not installed."),
     run: Path | None = typer.Option(None, metavar="RUN", help="A recorded run of its weights, for the last level."),
     isolate: bool = typer.Option(False, "--isolate", help="Keep it from the network and from writing."),
     time_limit: str = typer.Option("10m", metavar="TIME", help=TIME_HELP),
@@ -111,14 +112,16 @@ def prove(
             gates=tuple(Gate(each) for each in _GATES if not gate or each in gate),
             keep_going=True,
             profile=Profile.SHADOW if shadow else None,
+            stub_missing=stub_missing,
             memory_limit="80%",
             isolate=isolate,
             clock=Clock.parse(time_limit),
             progress=say,
         )
         said = dict(_said(infer.draft(Source(adapter.path), {}).facts))
-        arguments = [word for each in gate for word in ("--gate", each)] + (["--shadow"] if shadow else [])
-        found = proving.proof(adapter, options, said, arguments + (["--run", "RUN"] if run else []), run)
+        arguments = [word for each in gate for word in ("--gate", each)]
+        arguments += [flag for flag, is_on in (("--shadow", shadow), ("--stub-missing", stub_missing)) if is_on]
+        found = proving.proof(adapter, options, said, [*arguments, *(["--run", "RUN"] if run else [])], run)
     path = None if dry_run else proving.write(found)
     if as_json:
         following = [] if dry_run else ["xpl spec compile"]
