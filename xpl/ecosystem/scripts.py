@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from xpl import _spec as spec
@@ -26,7 +26,7 @@ _HERE = re.compile(
 _THERE = re.compile(r"""\$\(\s*cd\s+(?:--\s+)?"?(?P<folder>[^"()]+?)"?\s*&&\s*pwd(?:\s+-P)?\s*\)""")
 _FOLDER = re.compile(r"""\$\(\s*dirname\s+(?:--\s+)?"?(?P<path>[^"()]+?)"?\s*\)""")
 _BASENAME = re.compile(r"""\$\(\s*basename\s+(?:--\s+)?"?(?P<path>[^"()]+?)"?\s*\)""")
-_VARIABLE = re.compile(r"\$\{(?P<name>\w+)(?::?-(?P<default>[^{}]*))?\}|\$(?P<plain>[A-Za-z_]\w*)")
+_VARIABLE = re.compile(r"\$\{(?P<name>\w+)(?::?-(?P<default>[^{}]*))?\}|\$(?P<plain>[A-Za-z_]\w*|\d)")
 _ASSIGNED = re.compile(
     r"^\s*(?:export\s+|local\s+|readonly\s+|declare\s+(?:-\w+\s+)*)?(?P<name>[A-Za-z_]\w*)=(?P<value>.*)$"
 )
@@ -34,6 +34,9 @@ _IN_PATH = re.compile(rf"""(?<![\w$]){_PATH}=(?P<value>"[^"]*"|'[^']*'|\S+)""")
 _PARTS = re.compile(rf"""(?<![\w$]){_PATH}_\w+\+?=\((?P<values>[^)]*)\)""")
 _CHANGED = re.compile(r"""^\s*(?:cd|pushd)\s+(?P<folder>"[^"]+"|'[^']+'|[^\s;&|]+)""")
 _INSTALLS = re.compile(r"\bpip3?\s+install\b(?P<words>.*)|\bsetup\.py\s+(?:develop|install)\b")
+_OVERRIDES = re.compile(r"--overrides\b|\b\w*(?:OVERRIDES|overrides)\w*\+?=\(")
+_PAIR = re.compile(r"""(?<![\w$"'{])(?P<name>[A-Za-z_]\w*)=(?P<value>"[^"]*"|'[^']*'|[^\s)"']*)""")
+_SUBSTITUTED = re.compile(r"\$\([^()]*\)|\$\{[^{}]*\}")
 _SETS_UP = re.compile(r"\b(?:uv|poetry)\s+(?:sync|install)\b")
 
 
@@ -53,13 +56,27 @@ def python_path(policy_dir: Path) -> list[Path]:
     return ahead + [folder for folder in installed if folder not in ahead]
 
 
+def settings(policy_dir: Path, arguments: Sequence[str]) -> dict[str, str]:
+    """Return what the script that starts the server overrides of deploy.yml, as far as it can be read.
+
+    Args:
+        policy_dir: the adapter's folder.
+        arguments: what the script is called with, in order.
+
+    Returns:
+        values as text, by key; none that is empty, or that depends on what only a running shell knows.
+    """
+    return _Reader(policy_dir.resolve(), _SERVER, arguments).settings()
+
+
 class _Reader:
     """Reads one script from its first to its last line, as if every line of it were run."""
 
-    def __init__(self, home: Path, name: str) -> None:
+    def __init__(self, home: Path, name: str, arguments: Sequence[str] = ()) -> None:
         self._home = home
         self._folder = home
         self._values = {"PWD": str(home), "0": str(home / name), "BASH_SOURCE": str(home / name)}
+        self._values.update((str(place), word) for place, word in enumerate(arguments, 1))
         try:
             path = home / name
             is_small = path.stat().st_size <= _LARGEST
@@ -77,6 +94,24 @@ class _Reader:
                 self._remember(line)
                 yield from self._set_up(line)
 
+    def settings(self) -> dict[str, str]:
+        """Return the keys of deploy.yml that are overridden, with their values."""
+        found: dict[str, str] = {}
+        is_within = False
+        for line in self._lines:
+            if line.lstrip().startswith("#"):
+                continue
+            begins = _OVERRIDES.search(line)
+            if begins is not None or is_within:
+                for pair in _PAIR.finditer(line if begins is None else line[begins.end() :]):
+                    value = self._expanded(_bare(pair["value"]))
+                    if value.strip("'") and "$" not in value and "`" not in value:
+                        found.setdefault(pair["name"], value)
+                is_within = ")" not in _SUBSTITUTED.sub("", line) if begins is None or "(" in begins[0] else False
+            else:
+                self._remember(line)
+        return found
+
     def _on_path(self, line: str) -> Iterator[tuple[Path, bool]]:
         for found in _IN_PATH.finditer(line):
             for part in self._expanded(_bare(found["value"])).split(":"):
@@ -89,7 +124,9 @@ class _Reader:
         """Take in what a line assigns, and where it goes."""
         assigned = _ASSIGNED.match(line)
         if assigned is not None and assigned["name"] != _PATH:
-            self._values.setdefault(assigned["name"], self._expanded(_bare(assigned["value"])))
+            value = self._expanded(_bare(assigned["value"]))
+            if (value and "$" not in value) or not self._values.get(assigned["name"]):
+                self._values[assigned["name"]] = value  # of several branches the last one, which is the usual one
         changed = _CHANGED.match(line)
         if changed is not None:
             self._enter(self._expanded(_bare(changed["folder"])))

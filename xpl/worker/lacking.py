@@ -1,9 +1,11 @@
-"""What a machine lacks when an adapter cannot be loaded on it, told from what is wrong with the adapter."""
+"""What a machine lacks when an adapter cannot be loaded on it, told from what is wrong with the adapter.
+
+Only what an exception says, and where it was raised, is looked at. Where both could be, the machine is taken to lack
+something: a rule that cannot know does not blame the adapter.
+"""
 
 from __future__ import annotations
 
-import difflib
-import importlib.util
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -11,11 +13,53 @@ from pathlib import Path
 from typing import Any
 
 from xpl import _spec as spec
+from xpl import checkpoint
 from xpl.checkpoint import CheckpointError
+from xpl.ecosystem import checkout
+from xpl.worker import loading
+from xpl.worker.belonging import is_third_party, own_names
+
+STUB = "stub"
+"""The kind of what only a module in whose place a stub stands could give."""
+
+__all__ = ["STUB", "StandInError", "is_third_party", "lacking", "own_names"]
 
 _OPEN_LIBRARY = "cannot open shared object file"  # the dynamic linker's words
-_ENOUGH_ALIKE = 0.8
-_NEEDS = (".txt", ".toml", ".cfg", ".yml", ".yaml", ".sh")  # files that say what to install
+_LONGEST = 300
+
+_WEIGHTS = (".pt", ".pth", ".ckpt", ".safetensors", ".bin", ".npz", ".npy", ".pkl", ".gguf", ".onnx", ".h5")
+# Classes that libraries raise when what they should load is nowhere; by name, for none of them is installed here.
+_NOT_FOUND = {
+    *("HFValidationError", "RepositoryNotFoundError", "RevisionNotFoundError", "EntryNotFoundError", "GatedRepoError"),
+    *("LocalEntryNotFoundError", "OfflineModeIsEnabled", "MissingConfigException", "MissingMandatoryValue"),
+    "SafetensorError",
+}
+_UNREACHED = {"ConnectionError", "ConnectTimeout", "TimeoutError", "gaierror", "URLError"}
+# What libraries say when a model is nowhere; transformers, huggingface_hub, diffusers, h5py, torch.
+_SAID = re.compile(
+    r"is not a local folder|is not a valid model identifier|couldn't connect to|can't load (?:the|token|config|feature)"
+    r"|does not appear to have a file named|unable to (?:synchronously )?(?:open|load)|error no file named"
+    r"|cannot find the requested files|repository not found|outgoing traffic has been disabled"
+    r"|no such file or directory",
+    re.IGNORECASE,
+)
+_IS_MISSING = re.compile(
+    r"not found|no such|does ?n[o']t exist|missing|require[sd]?\b|must be (?:set|given|specified|provided)|must set"
+    r"|(?:could not|cannot|failed to) (?:find|resolve|locate|load)|please (?:set|provide|download|specify|install)"
+    r"|must provide|not installed|is not set|unset|is empty",
+    re.IGNORECASE,
+)
+_OF_A_MODEL = re.compile(
+    r"checkpoint|ckpt|weights?\b|pre-?trained|tokeni[sz]er|model_path|model_dir|model path|statistics|stats|embedding",
+    re.IGNORECASE,
+)
+_OF_UPSTREAM = re.compile(
+    r"source tree|upstream|submodule|\bclone|repository|\brepo\b|\w+_root\b|\broot\b|\bsource\b|third[-_ ]party",
+    re.IGNORECASE,
+)
+_OWN_MISTAKES = (SyntaxError, NameError, ModuleNotFoundError)
+"""What an adapter raises by itself, whatever it imports."""
+_SAYING = (ValueError, RuntimeError, AssertionError, KeyError, ImportError, OSError, AttributeError, TypeError)
 
 
 class StandInError(RuntimeError):
@@ -32,13 +76,14 @@ def lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -
     """Return what the failure of a load says that this machine lacks, or None if the adapter itself is at fault.
 
     Args:
-        error: what loading raised; what it was raised from counts, too.
+        error: what loading raised; what it was raised from, or while it was handled, counts, too.
         policy_dir: folder of the adapter.
         config: its configuration, which names the checkpoint.
 
     Returns:
-        a map of `kind` and `name`: a third-party `module`, a shared `library`, the `checkpoint`, a `device`; what a
-        `shadow` or a `stub` cannot give in place of the real one; or that the adapter is a `whole` without a shadow.
+        a map of `kind` and `name`: a third-party `module`, a shared `library`, the `checkpoint`, a `device`, the
+        benchmark's `env_cfg`, the `upstream` code, a `file` elsewhere, a `server`, a `setting` that scripts give; what
+        a `shadow` or a `stub` cannot give in place of the real one; or that the adapter is a `whole` without a shadow.
     """
     for cause in _causes(error):
         found = _lacking(cause, policy_dir, config)
@@ -47,28 +92,30 @@ def lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -
     return None
 
 
-def is_third_party(module: str, policy_dir: Path) -> bool:
-    """Tell whether a module that cannot be found belongs to somebody else.
+def is_by_stand_in(error: BaseException, policy_dir: Path) -> bool:
+    """Tell whether an exception may be one of what stands in for a module, so that it says nothing of the adapter.
 
-    A name that a file or folder of the adapter has, or nearly has, is the adapter's: a misspelt import is a mistake,
-    unless what it installs is called so. A missing part of a package that is there is a mistake, too.
+    It is the adapter's own if it was raised in a module of the adapter, not in one that it vendors, where nothing that
+    stands in for anything was at hand.
     """
-    top = module.partition(".")[0]
-    own = own_names(policy_dir)
-    if not top or top in own or top.startswith("_xpl_policy_") or _is_there(top):
+    if isinstance(error, _OWN_MISTAKES):
         return False
-    return _is_installed_by(top, policy_dir) or not difflib.get_close_matches(top, own, n=1, cutoff=_ENOUGH_ALIKE)
+    trace = error.__traceback__
+    if trace is None:
+        return False
+    while trace.tb_next is not None:
+        trace = trace.tb_next
+    frame = trace.tb_frame
+    file = Path(frame.f_code.co_filename)
+    if file == Path(loading.__file__):  # what the adapter offers is wrong
+        return False
+    at_hand = (*error.args, *frame.f_locals.values())
+    return file.parent != policy_dir or any(map(_stands_in, at_hand))
 
 
-def own_names(policy_dir: Path) -> frozenset[str]:
-    """Return the names that the modules and packages of an adapter have."""
-    found: set[str] = set()
-    for folder, folders, files in os.walk(policy_dir):
-        folders[:] = [name for name in folders if name.isidentifier() and name != spec.CHECKPOINT_DIRECTORY]
-        found.update(name[: -len(".py")] for name in files if name.endswith(".py"))
-        if Path(folder) != policy_dir and any(name.endswith(".py") for name in files):
-            found.add(Path(folder).name)
-    return frozenset(found)
+def _stands_in(value: Any) -> bool:
+    room = __name__.rpartition(".")[0]
+    return any(kind.__module__.startswith(room) for kind in (type(value), type(type(value))))
 
 
 def _lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -> tuple[str, str] | None:
@@ -81,29 +128,74 @@ def _lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) 
         found = "library", str(error).partition(":")[0]
     elif isinstance(error, CheckpointError):
         found = "checkpoint", str(error)
-    elif isinstance(error, FileNotFoundError) and isinstance(error.filename, (str, os.PathLike)):
-        path = policy_dir / os.fspath(error.filename)
-        found = ("checkpoint", f"there is no {path}") if _in_checkpoint(path, policy_dir, config) else None
-    elif isinstance(error, (RuntimeError, AssertionError)) and "cuda" in str(error).lower() and not _has_gpu():
+    elif isinstance(error, FileNotFoundError):
+        found = _file(error, policy_dir, config)
+    elif isinstance(error, (RuntimeError, AssertionError)) and _of_a_gpu(str(error)) and not _has_gpu():
         found = "device", "a CUDA device"
+    else:
+        found = _said(error, policy_dir, config)
     return found
 
 
+def _file(error: FileNotFoundError, policy_dir: Path, config: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Return what a file is that is not there; None if it is one that the adapter itself would have to have."""
+    if not isinstance(error.filename, (str, os.PathLike)):
+        text = _brief(error)
+        return ("env_cfg" if checkout.ENV_CFG in text else _kind(text) or "checkpoint"), text
+    path = policy_dir / os.fspath(error.filename)
+    where = f"there is no {path}"
+    if _in_checkpoint(path, policy_dir, config):
+        return "checkpoint", where
+    if checkout.ENV_CFG in path.parts:
+        return "env_cfg", where
+    if policy_dir not in path.parents:
+        return "file", where
+    if path.suffix in _WEIGHTS:
+        return "checkpoint", where
+    return None if path.parent.is_dir() else ("upstream", where)
+
+
+def _said(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Return what an exception says in words, its own or a library's."""
+    names = {kind.__name__ for kind in type(error).__mro__}
+    text = _brief(error)
+    if names & _NOT_FOUND:
+        return "checkpoint", text
+    if names & _UNREACHED:
+        return "server", text
+    if isinstance(error, OSError) and _SAID.search(text):
+        return "checkpoint", text
+    if isinstance(error, KeyError):
+        key = error.args[0] if error.args else None
+        is_given = isinstance(key, str) and key not in config and _is_set_by_script(key, policy_dir)
+        return ("setting", str(key)) if is_given else None
+    if isinstance(error, _SAYING) and _IS_MISSING.search(text) and not _has_checkpoint(policy_dir, config):
+        kind = _kind(text)
+        return None if kind is None else (kind, text)
+    return None
+
+
+def _kind(text: str) -> str | None:
+    if _OF_A_MODEL.search(text):
+        return "checkpoint"
+    return "upstream" if _OF_UPSTREAM.search(text) else None
+
+
+def _brief(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+
+
 def _causes(error: BaseException) -> Iterator[BaseException]:
-    """Yield an exception and what it was explicitly raised from, each once: they may go round in a circle."""
+    """Yield an exception and what it was raised from, or while it was handled, each once: they may go in a circle."""
     cause: BaseException | None = error
     seen: set[int] = set()
     while cause is not None and id(cause) not in seen:
         yield cause
         seen.add(id(cause))
-        cause = cause.__cause__
-
-
-def _is_installed_by(module: str, policy_dir: Path) -> bool:
-    """Tell whether the files that say what an adapter needs name a module, or the distribution that is called so."""
-    name = re.compile(rf"(?<![\w.-]){re.escape(module).replace('_', '[-_]')}(?![\w-])", re.IGNORECASE)
-    files = [path for path in policy_dir.iterdir() if path.suffix in _NEEDS and path.is_file()]
-    return any(name.search(path.read_text(encoding="utf-8", errors="replace")) for path in files)
+        is_told = isinstance(cause, (ImportError, OSError, RuntimeError, ValueError))  # not a mistake while handling
+        handled = cause.__context__ if is_told and not cause.__suppress_context__ else None
+        cause = cause.__cause__ or handled
 
 
 def _in_checkpoint(path: Path, policy_dir: Path, config: Mapping[str, Any]) -> bool:
@@ -112,11 +204,21 @@ def _in_checkpoint(path: Path, policy_dir: Path, config: Mapping[str, Any]) -> b
     return any(root == path or root in path.parents for root in (policy_dir / name for name in roots))
 
 
-def _is_there(module: str) -> bool:
+def _has_checkpoint(policy_dir: Path, config: Mapping[str, Any]) -> bool:
+    return len(checkpoint.folders(config, policy_dir)) > 1
+
+
+def _is_set_by_script(key: str, policy_dir: Path) -> bool:
+    script = policy_dir / spec.File.SETUP_EVAL_POLICY_SERVER_SH
     try:
-        return importlib.util.find_spec(module) is not None
-    except (ImportError, ValueError):
+        text = script.read_text(encoding="utf-8", errors="replace")
+    except OSError:
         return False
+    return re.search(rf"(?<![\w$]){re.escape(key)}=", text) is not None
+
+
+def _of_a_gpu(text: str) -> bool:
+    return "cuda" in text.lower() or "NVIDIA" in text
 
 
 def _has_gpu() -> bool:

@@ -91,7 +91,7 @@ class Worker:
         try:
             return {"ok": operations[head["op"]](head)}, []
         except _FAILURES as error:
-            return {"error": {**describe(error), **self._lacks(error)}}, []
+            return {"error": {**describe(error), **(self._lacks(error) or self._disturbed(error))}}, []
 
     # -- between requests ----------------------------------------------------------------------------------------------
 
@@ -183,10 +183,10 @@ class Worker:
 
     def _lacks(self, error: BaseException) -> dict[str, Any]:
         """Return what an error tells of the machine; nothing if the adapter is to blame."""
-        from xpl.worker.lacking import lacking
+        from xpl.worker import lacking
 
         try:
-            found = lacking(error, self._policy_dir, self._config)
+            found = lacking.lacking(error, self._policy_dir, self._config)
         except _FAILURES:  # an exception whose text cannot be had, for example
             found = None
         if self._stubs is not None:
@@ -195,6 +195,16 @@ class Worker:
             asked = stubs.asked()
             found = found if asked is None else {"kind": stubs.StubError.kind, "name": asked}
         return {} if found is None else {"lacks": found}
+
+    def _disturbed(self, error: BaseException) -> dict[str, Any]:
+        """Return that stubs, and not the adapter, may be to blame for what was raised while it was loaded."""
+        from xpl.worker import lacking
+
+        names = self._stubs.names if self._stubs is not None else []
+        if not names or not lacking.is_by_stand_in(error, self._policy_dir):
+            return {}
+        told = f"{type(error).__name__}: {telling.text_of(error):.200}, with stubs for {', '.join(names)}"
+        return {"lacks": {"kind": lacking.STUB, "name": told}}
 
     def _results(self, requests: Sequence[Request]) -> Iterator[Any]:
         """Yield what each request returns, or the exception that it raises."""

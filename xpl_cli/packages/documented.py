@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 
 from xpl import _spec as sdk
+from xpl.ecosystem import scripts
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 # Sources: the ecosystem's eval.sh and train.sh, which take these in this order.
@@ -27,14 +29,15 @@ _ARGUMENTS: Final = {
 _CALL: Final = re.compile(r"\b(?P<script>eval|setup_eval_policy_server|train|process_data)\.sh\s+(?P<words>[^\n]+)")
 _DOCUMENTS: Final = ("README.md", "INSTALLATION.md", "eval.sh")
 _LARGEST: Final = 1 << 20
+_OF_THE_SERVER: Final = frozenset((sdk.Deploy.HOST, sdk.Deploy.PORT, sdk.Deploy.POLICY_NAME, sdk.Deploy.PROTOCOL))
 _ROBOTS: Final = frozenset(name for key, entry in sdk.EMBODIMENTS.items() for name in (key, *entry.get("aliases", ())))
 
 
 def run(folder: Path) -> dict[str, Any]:
     """Return keys of deploy.yml with the values that the first documented call of a script gives them.
 
-    Only a call counts that names a robot of the standard in its place; calls of eval.sh come before others. Empty if
-    there is none.
+    Only a call counts that names a robot of the standard in its place; calls of eval.sh come before others. With it
+    come the keys that the script which starts the server sets by itself. Empty if there is no such call.
     """
     text = "\n".join(_read(folder / name) for name in _DOCUMENTS).replace("\\\n", " ")
     calls = [(found["script"], found["words"].split()) for found in _CALL.finditer(text)]
@@ -42,8 +45,16 @@ def run(folder: Path) -> dict[str, Any]:
         for called, words in calls:
             given = dict(zip(names, words, strict=False))
             if called == script and given.get(sdk.Deploy.ENV_CFG_TYPE) in _ROBOTS:
-                return {key: _value(word) for key, word in given.items() if re.fullmatch(r"[\w./-]+", word)}
+                told = {key: word for key, word in given.items() if re.fullmatch(r"[\w./-]+", word)}
+                return {key: _value(word) for key, word in {**_by_script(folder, told), **told}.items()}
     return {}
+
+
+def _by_script(folder: Path, told: Mapping[str, str]) -> dict[str, str]:
+    """Return what the server's script makes of what it is called with; not where the server runs, nor who it is."""
+    arguments = [told.get(name, "") for name in _ARGUMENTS["setup_eval_policy_server"]]
+    found = scripts.settings(folder, [*arguments, "0"])
+    return {key: value for key, value in found.items() if key not in _OF_THE_SERVER}
 
 
 def _value(word: str) -> Any:

@@ -22,7 +22,22 @@ _SENTENCES = {
     "library": "the library {} is not installed here",
     "device": "there is not {} here",
     "checkpoint": "the checkpoint is not here: {}",
+    "env_cfg": "the benchmark's env_cfg is not here: {}",
+    "upstream": "the code that the adapter wraps is not here: {}",
+    "file": "a file outside of the adapter is not here: {}",
+    "server": "the server that the adapter asks cannot be reached: {}",
+    "setting": "deploy.yml has no {}, which the adapter's script sets",
 }
+_HELP = {
+    _MODULE: "",
+    "checkpoint": "fetch it, or name it with --set ckpt_name=...",
+    "env_cfg": "audit it beside its benchmark, or name a robot of the standard with --set env_cfg_type=NAME",
+    "upstream": "run the adapter's install.sh",
+    "file": "bring it here, or name another with --set",
+    "server": "start it first",
+    "setting": "give it with --set",
+}
+"""What to do where the real thing is wanted."""
 
 
 class Lacking(NotRun):
@@ -84,7 +99,8 @@ def _advice(choice: Choice, kind: str) -> str:
     if choice.stand_in.stub_missing:
         return ""
     if choice.name is Profile.FULL:
-        return "; --shadow audits without the model"
+        told = _HELP.get(kind)
+        return f"; {told}; --shadow audits without the model" if told else "; --shadow audits without the model"
     if kind == _MODULE:
         return "; import it in load, or have it stubbed with --stub-missing"
     return "; what needs no missing module can be tried with --stub-missing" if kind == "whole" else ""

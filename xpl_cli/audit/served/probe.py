@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.served.session import Session
 
+_NO_ROBOT = f"{sdk.Deploy.ENV_CFG_TYPE} is open: neither {sdk.File.DEPLOY_YML} nor a call of eval.sh in the documents names a robot"
 _UNSTEADY = "the policy acts differently each time, and nothing can be compared: seed-repeats says how"
 
 
@@ -65,7 +66,9 @@ class Probe(Servers):
         try:
             self.embodiment: Embodiment = get_embodiment(str(self.config[sdk.Deploy.ENV_CFG_TYPE]))
         except UnknownEmbodimentError as error:
-            raise NotRun(f"{error}: name one with --set {sdk.Deploy.ENV_CFG_TYPE}=NAME") from None
+            is_open = self.config[sdk.Deploy.ENV_CFG_TYPE] is None
+            why = _NO_ROBOT if is_open else str(error)
+            raise NotRun(f"{why}: name one with --set {sdk.Deploy.ENV_CFG_TYPE}=NAME") from None
         self.action_type: str = self.config[sdk.Deploy.ACTION_TYPE]
         refused = undeclared(target.manifest, self.embodiment.name, self.action_type)
         if refused is not None and {sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE} & options.overrides.keys():
