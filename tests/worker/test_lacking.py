@@ -20,9 +20,9 @@ def _raised(error: BaseException, cause: BaseException) -> BaseException:
     """Return an error that was raised while another was handled."""
     try:
         try:
-            raise cause
+            raise cause  # noqa: TRY301 - as adapters do
         except BaseException:  # noqa: BLE001
-            raise error  # noqa: B904 - as adapters do
+            raise error  # noqa: B904 - the same
     except BaseException as raised:  # noqa: BLE001
         return raised
 

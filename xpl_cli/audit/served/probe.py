@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.served.session import Session
 
-_NO_ROBOT = f"{sdk.Deploy.ENV_CFG_TYPE} is open: neither {sdk.File.DEPLOY_YML} nor a call of eval.sh in the documents names a robot"
+_NO_ROBOT = f"{sdk.Deploy.ENV_CFG_TYPE} is open: neither deploy.yml nor a documented call of eval.sh names a robot"
 _UNSTEADY = "the policy acts differently each time, and nothing can be compared: seed-repeats says how"
 
 
