@@ -35,6 +35,23 @@ def load(order: Mapping[str, Any]) -> Any:
             its observations is noted (`xpl.worker.watch`).
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]
+    model = _with_kit(policy_dir, config) if order.get("shadow") else None
+    if model is None:
+        model = _real(policy_dir, config, manifest, order)
+    if not order.get("watch"):
+        return model
+    from xpl.worker.watch import Watched
+
+    return Watched(model)
+
+
+def _with_kit(policy_dir: Path, config: Mapping[str, Any]) -> Any:
+    from xpl.worker.standins import kit
+
+    return kit.Kit(policy_dir, config).built() if kit.wants(policy_dir) else None
+
+
+def _real(policy_dir: Path, config: Mapping[str, Any], manifest: Mapping[str, Any], order: Mapping[str, Any]) -> Any:
     if order.get("stub_missing"):
         stubs.Stubs(policy_dir, [policy_dir, *ecosystem.roots(policy_dir)]).install()
     model_class = load_model_class(policy_dir)
@@ -42,12 +59,7 @@ def load(order: Mapping[str, Any]) -> Any:
         from xpl.worker.shadow import shadow_of
 
         model_class = shadow_of(model_class)
-    model = model_class({**config, "manifest": manifest} if issubclass(model_class, Policy) else dict(config))
-    if not order.get("watch"):
-        return model
-    from xpl.worker.watch import Watched
-
-    return Watched(model)
+    return model_class({**config, "manifest": manifest} if issubclass(model_class, Policy) else dict(config))
 
 
 def play(model: Any, script: Sequence[Sequence[Any]]) -> Iterator[bytes]:

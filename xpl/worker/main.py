@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from xpl.wire.arrays import Data
     from xpl.wire.segment import Window
     from xpl.worker.sharing import SharedModel
+    from xpl.worker.standins.kit import Kit
     from xpl.worker.stubs import Stubs
 
 
@@ -75,6 +76,7 @@ class Worker:
         self._shared: SharedModel | None = None
         self._windows: dict[int, Window] = {}
         self._stubs: Stubs | None = None
+        self._kit: Kit | None = None
         self._policy_dir = Path()
         self._config: dict[str, Any] = {}
 
@@ -103,6 +105,11 @@ class Worker:
         gc.unfreeze()
         gc.collect()
         policy_dir = self._policy_dir = Path(message["policy_dir"])
+        if message.get("shadow"):
+            from xpl.worker.standins import kit
+
+            if kit.wants(policy_dir):
+                return self._load_with_kit(message)
         if message.get("stub_missing"):
             from xpl.worker.stubs import Stubs
 
@@ -117,12 +124,27 @@ class Worker:
         manifest = message.get("manifest") or {}
         if issubclass(model_class, Policy):
             config["manifest"] = manifest
+        if (manifest.get("serving") or {}).get("shared"):
+            check_shareable(model_class, (*spec.HOOKS, *(manifest.get("methods") or ())))
+        self._model = model_class(config)
+        return self._offer(manifest)
+
+    def _load_with_kit(self, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Load an adapter that was written without the SDK, with stand-ins for what is not here."""
+        from xpl.worker.standins.kit import Kit
+
+        self._config = dict(message["config"])
+        if self._kit is None:
+            self._kit = Kit(self._policy_dir, self._config)
+        self._model = self._kit.built()
+        return {**self._offer(message.get("manifest") or {}), "stubbed": self._kit.names}
+
+    def _offer(self, manifest: Mapping[str, Any]) -> dict[str, Any]:
+        """Tell what the model offers, and settle in for serving it."""
+        model_class = type(self._model)
         declared = tuple(manifest.get("methods") or ())
         shared = bool((manifest.get("serving") or {}).get("shared"))
         offered = (*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER, *declared)
-        if shared:
-            check_shareable(model_class, (*spec.HOOKS, *declared))
-        self._model = model_class(config)
         self._methods = frozenset(
             name for name in offered if not name.startswith("_") and callable(getattr(self._model, name, None))
         )
@@ -147,7 +169,7 @@ class Worker:
         Raises:
             StubError: if there was such a failure since the last check.
         """
-        if self._stubs is not None:
+        if self._stubs is not None or self._kit is not None:
             from xpl.worker import stubs
 
             stubs.check()
@@ -189,7 +211,9 @@ class Worker:
             found = lacking.lacking(error, self._policy_dir, self._config)
         except _FAILURES:  # an exception whose text cannot be had, for example
             found = None
-        if self._stubs is not None:
+        if self._kit is not None:
+            found = found or self._kit.lacks(error)
+        if self._stubs is not None or self._kit is not None:
             from xpl.worker import stubs
 
             asked = stubs.asked()
@@ -212,6 +236,8 @@ class Worker:
             try:
                 result = self._perform(request)
                 self._check_stubs()
+                if self._kit is not None and result is not None:
+                    self._kit.answered = True
             except _FAILURES as error:
                 result = error
             yield result

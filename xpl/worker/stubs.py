@@ -15,13 +15,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Callable, NoReturn
 
-from xpl.worker.lacking import StandInError, is_third_party
-
-
-class StubError(StandInError):
-    """Something was asked of a stub that only the real module can give."""
-
-    kind = "stub"
+from xpl.worker.lacking import is_third_party
+from xpl.worker.standins.things import WORLD, StubError
 
 
 class Stubs:
@@ -36,7 +31,7 @@ class Stubs:
         self._policy_dir = policy_dir
         self._roots = [str(root.resolve()) + "/" for root in roots]
         self._names: list[str] = []
-        _failed.clear()
+        WORLD.failed.clear()
 
     @property
     def names(self) -> list[str]:
@@ -79,13 +74,10 @@ class Stubs:
         return False
 
 
-_failed: list[str] = []
-
-
 def asked() -> str | None:
     """Return what stubs were asked in vain since this was last called, None if they were not."""
-    message = _failed[0] if _failed else None
-    _failed.clear()
+    message = WORLD.failed[0] if WORLD.failed else None
+    WORLD.failed.clear()
     return message
 
 
@@ -102,7 +94,7 @@ def check() -> None:
 
 def _fail(name: str, what: str) -> NoReturn:
     message = f"{name} has no {what}: {name.partition('.')[0]} is not installed here, and stubbed"
-    _failed.append(message)
+    WORLD.failed.append(message)
     raise StubError(message)
 
 

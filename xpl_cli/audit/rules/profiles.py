@@ -44,14 +44,20 @@ class Choice:
         if self.stand_in.shadow:
             what.append("shadow mode: the model was not loaded, and rules that only the model can break do not apply")
         if self.stubbed:
-            what.append(f"stubbed: {', '.join(self.stubbed)}")
+            what.append(f"{'stand-ins for' if self.has_kit else 'stubbed:'} {', '.join(self.stubbed)}")
         return "; ".join(what) + (f" ({self.reason})" if what and self.reason else "")
 
     @property
     def briefly(self) -> str:
         """The same in a few words."""
         what = ["without the model"] if self.stand_in.shadow else []
-        return ", ".join([*what, *([f"stubs for {', '.join(self.stubbed)}"] if self.stubbed else [])])
+        kind = "stand-ins" if self.has_kit else "stubs"
+        return ", ".join([*what, *([f"{kind} for {', '.join(self.stubbed)}"] if self.stubbed else [])])
+
+    @property
+    def has_kit(self) -> bool:
+        """Whether what was not here was stood in for by more than stubs (`xpl.worker.standins`)."""
+        return self.stand_in.shadow and not self.stand_in.stub_missing
 
     @property
     def is_made_of_stubs(self) -> bool:

@@ -1,0 +1,95 @@
+"""Makes of models and helpers that adapters have in common, as stand-ins of their own.
+
+Data: a map from names to classes and functions. A name that is not here is a thing.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any, Callable
+
+from xpl.worker.standins.facts import Facts
+from xpl.worker.standins.given import Given
+from xpl.worker.standins.things import Origin, Thing, origin
+
+
+def known(facts: Facts) -> dict[str, Any]:
+    """Return what stands in for which name."""
+    return {
+        "*.dict_apply": dict_apply,
+        "*.tree_map": lambda function, tree, *_: dict_apply(tree, function),
+        "tqdm.tqdm": lambda items=(), *_, **__: items,
+        "tqdm.auto.tqdm": lambda items=(), *_, **__: items,
+        "termcolor.cprint": _told,
+        "termcolor.colored": lambda text, *_, **__: text,
+        "dotenv.load_dotenv": lambda *_, **__: False,
+        "*.WebsocketClientPolicy": type("WebsocketClientPolicy", (_Client,), {"facts": facts}),
+    }
+
+
+def dict_apply(tree: Any, function: Callable[[Any], Any]) -> Any:
+    """Apply a function to the leaves of maps and lists, and to what is looked up in a thing."""
+    if isinstance(tree, Thing):
+        told = origin(tree)
+        return _Applied(told, function)
+    if isinstance(tree, Mapping):
+        return {key: dict_apply(item, function) for key, item in tree.items()}
+    return function(tree)
+
+
+class _Applied(Thing):
+    def __init__(self, told: Origin, function: Callable[[Any], Any]) -> None:
+        super().__init__(Origin(told.name, told.memory, told.given, told.keys))
+        self.__dict__["_xpl_function"] = function
+
+    def __getitem__(self, key: Any) -> Any:
+        return dict_apply_once(super().__getitem__(key), self.__dict__["_xpl_function"])
+
+
+def dict_apply_once(item: Any, function: Callable[[Any], Any]) -> Any:
+    """Return a function's value, or what a thing is where it has none."""
+    from xpl.worker.standins.things import holds, value
+
+    if isinstance(item, Thing) and holds(item):
+        return function(value(item))
+    return item if isinstance(item, Thing) else function(item)
+
+
+def _told(text: Any = "", *_: Any, **__: Any) -> None:
+    sys.stdout.write(f"{text}\n")
+
+
+class _Client(Thing):
+    """A client of an inference server: openpi's, and what follows it."""
+
+    facts: Facts
+
+    def get_server_metadata(self) -> dict[str, Any]:
+        """Return what the server says of itself."""
+        return {"action_dim": self.facts.width, "action_horizon": self.facts.steps}
+
+    def infer(self, obs: Any, *_: Any, **__: Any) -> Any:
+        """Return a chunk under any key."""
+        return self._answer("infer", obs)
+
+    def predict_action(self, request: Any, *_: Any, **__: Any) -> Any:
+        """Return a chunk as servers of vision-language-action frameworks wrap it."""
+        return {"status": "ok", "ok": True, "data": _Map(self._answer("predict_action", request))}
+
+    def reset(self, *_: Any, **__: Any) -> None:
+        """Forget what came before."""
+        origin(self).memory.clear()
+
+    def _answer(self, verb: str, shown: Any) -> Any:
+        memory = origin(self).memory
+        given = Given(verb, (shown,), {}, memory)
+        memory.remember(given)
+        return Thing(Origin(f"client.{verb}()", memory, given))
+
+
+class _Map(dict):  # type: ignore[type-arg]
+    """A map that has an answer under each key that speaks of actions."""
+
+    def __init__(self, answer: Thing) -> None:
+        super().__init__({name: answer[name] for name in ("normalized_actions", "actions")})

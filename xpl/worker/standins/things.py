@@ -1,0 +1,495 @@
+"""Things: what stands in for anything that a missing module may hold, and remembers what it was given.
+
+A thing can be imported, called, indexed, derived from, decorated with, annotated with and passed on. It is an instance
+also where it stands for a class, so that no metaclass of an adapter's can clash with it. It has no value of its own: a
+number comes from its name (`xpl.worker.standins.facts`) or from what was put into it, or it is refused.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+import sys
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from typing import Any, Callable, NoReturn
+
+from xpl.worker.lacking import StandInError
+from xpl.worker.standins import facts as known
+from xpl.worker.standins.given import Given, Memory, is_data
+
+
+class StubError(StandInError):
+    """Something was asked of a stand-in that only the real one can give."""
+
+    kind = "stub"
+
+
+class World:
+    """What all things of a process share.
+
+    Attributes:
+        facts: sizes, or None where things are mere stubs without any worth.
+        serving: whether what is passed on now is what the adapter is shown, rather than its configuration.
+        value: makes an array, or a tensor, of a thing that holds data; set by `xpl.worker.standins.values`.
+        makes: what knows more of some names; finds a function for a dotted name.
+        failed: what was asked in vain.
+    """
+
+    def __init__(self) -> None:
+        self.facts: known.Facts | None = None
+        self.serving = False
+        self.value: Callable[[Thing], Any] | None = None
+        self.makes: Callable[[str], Callable[..., Any] | None] = lambda _: None
+        self.failed: list[str] = []
+
+
+WORLD = World()
+
+
+class Origin:
+    """Where a thing comes from.
+
+    Attributes:
+        name: dotted, with () for calls and [...] for elements.
+        memory: what the object that it is a part of was given.
+        given: what went into it, None where nothing did.
+        keys: what was looked up in what a call gave.
+        is_name: whether it was imported or is an attribute of what was, and was not made by a call.
+    """
+
+    __slots__ = ("given", "is_name", "keys", "memory", "name")
+
+    def __init__(
+        self,
+        name: str,
+        memory: Memory,
+        given: Given | None = None,
+        keys: tuple[Any, ...] = (),
+        *,
+        is_name: bool = False,
+    ) -> None:
+        self.name, self.memory, self.given, self.keys, self.is_name = name, memory, given, keys, is_name
+
+    @property
+    def last(self) -> str:
+        """The last part of the name, without calls and elements."""
+        return self.name.rpartition(".")[2].partition("(")[0].partition("[")[0]
+
+
+def refuse(name: str, what: str) -> NoReturn:
+    """Raise, and remember it.
+
+    Raises:
+        StubError: always.
+    """
+    message = f"{name} has no {what}: {name.partition('.')[0]} is not installed here, and stubbed"
+    WORLD.failed.append(message)
+    raise StubError(message)
+
+
+def origin(thing: Any) -> Origin:
+    """Return where a thing comes from; what derives from one gets an origin when it is asked first."""
+    found = thing.__dict__.get("_xpl_origin")
+    if found is None:
+        found = Origin(type(thing).__name__, Memory())
+        thing.__dict__["_xpl_origin"] = found
+    return found
+
+
+def holds(thing: Any) -> bool:
+    """Tell whether anything was put into a thing."""
+    return isinstance(thing, Thing) and origin(thing).given is not None
+
+
+def value(thing: Thing) -> Any:
+    """Return the array, the tensor or the number that a thing stands for, None if there is none."""
+    told = origin(thing)
+    if told.given is not None and WORLD.value is not None:
+        return WORLD.value(thing)
+    if WORLD.facts is None:
+        return None
+    return WORLD.facts.worth(str(told.keys[-1]) if told.keys and isinstance(told.keys[-1], str) else told.last)
+
+
+def _special(name: str) -> bool:
+    return name.startswith("__") and name.endswith("__")
+
+
+def _element(thing: Thing, key: Any) -> Thing:
+    told = origin(thing)
+    return Thing(Origin(f"{told.name}[...]", told.memory, told.given, (*told.keys, key)))
+
+
+def _unpacked(depth: int) -> int | None:
+    """Return how many names the code that iterates assigns to, None if it does something else."""
+    frame = sys._getframe(depth)  # noqa: SLF001 - documented, and only CPython is supported
+    code, place = frame.f_code.co_code, frame.f_lasti
+    import opcode
+
+    if opcode.opname[code[place]].startswith("UNPACK_SEQUENCE"):
+        return code[place + 1]
+    return None
+
+
+class Thing:
+    """What stands in for a class, a function, an object or a value of a module that is not here."""
+
+    __array_ufunc__ = None  # numpy leaves operations to this side
+
+    def __init__(self, *arguments: Any, **_: Any) -> None:
+        first = arguments[0] if arguments else None
+        if isinstance(first, Origin):
+            self.__dict__["_xpl_origin"] = first
+        else:
+            self.__dict__["_xpl_origin"] = Origin(type(self).__name__, Memory())
+
+    def __init_subclass__(cls, **_: Any) -> None:
+        pass
+
+    # -- what it is taken for ------------------------------------------------------------------------------------------
+
+    def __mro_entries__(self, bases: tuple[Any, ...]) -> tuple[type, ...]:
+        return (
+            (Thing,) if not any(type(base) is Thing and base is not self for base in bases[: _at(bases, self)]) else ()
+        )
+
+    def __instancecheck__(self, instance: Any) -> bool:
+        if not isinstance(instance, Thing) and type(instance).__module__.partition(".")[0] != _PACKAGE:
+            return False
+        if type(instance) is Thing:
+            return origin(instance).name.endswith(f"{origin(self).name}()") or origin(instance).last[:1].islower()
+        return False
+
+    def __subclasscheck__(self, cls: type) -> bool:
+        return isinstance(cls, type) and issubclass(cls, Thing)
+
+    def __or__(self, other: Any) -> Any:
+        return _operation(self, "or", other) if holds(self) else typing.Any
+
+    __ror__ = __or__
+
+    def __class_getitem__(cls, _: Any) -> Any:
+        return cls
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, *_: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.any_schema()
+
+    # -- parts ---------------------------------------------------------------------------------------------------------
+
+    def __getattr__(self, name: str) -> Any:
+        if _special(name):
+            raise AttributeError(name)
+        if name.startswith(("_xpl", "_pytest")):
+            raise AttributeError(name)
+        told = origin(self)
+        if told.given is not None:
+            found = _of_value(self, name)
+            if found is not None:
+                return found
+            return Thing(Origin(f"{told.name}.{name}", told.memory, told.given, (*told.keys, name)))
+        child = _named(f"{told.name}.{name}", told.memory, told.is_name)
+        self.__dict__[name] = child
+        return child
+
+    def __setattr__(self, name: str, new: Any) -> None:
+        if new is None:  # how state is dropped
+            origin(self).memory.clear()
+        object.__setattr__(self, name, new)
+
+    def __getitem__(self, key: Any) -> Any:
+        told = origin(self)
+        made = told.given
+        if made is not None:
+            if isinstance(key, str):
+                found = made.entry((*told.keys, key))
+                return _element(self, key) if found is None else found
+            array = value(self)
+            return array[key] if array is not None else _element(self, key)
+        if told.is_name and not isinstance(key, str):
+            return self  # a generic class
+        try:
+            return self.__dict__.setdefault("_xpl_parts", {})[key]
+        except (KeyError, TypeError):
+            worth = value(self) if isinstance(key, (int, slice, tuple)) else None
+            if worth is not None:
+                return worth[key]
+            part = Thing(Origin(f"{told.name}[...]", told.memory, None, (*told.keys, key)))
+            if isinstance(key, (str, int)):
+                self.__dict__["_xpl_parts"][key] = part
+            return part
+
+    def __setitem__(self, key: Any, new: Any) -> None:
+        if isinstance(key, (str, int)):
+            self.__dict__.setdefault("_xpl_parts", {})[key] = new
+
+    def __delitem__(self, key: Any) -> None:
+        self.__dict__.setdefault("_xpl_parts", {}).pop(key, None)
+
+    def get(self, key: Any, default: Any = None) -> Any:
+        """Look up as a map does; a default that says something is the better guess."""
+        if not holds(self) and WORLD.facts is not None:
+            if key in self.__dict__.get("_xpl_parts", {}):
+                return self.__dict__["_xpl_parts"][key]
+            if default is not None:
+                return default
+        return self[key]
+
+    def __contains__(self, key: Any) -> bool:
+        if holds(self):
+            told = origin(self)
+            keys = told.given.keys(told.keys) if told.given is not None else None
+            return True if keys is None else key in keys
+        if WORLD.facts is None:
+            refuse(origin(self).name, "elements")
+        return isinstance(key, str)
+
+    def keys(self) -> Any:
+        """Return the keys of the map that went in, if one did."""
+        told = origin(self)
+        found = told.given.keys(told.keys) if told.given is not None else None
+        if found is None:
+            found = list(self.__dict__.get("_xpl_parts", {}))
+            if not found and WORLD.facts is not None and known.STATISTICS.search(f"{told.name}.{told.keys}".lower()):
+                found = list(known.STATISTIC)
+        return found
+
+    def items(self) -> Any:
+        """Return the entries of the map that went in."""
+        return [(key, self[key]) for key in self.keys()]
+
+    def values(self) -> Any:
+        """Return the values of the map that went in."""
+        return [self[key] for key in self.keys()]
+
+    # -- calls ---------------------------------------------------------------------------------------------------------
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return called(self, arguments, named)
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __get__(self, instance: Any, owner: Any = None) -> Any:
+        return self
+
+    # -- values --------------------------------------------------------------------------------------------------------
+
+    def __bool__(self) -> bool:
+        return holds(self)
+
+    def __iter__(self) -> Iterator[Any]:
+        count = _unpacked(2)
+        told = origin(self)
+        if count is not None and WORLD.facts is not None:
+            if told.given is None:
+                return iter([_element(self, place) for place in range(count)])
+            # the first of several answers is the actions; the rest tells about them
+            return iter([self, *(Thing(Origin(f"{told.name}[{n}]", Memory())) for n in range(1, count))])
+        if told.given is not None:
+            keys = told.given.keys(told.keys)
+            if keys is not None:
+                return iter(keys)
+            if not told.keys and told.given.is_of_image():
+                return iter(["pixel_values"])  # what a processor of images gives is a map
+        found = value(self)
+        if found is None or not hasattr(found, "__iter__"):
+            refuse(told.name, "elements")
+        return iter(found)
+
+    def __len__(self) -> int:
+        found = value(self)
+        if found is None or not hasattr(found, "__len__"):
+            if WORLD.facts is not None and not holds(self) and "_xpl_parts" in self.__dict__:
+                return len(self.__dict__["_xpl_parts"])
+            refuse(origin(self).name, "length")
+        return len(found)
+
+    def __next__(self) -> Any:
+        if WORLD.facts is None:
+            refuse(origin(self).name, "elements")
+        return Thing(Origin(f"{origin(self).name}.next", origin(self).memory))
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        import numpy as np
+
+        found = value(self)
+        if found is None:
+            refuse(origin(self).name, "value")
+        array = np.asarray(found)
+        return array if dtype is None else array.astype(dtype)
+
+    def __float__(self) -> float:
+        return float(_number(self))
+
+    def __int__(self) -> int:
+        return int(_number(self))
+
+    def __index__(self) -> int:
+        return int(_number(self))
+
+    def __complex__(self) -> complex:
+        return complex(_number(self))
+
+    def __bytes__(self) -> bytes:  # noqa: PLE0308 - it is refused
+        refuse(origin(self).name, "value")
+
+    def __fspath__(self) -> str:
+        if WORLD.facts is None:
+            refuse(origin(self).name, "path")
+        return str(self)
+
+    def __str__(self) -> str:
+        return origin(self).last
+
+    def __repr__(self) -> str:
+        return f"<stub {origin(self).name}>"
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __eq__(self, other: object) -> Any:
+        return self is other if not holds(self) else _operation(self, "eq", other)
+
+    def __ne__(self, other: object) -> Any:
+        return self is not other if not holds(self) else _operation(self, "ne", other)
+
+    def __copy__(self) -> Any:
+        return self
+
+    def __deepcopy__(self, memory: Any) -> Any:
+        if type(self) is Thing:
+            return self
+        made = type(self).__new__(type(self))
+        memory[id(self)] = made
+        made.__dict__.update(
+            {name: copy.deepcopy(item, memory) for name, item in self.__dict__.items() if name != "_xpl_origin"}
+        )
+        return made
+
+    def __reduce__(self) -> Any:
+        refuse(origin(self).name, "value")
+
+
+_PACKAGE = __name__.partition(".")[0]
+
+
+def _at(bases: tuple[Any, ...], base: Any) -> int:
+    return next(place for place, other in enumerate(bases) if other is base)
+
+
+def _number(thing: Thing) -> Any:
+    found = value(thing)
+    if found is None:
+        refuse(origin(thing).name, "value")
+    return found.item() if hasattr(found, "item") else found
+
+
+def _operation(thing: Any, name: str, *others: Any) -> Any:
+    import operator
+
+    told = origin(thing)
+    function = getattr(operator, name.removeprefix("r") if not hasattr(operator, name) else name, None)
+    found = value(thing)
+    if found is not None and function is not None and not isinstance(found, list):
+        values = [value(other) if isinstance(other, Thing) else other for other in others]
+        if all(item is not None for item in values):
+            ordered = [*values, found] if name.startswith("r") and not hasattr(operator, name) else [found, *values]
+            return function(*ordered)
+    return Thing(Origin(told.name, told.memory, told.given, told.keys))
+
+
+def _operator(name: str) -> Callable[..., Any]:
+    return lambda self, *others: _operation(self, name, *others)
+
+
+for _name in ("add", "sub", "mul", "truediv", "floordiv", "mod", "pow", "matmul", "and_", "xor"):
+    for _form in ("", "r"):
+        setattr(Thing, f"__{_form}{_name.rstrip('_')}__", _operator(f"{_form}{_name}"))
+for _name in ("neg", "pos", "abs", "invert", "lt", "le", "gt", "ge"):
+    setattr(Thing, f"__{_name}__", _operator(_name))
+
+
+def _of_value(thing: Thing, name: str) -> Any:
+    """Return what an array or a tensor offers under a name, if that is what a thing with data is asked for."""
+    if name not in _ARRAY or WORLD.value is None:
+        return None
+    found = getattr(value(thing), name, None)
+    if name not in _SHAPING or not callable(found):
+        return found
+
+    def shaped(*arguments: Any, **named: Any) -> Any:
+        try:
+            return found(*arguments, **named)
+        except (TypeError, ValueError, RuntimeError, IndexError):  # a shape that only the real one has
+            return thing
+
+    return shaped
+
+
+_SHAPING = frozenset(("squeeze unsqueeze reshape view permute transpose flatten expand repeat swapaxes ").split())
+_ARRAY = frozenset(
+    (
+        "shape ndim dtype size T device numpy cpu cuda to float double half bfloat16 int long bool squeeze unsqueeze "
+        "reshape view permute transpose flatten detach clone copy astype tolist item mean sum min max clip clamp dim "
+        "is_floating_point contiguous expand repeat ne eq type tobytes ravel swapaxes movedim unbind split chunk "
+    ).split()
+)
+
+
+def _named(name: str, memory: Memory, is_name: bool) -> Any:
+    last = name.rpartition(".")[2]
+    if is_name and last.endswith(("Error", "Exception", "Warning", "Interrupt")) and last[:1].isupper():
+        return type(last, (Exception,), {"__module__": name.rpartition(".")[0]})
+    if is_name:
+        found = WORLD.makes(name)
+        if found is not None:
+            return found
+    return Thing(Origin(name, memory, is_name=is_name))
+
+
+def called(thing: Any, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> Any:
+    """Return what calling a thing gives: what was decorated, itself, an answer, or another thing."""
+    told = origin(thing)
+    last = told.last
+    if len(arguments) == 1 and not named:
+        (only,) = arguments
+        own = isinstance(only, type) and only.__module__ != "builtins"
+        if isinstance(only, (types.FunctionType, classmethod, staticmethod, functools.partial)) or own:
+            return only
+    if WORLD.facts is None:
+        return Thing(Origin(f"{told.name}()", told.memory))
+    if last in known.SAME:
+        return (
+            Thing(Origin(told.name.rpartition(".")[0] or told.name, told.memory, told.given, told.keys[:-1]))
+            if (told.given is not None)
+            else told.memory.owner or thing
+        )
+    if known.RESETS.fullmatch(last):
+        told.memory.clear()
+        return Thing(Origin(f"{told.name}()", told.memory))
+    if told.name.endswith(")"):
+        last = "__call__" if last[:1].isupper() or last == "from_pretrained" else last
+    is_class = last[:1].isupper() or last == "from_pretrained"
+    shown = WORLD.serving or bool(known.TRANSFORMS.fullmatch(last))
+    if shown and is_data((arguments, dict(named)), texts=WORLD.serving):
+        given = Given(last, arguments, dict(named), told.memory, before=told.given)
+        if not is_class and WORLD.serving:
+            told.memory.remember(given)
+        return Thing(Origin(f"{told.name}()", Memory() if is_class else told.memory, given))
+    if told.given is not None:
+        return Thing(Origin(f"{told.name}()", told.memory, told.given, told.keys))
+    if WORLD.serving and not is_class and known.ANSWERS.fullmatch(last) and told.memory.given:
+        return Thing(Origin(f"{told.name}()", told.memory, Given(last, arguments, dict(named), told.memory)))
+    memory = Memory() if is_class or told.is_name else told.memory
+    made = Thing(Origin(f"{told.name}()", memory))
+    if is_class or told.is_name:
+        memory.owner = made
+    return made
