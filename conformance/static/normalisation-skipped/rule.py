@@ -42,7 +42,7 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
     settled: set[str] | None = None
     reported: set[str] = set()
     for function in adapter.reach(*OBSERVING, *ACTING):
-        found = [*_returned(function), *_branched(function)]
+        found = [*_returned(function), *_fallen_through(function), *_branched(function)]
         for node, statistics, why in found:
             settled = _settled(adapter) if settled is None else settled
             if statistics in settled | reported:
@@ -135,6 +135,33 @@ def _returned(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
                 value = value.args[0]
             if isinstance(value, ast.Name) and value.id in given:
                 yield from ((node, name, why) for name, why in _missing(node.test))
+
+
+def _fallen_through(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
+    """Yield the last line of a function that normalises, which returns a parameter where no statistics were found."""
+    final = function.node.body[-1]
+    if not _NORMALISES.search(function.name) or not isinstance(final, ast.Return):
+        return
+    if not isinstance(final.value, ast.Name) or final.value.id not in parameters(function.node):
+        return
+    for node in function.node.body[:-1]:
+        if isinstance(node, ast.If) and isinstance(node.body[-1], ast.Return):
+            for name in _found(node.test):
+                if any(_applies(entry, name) for entry in node.body):
+                    yield final, name, "is missing"
+
+
+def _found(test: ast.expr) -> Iterator[str]:
+    """Yield the statistics that a test finds: also an entry of them, as in `"mean" in stats`."""
+    yield from _present(test)
+    for node in ast.walk(test):
+        owner: ast.expr | None = None
+        if isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.In):
+            owner = node.comparators[0]
+        elif isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.IsNot) and isinstance(node.left, ast.Call):
+            owner = node.left.func.value if isinstance(node.left.func, ast.Attribute) else None
+        if owner is not None and _is_statistics(owner):
+            yield dotted(owner)
 
 
 def _branched(function: Function) -> Iterator[tuple[ast.AST, str, str]]:

@@ -11,6 +11,8 @@ from xpl_cli.audit.static.adapter import RESET
 from xpl_cli.audit.static.loops.functions import asked, hands_on, loops
 from xpl_cli.audit.static.source import Source
 
+_CARRIED = frozenset((sdk.Payload.FUNC_NAME, sdk.Payload.OBS))
+"""What a call carries: the operation, and its one argument."""
 _CLIENT = frozenset((sdk.Message.CLOSE, "connect"))
 
 
@@ -20,7 +22,8 @@ def wire_operations(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Collects what the evaluation functions ask of the client: only the operations of the contract, and the methods that
-    policy.yml declares, by `call(func_name=...)`; the first of them is `reset`.
+    policy.yml declares, by `call(func_name=...)`; the first of them is `reset`. A call has one argument, `obs`,
+    which also carries the list of environments.
 
     ## Why it matters
     A server refuses other names, and a client of a benchmark has no other methods. Without a reset the first action of
@@ -49,6 +52,16 @@ def wire_operations(source: Source) -> Iterator[Finding]:
                     got=ast.unparse(node)[:80],
                     fix=Fix("advice", "send it with the observation, or declare it under `methods` in policy.yml"),
                 )
+            for keyword in node.keywords if is_call else ():
+                if keyword.arg is not None and keyword.arg not in _CARRIED:
+                    yield Finding(
+                        f"{sdk.Message.CALL} has no {keyword.arg}: {function.name} raises TypeError there, or a lenient "
+                        "client drops it and the policy never gets it",
+                        **source.at(function.file, keyword.value),
+                        expected=f"{name or sdk.Message.CALL}(..., {sdk.Payload.OBS}=...)",
+                        got=ast.unparse(node)[:80],
+                        fix=Fix("advice", f"hand it over as {sdk.Payload.OBS}"),
+                    )
             if first is None and is_call:
                 first = node
                 if name is not None and name != RESET and not hands_on(function.node, function, source, 1):
