@@ -55,8 +55,8 @@ def wire_operations(source: Source) -> Iterator[Finding]:
             for keyword in node.keywords if is_call else ():
                 if keyword.arg is not None and keyword.arg not in _CARRIED:
                     yield Finding(
-                        f"{sdk.Message.CALL} has no {keyword.arg}: {function.name} raises TypeError there, or a lenient "
-                        "client drops it and the policy never gets it",
+                        f"{sdk.Message.CALL} has no {keyword.arg}: {function.name} raises TypeError there, or a "
+                        "lenient client drops it, and the policy never gets it",
                         **source.at(function.file, keyword.value),
                         expected=f"{name or sdk.Message.CALL}(..., {sdk.Payload.OBS}=...)",
                         got=ast.unparse(node)[:80],

@@ -8,6 +8,7 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.colour import decodes
 from xpl_cli.audit.static.edits import replaced, written
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
@@ -23,7 +24,8 @@ def writer_channels(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Finds what `cv2.imwrite`, `cv2.imencode` and the `write` of a `cv2.VideoWriter` are given, and reports images that
-    come from an observation or a trajectory in a function that exchanges no channels.
+    come from an observation or a trajectory, or from a helper whose name says that it decodes frames, in a function
+    that exchanges no channels and calls none that does.
 
     ## Why it matters
     Red and blue are exchanged in the file. In a video only the person who watches is misled; in training data the
@@ -45,10 +47,12 @@ def writer_channels(source: Source) -> Iterator[Finding]:
 
 
 def _in_function(source: Source, function: Function) -> Iterator[Finding]:
+    """Yield what one function hands to a writer as it came."""
+    turning = {other.name for other in source.functions(function.file) if _exchanges(other)}
     calls = function.of(ast.Call)
     if not any(called(call) in _STILL or last(called(call)) == "write" for call in calls):
         return
-    if any(last(called(call)) in _TURNS or "bgr" in called(call).lower() for call in calls) or _turns(function):
+    if _exchanges(function) or any(last(called(call)) in turning for call in calls):
         return
     writers = {
         target.id
@@ -72,6 +76,12 @@ def _in_function(source: Source, function: Function) -> Iterator[Finding]:
         )
 
 
+def _exchanges(function: Function) -> bool:
+    """Tell whether a function exchanges channels by a call or an index."""
+    calls = function.of(ast.Call)
+    return any(last(called(call)) in _TURNS or "bgr" in called(call).lower() for call in calls) or _turns(function)
+
+
 def _turns(function: Function) -> bool:
     """Tell whether the function exchanges channels by an index."""
     return any("::-1" in ast.unparse(node) or "[2, 1, 0]" in ast.unparse(node) for node in function.of(ast.Subscript))
@@ -79,7 +89,10 @@ def _turns(function: Function) -> bool:
 
 def _is_observed(image: ast.expr, function: Function, depth: int = 3) -> bool:
     """Tell whether an image comes from an observation or a trajectory."""
-    if sdk.Obs.VISION in texts(image) or any(last(called(node)) == "get_image" for node in ast.walk(image)):
+    calls = (last(called(node)) for node in ast.walk(image))
+    if sdk.Obs.VISION in texts(image) or any(
+        name == "get_image" or (name != "imdecode" and decodes(name)) for name in calls
+    ):
         return True
     if not depth:
         return False

@@ -18,6 +18,10 @@ _READS_BGR: Final = frozenset(("imread", "read", "retrieve", "VideoCapture"))
 """Functions of OpenCV that read standard files and videos, and give BGR."""
 _WANTS_BGR: Final = frozenset(("imwrite", "write", "imencode", "imshow", "VideoWriter"))
 _DECODES: Final = frozenset(("imdecode", "decode_image_bit", "decode_image"))
+_DECODER: Final = re.compile(
+    r"(?:^|_)decode\w*_(?:images?|imgs?|frames?|rgb|jpe?g|cameras?)(?:_|$)|(?:images?|imgs?|frames?|jpe?g)_decode"
+)
+"""Helpers' names that say what they decode: `_decode_frame`, `decode_camera_jpeg`."""
 _BACKWARDS: Final = frozenset(("[2, 1, 0]", "(2, 1, 0)"))
 _AXES: Final = 3
 _READS_IMAGE: Final = "get_image"
@@ -63,8 +67,13 @@ def swaps(function: Function) -> Iterator[Swap]:
             origin |= sources.get(name, set())
         if origin & _READS_BGR or _is_for_a_writer(node, function) or _is_a_setting(node, function):
             continue
-        is_decoded = bool(origin & _DECODES) and not _asks_for_bgr(node)
+        is_decoded = any(map(decodes, origin)) and not _asks_for_bgr(node)
         yield Swap(function, node, claims_bgr, is_decoded, _is_observed(origin))
+
+
+def decodes(name: str) -> bool:
+    """Tell whether a function of this name decodes an image; those that say BGR give it."""
+    return name in _DECODES or (_DECODER.search(name.lower()) is not None and "bgr" not in name.lower())
 
 
 def _swapped(node: ast.AST) -> tuple[ast.expr | None, bool]:

@@ -1,0 +1,17 @@
+import cv2
+
+
+def _decode_frames(packed):
+    return [codec.unpack(one)[..., ::-1] for one in packed]
+
+
+def film(episode, path):
+    writer = cv2.VideoWriter(path, 0, 25, (320, 240))
+    for frame in _decode_frames(episode["frames"]):
+        writer.write(frame)
+    writer.release()
+
+
+def copy(source, path):
+    frame = decode_frame_bgr(source.read())
+    cv2.imwrite(path, frame)
