@@ -10,9 +10,11 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, last, names, targets
+from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, key_read, last, names, targets
 
 _NAMES = re.compile(r"(^|_)(task|bench|robot|embodiment|env_cfg|dataset|domain|unnorm|suite)(_|$|s$)", re.IGNORECASE)
+
+_ROBOTS = re.compile(r"^(robot(_name|_type)?|embodiment(_name)?|env_cfg(_type)?|robot_cfg)$")
 
 
 @rule(code="XPL154", requirement="XPL-CFG-8")
@@ -22,7 +24,7 @@ def unknown_name(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks for look-ups by the name of a task, robot or data set in a table whose fallback is another entry or a
     constant: `TABLE.get(task, 0)`, `if key not in table: key = next(iter(table))`. A fallback to None or to the name
-    itself does not count: both are dealt with later.
+    itself does not count: both are dealt with later. A robot that is taken where none was named is a warning.
 
     ## Why it matters
     A misspelt or new task runs with the embedding, the prompt or the statistics of another one. The policy moves as if
@@ -37,7 +39,19 @@ def unknown_name(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Replacing `.get(name, default)` by `[name]` raises where the name is unknown, as it should.
     """
-    for function in Adapter.of(source).reach(*LOADING, *OBSERVING, *ACTING):
+    adapter = Adapter.of(source)
+    for function in adapter.reach(*LOADING):
+        for node, name, robot in _robots(function):
+            yield Finding(
+                f"where {name} is not given the robot is {robot!r}: dimensions and keys are then that robot's; "
+                "whether every launcher names one cannot be told",
+                **source.at(function.file, node),
+                expected="an error where no robot is named",
+                got=ast.unparse(node).split("\n")[0],
+                fix=Fix("advice", f"read {name} with [...], and raise where it is missing"),
+                must=False,
+            )
+    for function in adapter.reach(*LOADING, *OBSERVING, *ACTING):
         for node, name, instead in (*_defaults(function), *_first(function)):
             yield Finding(
                 f"an unknown {name} is taken for {instead}: the run is filed under a name that the policy never heard",
@@ -46,6 +60,40 @@ def unknown_name(source: Source) -> Iterator[Finding]:
                 got=ast.unparse(node).split("\n")[0],
                 fix=Fix("advice", "look the name up with [...], or raise with the names that are known"),
             )
+
+
+def _robots(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
+    """Yield where a robot that nobody named becomes a certain one."""
+    for node in function.of(ast.If):
+        asked = _lacks(node.test)
+        for entry in node.body if _ROBOTS.search(last(asked)) else ():
+            value = constant(entry.value) if isinstance(entry, ast.Assign) else None
+            if isinstance(value, str) and _is_robot(value) and any(dotted(one) == asked for one in targets(entry)):
+                yield entry, last(asked), value
+    for node in function.of(ast.Call, ast.BoolOp):
+        read = key_read(node.values[0] if isinstance(node, ast.BoolOp) else node)
+        default: ast.expr | None = None
+        if isinstance(node, ast.BoolOp):
+            default = node.values[-1] if isinstance(node.op, ast.Or) else None
+        elif read is not None:
+            default = read.default
+        value = constant(default)
+        if read is not None and _ROBOTS.search(read.key) and isinstance(value, str) and _is_robot(value):
+            yield node, read.key, value
+
+
+def _lacks(test: ast.expr) -> str:
+    """Return what a test finds missing: `robot is None`, `not robot`."""
+    if isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
+        return dotted(test.operand)
+    if isinstance(test, ast.Compare) and isinstance(test.ops[0], ast.Is) and constant(test.comparators[0]) is None:
+        return dotted(test.left)
+    return ""
+
+
+def _is_robot(name: str) -> bool:
+    """Tell whether a text names one robot: none of the words for any, or for none."""
+    return bool(name) and name.lower() not in {"default", "none", "unknown", "auto", "robot", "any", "null"}
 
 
 def _defaults(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
