@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 
 from xpl import _spec as sdk
@@ -11,8 +12,10 @@ from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter
 from xpl_cli.audit.static.colour import swaps
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import constant
 
 _WORD = "bgr"
+_ORDER = re.compile(r"colou?r|channel|bgr|rgb", re.IGNORECASE)
 
 
 @rule(code="XPL191", requirement="XPL-OBS-7")
@@ -20,11 +23,12 @@ def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
     """Red and blue of an observation's image are exchanged, and nothing says why.
 
     ## What it does
-    Follows images of the observation, as `channel-swap` does, and reports every other exchange of the channels:
-    `[..., ::-1]`, `[..., [2, 1, 0]]`, `np.flip` over the last axis, `COLOR_RGB2BGR`. Some models do want BGR, which
-    files cannot show and policy.yml has no key for. So a word counts as declared: "bgr" in a name, comment or docstring
-    of the function, in policy.yml or in deploy.yml. What goes to a writer that wants BGR does not count either. A
-    warning, since the reader cannot know what the weights were trained on.
+    Follows images of the observation, as `channel-swap` does, and reports every other exchange of the channels: `[...,
+    ::-1]`, `[..., [2, 1, 0]]`, `np.flip` over the last axis, `COLOR_RGB2BGR`. Some models do want BGR, which files
+    cannot show and policy.yml has no key for. So a word counts as declared: "bgr" in a name, comment or docstring of
+    the function, in policy.yml or in deploy.yml. What goes to a writer that wants BGR does not count either. A default
+    in code that differs from the order in deploy.yml is reported too. A warning, since the reader cannot know what the
+    weights were trained on.
 
     ## Why it matters
     Images of the standard are RGB. A leftover of code that read them with OpenCV shows the policy a blue cup where a
@@ -39,6 +43,7 @@ def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: weights that were trained on exchanged channels need them so.
     """
+    yield from _defaults(source)
     told = (source.text(name) for name in (sdk.File.POLICY_YML, sdk.File.DEPLOY_YML) if source.has(name))
     if any(_WORD in text.lower() for text in told):
         return
@@ -53,6 +58,24 @@ def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
                     got=ast.unparse(swap.node),
                     fix=Fix("advice", "delete the exchange; or, if the weights were trained on BGR, say so beside it"),
                 )
+
+
+def _defaults(source: Source) -> Iterator[Finding]:
+    """Yield an order of channels that the code takes where deploy.yml, which says another one, lacks the key."""
+    for setting in Adapter.of(source).settings:
+        read = setting.read
+        default, told = constant(read.default), source.deploy.get(read.key)
+        if not isinstance(default, str) or not isinstance(told, str) or not _ORDER.search(read.key):
+            continue
+        if default.lower() != told.lower() and {default.lower(), told.lower()} & {_WORD, "rgb"}:
+            yield Finding(
+                f"where {read.key} is not given it is {default}, while deploy.yml says {told}: without that line red "
+                "and blue are exchanged",
+                **source.at(setting.function.file, read.node),
+                expected=f"{told!r}, or an error",
+                got=repr(default),
+                fix=Fix("advice", f"make the default {told!r}"),
+            )
 
 
 def _says_why(source: Source, function: Function) -> bool:

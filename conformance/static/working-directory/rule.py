@@ -11,9 +11,12 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import LOADING, Adapter
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, constant, dotted, last, names, parameters
+from xpl_cli.audit.static.syntax import called, constant, dotted, last, names, parameters, targets
 
 _RUNNERS = frozenset(("python", "python3", "bash", "sh", "source", ".", "torchrun"))
+
+_MAKES = frozenset(("makedirs", "mkdir", "rmtree"))
+_RELATIVE = re.compile(r"(?!/|~)(?:\.{1,2}/)?[\w.-]+(?:/[\w.-]+)*/?$")
 
 
 @rule(code="XPL129", requirement="XPL-PKG-8")
@@ -21,9 +24,9 @@ def working_directory(source: Source) -> Iterator[Finding]:
     """A path depends on the folder from which the server or the script was started.
 
     ## What it does
-    Looks for relative paths of the configuration that are made absolute by the working directory, for constant
-    relative paths that are opened, and for scripts that call a file of the adapter by a relative path without going
-    to its folder first.
+    Looks for relative paths of the configuration that are made absolute by the working directory, for constant relative
+    paths that are opened, for folders that are made there, and for scripts that call a file of the adapter by a
+    relative path without going to its folder first.
 
     ## Why it matters
     The server is started by launchers, from their folder. The same deploy.yml then finds the weights on one machine and
@@ -47,6 +50,7 @@ def working_directory(source: Source) -> Iterator[Finding]:
             yield _finding(source, function, resolved[0][0], f"{paths} of the configuration")
         for node, path in _opened(function):
             yield _finding(source, function, node, repr(path))
+    yield from _scratch(source, adapter)
     for script in (sdk.File.PROCESS_DATA_SH, sdk.File.TRAIN_SH, sdk.File.EVAL_SH, sdk.File.SETUP_EVAL_POLICY_SERVER_SH):
         if source.has(script):
             yield from _called_by(source, script)
@@ -116,6 +120,48 @@ def _opened(function: Function) -> Iterator[tuple[ast.AST, str]]:
             # A Path may still be joined to something; one that says "here" is not.
             if relative and isinstance(path, str) and (dotted(node.func) != "Path" or path.startswith("./")):
                 yield node, path
+
+
+def _scratch(source: Source, adapter: Adapter) -> Iterator[Finding]:
+    """Yield folders that the adapter makes for itself below the working directory, each once."""
+    reported: set[str] = set()
+    for function in adapter.reach(*adapter.methods):
+        constants: dict[str, ast.Assign] | None = None
+        for call in function.of(ast.Call):
+            if last(called(call)) not in _MAKES:
+                continue
+            holder = call.func.value if isinstance(call.func, ast.Attribute) else None
+            given = call.args[:1] if last(called(call)) != "mkdir" or holder is None else [holder]
+            while given and isinstance(given[0], ast.Call) and called(given[0]) in {"Path", "pathlib.Path"}:
+                given = given[0].args[:1]
+            where: ast.AST = call
+            value = given[0] if given else None
+            if isinstance(value, ast.Name):
+                constants = _constants(source, function.file) if constants is None else constants
+                if value.id in constants:
+                    where, value = constants[value.id], constants[value.id].value
+            path = constant(value)
+            if isinstance(path, str) and _RELATIVE.match(path) and path not in reported:
+                reported.add(path)
+                yield Finding(
+                    f"{path} is made in the folder where the server was started: two servers that were started there "
+                    "write over each other's files",
+                    **source.at(function.file, where),
+                    expected="a folder of its own, from tempfile or the configuration",
+                    got=ast.unparse(where).split("\n")[0],
+                    fix=Fix("advice", "use tempfile.mkdtemp, or a folder from the configuration"),
+                )
+
+
+def _constants(source: Source, file: str) -> dict[str, ast.Assign]:
+    """Return the constants of a module, by name."""
+    return {
+        target.id: node
+        for node in source.tree(file).body
+        if isinstance(node, ast.Assign)
+        for target in targets(node)
+        if isinstance(target, ast.Name)
+    }
 
 
 def _called_by(source: Source, script: str) -> Iterator[Finding]:
