@@ -83,7 +83,7 @@ class Adapter:
         wanted = sdk.MODEL_CLASS
         source.tree(sdk.File.MODEL_PY)
         found = symbols(source, sdk.File.MODEL_PY).classes.get(wanted)
-        if found is None and _origin(source, sdk.File.MODEL_PY, wanted):
+        if found is None and origin(source, sdk.File.MODEL_PY, wanted):
             raise NotApplicable(f"model.py takes {wanted} from a package that is not part of the adapter")
         if found is None:
             raise NotRun(f"model.py defines no class {wanted}")
@@ -109,7 +109,7 @@ class Adapter:
             local = None if name in seen else symbols(self.source, file).classes.get(name)
             if local is not None:
                 self._inherit(*local, seen | {name})
-            elif last(name) == _SDK_CLASS and _origin(self.source, file, name).startswith("xpl"):
+            elif last(name) == _SDK_CLASS and origin(self.source, file, name).startswith("xpl"):
                 self.is_sdk = True
                 self.inherited.update(("__init__", *sdk.CONTRACT_METHODS))
             elif last(name) == _TEMPLATE:
@@ -213,7 +213,7 @@ class Adapter:
         if last(called(node)) in _HARMLESS or self.callee(function, node) is not None:
             return False
         is_base = self.is_closed and called(node) == "__init__"  # that of a class which is known
-        return not is_base and not _origin(self.source, function.file, called(node)).startswith(_ECOSYSTEM)
+        return not is_base and not origin(self.source, function.file, called(node)).startswith(_ECOSYSTEM)
 
     @cached_property
     def _configured(self) -> list[tuple[Function, Callable[[ast.AST], bool]]]:
@@ -296,7 +296,7 @@ def _top_level(body: list[ast.stmt]) -> Iterator[ast.stmt]:
             yield from _top_level(handler.body)
 
 
-def _origin(source: Source, file: str, name: str) -> str:
+def origin(source: Source, file: str, name: str) -> str:
     """Return the module that a name was imported from."""
     top = name.partition(".")[0]
     for node in source.nodes(file):

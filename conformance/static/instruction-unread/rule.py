@@ -1,0 +1,137 @@
+"""XPL196: The adapter reads the instruction, in both spellings."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from xpl import _spec as sdk
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
+from xpl_cli.audit.static.around.handed import escapes
+from xpl_cli.audit.static.episode import is_reported
+from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, constant, key_read, last, targets, texts
+
+_ONE, _MANY = sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS
+_SPOKEN: Final = re.compile(r"(?:^|_)(?:lang|language|prompts?|instructions?)(?:_|$)", re.IGNORECASE)
+_READS_BOTH: Final = "get_instruction"
+_WORDS: Final = 4
+
+
+@rule(code="XPL196", requirement="XPL-OBS-4")
+def instruction_unread(source: Source) -> Iterator[Finding]:
+    """The instruction of an observation is not read, or in one spelling only.
+
+    ## What it does
+    Looks at which of `instruction` and `instructions` the observing and acting methods read, and whatever they call.
+    Reported is an adapter that knows one spelling only. It warns where a policy with an input for language reads
+    neither, since its weights may know one task only, and where a whole sentence in the code is what stands in for an
+    instruction. Adapters that hand the observation on as a whole to another package are left alone.
+
+    ## Why it matters
+    Both spellings occur in the field. A policy that does not know the one that arrives stops, or acts by a default: it
+    moves, and follows an instruction that nobody gave.
+
+    ## Example
+    `prompt = obs.get("instruction", self.default_prompt)`: an observation with `instructions` gets the default.
+
+    ## Use instead
+    `xpl.observation.get_instruction(obs)`
+
+    ## Fix safety
+    Reading the other spelling too changes nothing for observations that were understood.
+    """
+    adapter = Adapter.of(source)
+    if adapter.is_sdk and not {"encode", *sdk.CONTRACT_METHODS[:2]} & set(adapter.methods):
+        raise NotApplicable("the base class reads the instruction")
+    yield from _sentences(source, adapter)
+    functions = adapter.reach(*OBSERVING, *ACTING)
+    if any(last(called(node)) == _READS_BOTH for function in functions for node in function.of(ast.Call)):
+        return
+    if escapes(adapter):
+        return
+    read = [(function, node) for function in functions for node in _reads(function)]
+    known = {text for function in functions for text in _constants(function)}
+    if read and len(known & {_ONE, _MANY}) == 1:
+        (spelling,) = known & {_ONE, _MANY}
+        other = _MANY if spelling == _ONE else _ONE
+        function, node = read[0]
+        yield Finding(
+            f"an observation with `{other}` is not understood, only one with `{spelling}`: the policy stops there, or "
+            "follows a default",
+            **source.at(function.file, node),
+            expected=f"`{_ONE}`, or the first of `{_MANY}`",
+            got=ast.unparse(node)[:80],
+            fix=Fix("advice", "read it with xpl.observation.get_instruction"),
+        )
+    elif not known & {_ONE, _MANY}:
+        spoken = next(_spoken(adapter), None)
+        if spoken is not None:
+            function, node, name = spoken
+            yield Finding(
+                f"the policy takes {name}, and no instruction of an observation is ever read: every wording is answered "
+                "alike; whether its weights know one task only cannot be told",
+                **source.at(function.file, node),
+                expected=f"`{_ONE}` of the observation",
+                got=ast.unparse(node).split("\n")[0][:80],
+                fix=Fix("advice", "read it with xpl.observation.get_instruction"),
+                must=False,
+            )
+
+
+def _reads(function: Function) -> Iterator[ast.expr]:
+    """Yield where an instruction is read, under its name or one of several in a row."""
+    for node in function.of(ast.Subscript, ast.Call):
+        found = key_read(node)
+        if found is not None and found.key in {_ONE, _MANY}:
+            yield found.node
+    for loop in function.of(ast.For, ast.comprehension):
+        if {_ONE, _MANY} & texts(loop.iter):
+            yield loop.iter
+
+
+def _constants(function: Function) -> set[str]:
+    """Return the texts of a function, other than the keys of maps that it makes."""
+    written = {id(key) for node in function.of(ast.Dict) for key in node.keys}
+    return {
+        node.value
+        for node in function.of(ast.Constant)
+        if isinstance(node.value, str) and id(node) not in written and not is_reported(node, function)
+    }
+
+
+def _spoken(adapter: Adapter) -> Iterator[tuple[Function, ast.AST, str]]:
+    """Yield what the model is given that is called language."""
+    for function in adapter.reach(*ACTING):
+        for call in function.of(ast.Call):
+            for keyword in call.keywords:
+                if keyword.arg and _SPOKEN.search(keyword.arg):
+                    yield function, keyword.value, keyword.arg
+
+
+def _sentences(source: Source, adapter: Adapter) -> Iterator[Finding]:
+    """Yield a sentence in the code that a policy acts by where nobody gave an instruction."""
+    for function in adapter.reach(*LOADING, *OBSERVING, *ACTING):
+        for node in function.of(ast.Assign, ast.AnnAssign, ast.Call):
+            names = [ast.unparse(target) for target in targets(node)]
+            read = key_read(node)
+            value = node.value if not isinstance(node, ast.Call) else read.default if read is not None else None
+            names += [read.key] if read is not None else []
+            if value is None or not any(_SPOKEN.search(last(name)) for name in names):
+                continue
+            values = value.values if isinstance(value, ast.BoolOp) else [value]
+            sentence = constant(values[-1])
+            if isinstance(sentence, str) and len(sentence.split()) >= _WORDS and "{" not in sentence:
+                yield Finding(
+                    "where no instruction is given the policy follows a sentence from the code, on whatever task; "
+                    "whether that ever happens cannot be told",
+                    **source.start(function.file, node),
+                    expected="an error where there is no instruction",
+                    got=repr(sentence)[:80],
+                    fix=Fix("advice", "raise where neither the observation nor the configuration has an instruction"),
+                    must=False,
+                )

@@ -1,0 +1,118 @@
+"""Whether an adapter hands whole observations on to code that is not its own, which may read any key of them."""
+
+from __future__ import annotations
+
+import ast
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter, origin
+from xpl_cli.audit.static.function import GROWING
+from xpl_cli.audit.static.syntax import called, constant, last, names, parameters, self_attribute, targets
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.static.function import Function
+
+_KNOWN: Final = frozenset(
+    (
+        *("dict", "list", "tuple", "copy", "deepcopy", "enumerate", "zip", "len", "isinstance", "print", "str", "bool"),
+        *("type", "id", "repr", "sorted", "reversed", "get", "setdefault", "RuntimeError", "ValueError", "KeyError"),
+        *GROWING,
+    )
+)
+"""Calls that read no key of an observation, or only the one that they name."""
+_COPIES: Final = frozenset(("dict", "list", "copy", "deepcopy", "enumerate", "zip", "values", "items"))
+_READ: Final = ("XPolicyLab.", "xpl.")
+"""Packages whose helpers take observations apart, and leave the instruction to the adapter."""
+
+
+def escapes(adapter: Adapter) -> bool:
+    """Tell whether an observation, or an entry of a stored batch, is given to a function outside of the boundary."""
+    functions = {id(function.node): function for function in adapter.reach(*OBSERVING, *ACTING)}
+    whole: dict[int, set[str]] = {key: set() for key in functions}
+    for name in OBSERVING:
+        function = adapter.method(name)
+        if function is not None:
+            whole[id(function.node)].update(parameters(function.node)[:1])
+    stored: set[str] = set()
+    before = -1
+    while before != (before := len(stored) + sum(map(len, whole.values()))):
+        for key, function in functions.items():
+            _spread(adapter, function, whole[key], stored, whole)
+    return any(
+        _is_stranger(adapter, function, call)
+        for key, function in functions.items()
+        for call in function.of(ast.Call)
+        if any(_is_whole(value, whole[key], stored) for value in (*call.args, *(one.value for one in call.keywords)))
+    )
+
+
+def _spread(
+    adapter: Adapter, function: Function, local: set[str], stored: set[str], whole: dict[int, set[str]]
+) -> None:
+    """Note where a function puts observations: names, attributes, parameters of functions that it calls."""
+    for node in function.of(ast.Assign, ast.AnnAssign):
+        if node.value is not None and _holds(node.value, local, stored):
+            for target in targets(node):
+                attribute = self_attribute(target)
+                if isinstance(target, ast.Name):
+                    local.add(target.id)
+                elif attribute is not None:
+                    stored.add(attribute)
+    for loop in function.of(ast.For, ast.comprehension):
+        if _holds(loop.iter, local, stored):
+            local |= names(loop.target)
+    for call in function.of(ast.Call):
+        _hand_over(adapter, function, call, local, stored, whole)
+
+
+def _hand_over(
+    adapter: Adapter, function: Function, call: ast.Call, local: set[str], stored: set[str], whole: dict[int, set[str]]
+) -> None:
+    """Note what a call puts into an attribute, or gives a function of the boundary."""
+    if isinstance(call.func, ast.Attribute) and call.func.attr in GROWING:
+        attribute = self_attribute(call.func.value)
+        if attribute is not None and any(_is_whole(value, local, stored) for value in call.args):
+            stored.add(attribute)
+    other = adapter.callee(function, call)
+    if other is not None:
+        given = list(zip(parameters(other.node), call.args, strict=False))
+        given += [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg]
+        taken = whole.setdefault(id(other.node), set())
+        taken |= {name for name, value in given if _is_whole(value, local, stored)}
+
+
+def _holds(node: ast.expr, local: set[str], stored: set[str]) -> bool:
+    """Tell whether an expression is an observation, a copy of one, or a container of some."""
+    return any(_is_whole(value, local, stored) for value in _within(node))
+
+
+def _within(node: ast.expr) -> list[ast.expr]:
+    """Return what a container or a copy is made of; an expression that is neither as it is."""
+    found: list[ast.expr] = [node]
+    if isinstance(node, (ast.ListComp, ast.GeneratorExp)):
+        found = [node.elt]
+    elif isinstance(node, ast.DictComp):
+        found = [node.value]
+    elif isinstance(node, ast.Dict):
+        found = [value for key, value in zip(node.keys, node.values, strict=True) if key is None]
+    elif isinstance(node, (ast.List, ast.Tuple)):
+        found = list(node.elts)
+    elif isinstance(node, ast.Call) and last(called(node)) in _COPIES:
+        found = [*node.args, *([node.func.value] if isinstance(node.func, ast.Attribute) else [])]
+    return found
+
+
+def _is_whole(node: ast.expr, local: set[str], stored: set[str]) -> bool:
+    """Tell whether an expression is an observation itself, or an entry of what holds some."""
+    if isinstance(node, ast.Subscript):
+        return not isinstance(constant(node.slice), str) and _is_whole(node.value, local, stored)
+    if isinstance(node, ast.Name):
+        return node.id in local
+    return isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and self_attribute(node) in stored
+
+
+def _is_stranger(adapter: Adapter, function: Function, call: ast.Call) -> bool:
+    name = called(call)
+    if last(name) in _KNOWN or adapter.callee(function, call) is not None:
+        return False
+    return not f"{origin(adapter.source, function.file, name)}.".startswith(_READ)
