@@ -73,8 +73,8 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
         if spoken is not None:
             function, node, name = spoken
             yield Finding(
-                f"the policy takes {name}, and no instruction of an observation is ever read: every wording is answered "
-                "alike; whether its weights know one task only cannot be told",
+                f"the policy takes {name}, and no instruction of an observation is ever read: every wording gets one "
+                "answer; whether its weights know one task only cannot be told",
                 **source.at(function.file, node),
                 expected=f"`{_ONE}` of the observation",
                 got=ast.unparse(node).split("\n")[0][:80],

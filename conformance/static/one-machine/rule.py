@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterator
 from typing import Any, Final
@@ -11,6 +12,7 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.scripts.flow import place, scripts
 from xpl_cli.audit.static.shell import Command, Script, Word
 from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import assigned, called, constant, last, targets
 
 _DEVICES: Final = re.compile(r"CUDA_VISIBLE_DEVICES=[\"']?(\d[\d,]*)[\"']?")
 _PORT: Final = re.compile(r"(--?(?:[a-z]+[_-])*port|(?:[A-Za-z]+_)*(?:port|PORT))(?:=[\"']?(\d{4,5})[\"']?)?")
@@ -19,6 +21,8 @@ _PLACES: Final = re.compile(
     r"|project[s]?|raid|lustre|gpfs|fsx|efs|work|media|home2?|Users|Volumes)/[^\s\"'`<>$,;:)\]}]+"
 )
 _PERSON: Final = re.compile(r"/(?:home|Users)/")
+_CHECKOUT = 4
+"""Folders up from a file of the adapter: its own, policy/, the checkout, and the one that holds the checkout."""
 
 
 @rule(code="XPL161", requirement="XPL-PKG-13")
@@ -27,7 +31,8 @@ def one_machine(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks in the scripts for `CUDA_VISIBLE_DEVICES` with a number, for ports of servers as numbers, and in scripts and
-    `deploy.yml` for absolute paths of data disks. Defaults that a variable of the environment overrides
+    `deploy.yml` for absolute paths of data disks, and in model.py and deploy.py for folders beyond the checkout that
+    are put on the path of imports. Defaults that a variable of the environment overrides
     (`${MASTER_PORT:-29500}`) are left alone for devices and ports.
 
     ## Why it matters
@@ -54,6 +59,9 @@ def one_machine(source: Source) -> Iterator[Finding]:
             found = _PLACES.search(line.partition(" #")[0]) if not line.startswith("#") else None
             if found and not _PERSON.match(found.group()):
                 yield _folder({"path": sdk.File.DEPLOY_YML, "line": number, "column": found.start() + 1}, found.group())
+    for name in (sdk.File.MODEL_PY, sdk.File.DEPLOY_PY):
+        if source.has(name) and source.parses(name):
+            yield from _roots(source, name)
 
 
 def _devices(name: str, command: Command) -> Iterator[Finding]:
@@ -108,3 +116,67 @@ def _folder(at: dict[str, Any], path: str) -> Finding:
 
 def _finding(at: dict[str, Any], message: str, expected: str, got: str) -> Finding:
     return Finding(message, **at, expected=expected, got=got, fix=Fix("advice", f"take {expected}"))
+
+
+def _roots(source: Source, name: str) -> Iterator[Finding]:
+    """Yield folders beyond the checkout that a module puts on the path of imports."""
+    made = assigned(source.tree(name).body)
+    loops = {
+        target.id: loop.iter
+        for loop in source.tree(name).body
+        if isinstance(loop, ast.For)
+        for target in targets(loop)
+        if isinstance(target, ast.Name)
+    }
+    for node in source.nodes(name):
+        if isinstance(node, ast.Call) and called(node) in {"sys.path.insert", "sys.path.append"} and node.args:
+            given = node.args[-1]
+            entries = loops.get(given.id, given) if isinstance(given, ast.Name) else given
+            for entry in entries.elts if isinstance(entries, (ast.Tuple, ast.List)) else [entries]:
+                levels = _levels(entry, made)
+                if levels is not None and levels > _CHECKOUT:
+                    yield _finding(
+                        source.at(name, node),
+                        f"a folder {levels - 1} above the adapter is on the path of imports, beyond the checkout: "
+                        "whatever lies there on this machine is imported",
+                        "the folder that holds the checkout, three above the adapter",
+                        ast.unparse(entry),
+                    )
+
+
+def _levels(node: ast.expr, made: dict[str, ast.expr], depth: int = 8) -> int | None:
+    """Return how many folders above a file of the adapter a path leads; None if it is made of anything else."""
+    if depth == 0:
+        return None
+    inner: ast.expr | None = None
+    more = 0
+    if isinstance(node, ast.Name):
+        if node.id == "__file__":
+            return 0
+        inner = made.get(node.id)
+    elif isinstance(node, ast.Attribute) and node.attr == "parent":
+        inner, more = node.value, 1
+    elif isinstance(node, ast.Subscript) and isinstance(node.value, ast.Attribute) and node.value.attr == "parents":
+        place = constant(node.slice)
+        inner, more = node.value.value, place + 1 if isinstance(place, int) else 0
+        inner = inner if isinstance(place, int) and place >= 0 else None
+    elif isinstance(node, ast.Call):
+        inner, more = _of_call(node)
+    levels = None if inner is None else _levels(inner, made, depth - 1)
+    return None if levels is None else levels + more
+
+
+def _of_call(node: ast.Call) -> tuple[ast.expr | None, int]:
+    """Return what a call makes a path of, and how many folders it goes up from there."""
+    name = last(called(node))
+    if name in {"resolve", "absolute", "as_posix"} and isinstance(node.func, ast.Attribute):
+        return node.func.value, 0
+    if name in {"Path", "abspath", "realpath", "str", "normpath"} and len(node.args) == 1:
+        return node.args[0], 0
+    if name == "dirname" and node.args:
+        return node.args[0], 1
+    parts = [constant(part) for part in node.args[1:]]
+    if name == "join" and parts and all(isinstance(part, str) for part in parts):
+        steps = [step for part in parts for step in str(part).split("/") if step not in {"", "."}]
+        return (node.args[0], len(steps)) if all(step == ".." for step in steps) else (None, 0)
+    return None, 0

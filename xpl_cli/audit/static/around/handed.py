@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter, origin
@@ -28,57 +29,70 @@ _READ: Final = ("XPolicyLab.", "xpl.")
 def escapes(adapter: Adapter) -> bool:
     """Tell whether an observation, or an entry of a stored batch, is given to a function outside of the boundary."""
     functions = {id(function.node): function for function in adapter.reach(*OBSERVING, *ACTING)}
-    whole: dict[int, set[str]] = {key: set() for key in functions}
+    trail = _Trail(adapter, {key: set() for key in functions})
     for name in OBSERVING:
         function = adapter.method(name)
         if function is not None:
-            whole[id(function.node)].update(parameters(function.node)[:1])
-    stored: set[str] = set()
+            trail.local[id(function.node)].update(parameters(function.node)[:1])
     before = -1
-    while before != (before := len(stored) + sum(map(len, whole.values()))):
-        for key, function in functions.items():
-            _spread(adapter, function, whole[key], stored, whole)
-    return any(
-        _is_stranger(adapter, function, call)
-        for key, function in functions.items()
-        for call in function.of(ast.Call)
-        if any(_is_whole(value, whole[key], stored) for value in (*call.args, *(one.value for one in call.keywords)))
-    )
+    while before != (before := len(trail.stored) + sum(map(len, trail.local.values()))):
+        for function in functions.values():
+            trail.spread(function)
+    return any(trail.leaves(function, call) for function in functions.values() for call in function.of(ast.Call))
 
 
-def _spread(
-    adapter: Adapter, function: Function, local: set[str], stored: set[str], whole: dict[int, set[str]]
-) -> None:
-    """Note where a function puts observations: names, attributes, parameters of functions that it calls."""
-    for node in function.of(ast.Assign, ast.AnnAssign):
-        if node.value is not None and _holds(node.value, local, stored):
-            for target in targets(node):
-                attribute = self_attribute(target)
-                if isinstance(target, ast.Name):
-                    local.add(target.id)
-                elif attribute is not None:
-                    stored.add(attribute)
-    for loop in function.of(ast.For, ast.comprehension):
-        if _holds(loop.iter, local, stored):
-            local |= names(loop.target)
-    for call in function.of(ast.Call):
-        _hand_over(adapter, function, call, local, stored, whole)
+@dataclass
+class _Trail:
+    """Where observations go.
 
+    Attributes:
+        local: names that hold some, by function.
+        stored: attributes that do.
+    """
 
-def _hand_over(
-    adapter: Adapter, function: Function, call: ast.Call, local: set[str], stored: set[str], whole: dict[int, set[str]]
-) -> None:
-    """Note what a call puts into an attribute, or gives a function of the boundary."""
-    if isinstance(call.func, ast.Attribute) and call.func.attr in GROWING:
-        attribute = self_attribute(call.func.value)
-        if attribute is not None and any(_is_whole(value, local, stored) for value in call.args):
-            stored.add(attribute)
-    other = adapter.callee(function, call)
-    if other is not None:
-        given = list(zip(parameters(other.node), call.args, strict=False))
-        given += [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg]
-        taken = whole.setdefault(id(other.node), set())
-        taken |= {name for name, value in given if _is_whole(value, local, stored)}
+    adapter: Adapter
+    local: dict[int, set[str]]
+    stored: set[str] = field(default_factory=set)
+
+    def spread(self, function: Function) -> None:
+        """Note where a function puts observations: names, attributes, parameters of functions that it calls."""
+        local = self.local[id(function.node)]
+        for node in function.of(ast.Assign, ast.AnnAssign):
+            if node.value is not None and _holds(node.value, local, self.stored):
+                for target in targets(node):
+                    attribute = self_attribute(target)
+                    if isinstance(target, ast.Name):
+                        local.add(target.id)
+                    elif attribute is not None:
+                        self.stored.add(attribute)
+        for loop in function.of(ast.For, ast.comprehension):
+            if _holds(loop.iter, local, self.stored):
+                local |= names(loop.target)
+        for call in function.of(ast.Call):
+            self._hand_over(function, call, local)
+
+    def _hand_over(self, function: Function, call: ast.Call, local: set[str]) -> None:
+        """Note what a call puts into an attribute, or gives a function of the boundary."""
+        if isinstance(call.func, ast.Attribute) and call.func.attr in GROWING:
+            attribute = self_attribute(call.func.value)
+            if attribute is not None and any(_is_whole(value, local, self.stored) for value in call.args):
+                self.stored.add(attribute)
+        other = self.adapter.callee(function, call)
+        if other is not None:
+            given = list(zip(parameters(other.node), call.args, strict=False))
+            given += [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg]
+            taken = self.local.setdefault(id(other.node), set())
+            taken |= {name for name, value in given if _is_whole(value, local, self.stored)}
+
+    def leaves(self, function: Function, call: ast.Call) -> bool:
+        """Tell whether a call gives an observation to code that is not the adapter's."""
+        name, local = called(call), self.local[id(function.node)]
+        if last(name) in _KNOWN or self.adapter.callee(function, call) is not None:
+            return False
+        given = (*call.args, *(keyword.value for keyword in call.keywords))
+        if not any(_is_whole(value, local, self.stored) for value in given):
+            return False
+        return not f"{origin(self.adapter.source, function.file, name)}.".startswith(_READ)
 
 
 def _holds(node: ast.expr, local: set[str], stored: set[str]) -> bool:
@@ -109,10 +123,3 @@ def _is_whole(node: ast.expr, local: set[str], stored: set[str]) -> bool:
     if isinstance(node, ast.Name):
         return node.id in local
     return isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and self_attribute(node) in stored
-
-
-def _is_stranger(adapter: Adapter, function: Function, call: ast.Call) -> bool:
-    name = called(call)
-    if last(name) in _KNOWN or adapter.callee(function, call) is not None:
-        return False
-    return not f"{origin(adapter.source, function.file, name)}.".startswith(_READ)
