@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.rules.registry import find
 from xpl_cli.audit.static.function import Function
-from xpl_cli.audit.static.loops.functions import loops
+from xpl_cli.audit.static.loops.functions import asked, does, loops
 from xpl_cli.audit.static.loops.judge import differences, parted
 from xpl_cli.audit.static.loops.values import Unclear
 from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import names, targets
 
 _OTHERS: Final = (
     "chunk-end",
@@ -25,6 +27,8 @@ _OTHERS: Final = (
 """Rules that name one difference each, better than a comparison can."""
 _FIX: Final = Fix("advice", "do it as the loop of a fresh scaffold does, which needs nothing of the policy")
 
+_MOVES = ("take_action", "take_action_batch")
+
 
 @rule(code="XPL169", requirement="XPL-LOOP-10")
 def loop_differs(source: Source) -> Iterator[Finding]:
@@ -36,6 +40,8 @@ def loop_differs(source: Source) -> Iterator[Finding]:
     policy is shown and asked, and what the environment is made to do. Names, logging, progress bars, timing, waiting
     for a frame and bookkeeping leave no trace. Nothing is executed; a condition that nobody can know is taken as
     whichever way is nearer to the reference. What another rule has found in the function is left to that rule.
+    A loop that goes back to its beginning whenever the policy answers nothing, and moves nothing before, is reported
+    in any case.
 
     ## Why it matters
     Benchmarks and the audit run loops of their own. A policy whose own loop shows the last observation of a chunk
@@ -53,6 +59,16 @@ def loop_differs(source: Source) -> Iterator[Finding]:
     unsaid: list[str] = []
     different = False
     for function in loops(source):
+        for node in _endless(function):
+            different = True
+            yield Finding(
+                f"where the policy answers nothing {function.name} asks again for ever: nothing moves the environment, "
+                "so that the episode never ends",
+                **source.start(function.file, node),
+                expected="an error where there is no action",
+                got=ast.unparse(node).split("\n")[0],
+                fix=_FIX,
+            )
         try:
             found = list(differences(function, source))
         except Unclear as why:
@@ -73,6 +89,23 @@ def loop_differs(source: Source) -> Iterator[Finding]:
             )
     if unsaid and not different:
         raise NotApplicable("; ".join(unsaid))
+
+
+def _endless(function: Function) -> Iterator[ast.If]:
+    """Yield branches that go back to the loop's beginning for want of an answer, before anything was executed."""
+    answers = {
+        target.id
+        for node in function.of(ast.Assign)
+        if any(id(call) == id(node.value) for call, _ in asked(function))
+        for target in targets(node)
+        if isinstance(target, ast.Name)
+    }
+    for loop in function.of(ast.While):
+        for place, node in enumerate(loop.body):
+            if isinstance(node, ast.If) and isinstance(node.body[-1], ast.Continue) and names(node.test) & answers:
+                before = [*loop.body[:place], *node.body]
+                if not any(next(does(entry, function, _MOVES), None) for entry in before):
+                    yield node
 
 
 def _named_by(function: Function, source: Source) -> str | None:
