@@ -10,7 +10,7 @@ from xpl_cli.audit.served.compare import answers, difference, first_step
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL207", requirement="XPL-BAT-5")
+@rule(code="XPL207", requirement="XPL-BAT-5", compares=True)
 def batch_independent(probe: Probe) -> Iterator[Finding]:
     """Environments of one batch influence each other.
 

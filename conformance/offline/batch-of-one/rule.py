@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import answers, difference, first_step
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL219", requirement="XPL-BAT-7")
+@rule(code="XPL219", requirement="XPL-BAT-7", compares=True)
 def batch_of_one(probe: Probe) -> Iterator[Finding]:
     """A batch of one environment is answered differently than a single call.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import answers, brief, difference, first_step,
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL203", requirement="XPL-BAT-1")
+@rule(code="XPL203", requirement="XPL-BAT-1", compares=True)
 def batch_order(probe: Probe) -> Iterator[Finding]:
     """A batch answers other environments than it was asked for.
 

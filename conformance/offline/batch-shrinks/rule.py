@@ -19,7 +19,12 @@ _STEPS: tuple[tuple[list[int], list[int] | None], ...] = (
 _COMPARED = (3, 0)
 
 
-@rule(code="XPL218", requirement="XPL-BAT-5", after=("batch-order", "batch-none-and-empty", "batch-independent"))
+@rule(
+    code="XPL218",
+    requirement="XPL-BAT-5",
+    after=("batch-order", "batch-none-and-empty", "batch-independent"),
+    compares=True,
+)
 def batch_shrinks(probe: Probe) -> Iterator[Finding]:
     """An environment acts differently once others of its batch have ended.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.compare import difference, error_code, same
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL206", requirement="XPL-BAT-4")
+@rule(code="XPL206", requirement="XPL-BAT-4", compares=True)
 def batch_without_index(probe: Probe) -> Iterator[Finding]:
     """Observations without env_idx are mixed up or refused.
 

@@ -15,7 +15,7 @@ _CUTS = (None, "confirmation", "action", "observation", None)
 """What is lost in each step of the episode."""
 
 
-@rule(code="XPL228", requirement="XPL-SRV-2")
+@rule(code="XPL228", requirement="XPL-SRV-2", compares=True)
 def cut_connection(probe: Probe) -> Iterator[Finding]:
     """An episode goes otherwise after the connection was cut.
 

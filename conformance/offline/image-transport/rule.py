@@ -9,10 +9,10 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.rehearsal import Rehearsal
 from xpl_cli.audit.served.compare import answers, difference, first_step
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.transports import FORMS, decoded, encoded, error_of, sees_pictures
+from xpl_cli.audit.served.transports import FORMS, LEGACY, decoded, encoded, error_of, sees_pictures
 
 
-@rule(code="XPL225", requirement="XPL-IMG-2")
+@rule(code="XPL225", requirement="XPL-IMG-2", compares=True)
 def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
     """Actions depend on how a picture travelled.
 
@@ -20,7 +20,8 @@ def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
     Sends the same pictures as arrays, as JPEG with the marker of the standard, as JPEG of the older kind, in which
     red and blue are exchanged, and as true-RGB PNG, and compares each answer with the answer to an array of exactly
     the decoded picture, so that the codec's own error plays no part. Then it hands the adapter the encoded bytes
-    themselves: it must refuse them, or read them as the standard does.
+    themselves: it must refuse them, or read them as the standard does. An adapter without a manifest is handed JPEG of
+    the older kind only, as the benchmarks that it was written for send it.
 
     ## Why it matters
     The transport is a matter of bandwidth. Where it changes colours, a policy scores lower with one benchmark than
@@ -47,8 +48,9 @@ def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
         expected = probe.answer(read) if error else plain
         ways = [("sent through the server", expected, probe.answer(sent))]
         known, undecoded = rehearsal.pictures[name]
-        # To refuse is right: an adapter never decodes.
-        if probe.repeats_in_place and spec.Payload.RESULT in known and spec.Payload.RESULT in undecoded:
+        # To refuse is right: an adapter never decodes. One of the field knows no more than the older kind.
+        is_known = name == LEGACY or bool(probe.package.manifest)
+        if is_known and probe.repeats_in_place and spec.Payload.RESULT in known and spec.Payload.RESULT in undecoded:
             ways.append(("handed over undecoded", known[spec.Payload.RESULT], undecoded[spec.Payload.RESULT]))
         for way, wanted, answer in ways:
             found = difference(wanted, answer)

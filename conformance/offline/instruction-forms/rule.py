@@ -14,7 +14,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 _FIX = Fix("advice", "read it with xpl.observation.get_instruction")
 
 
-@rule(code="XPL215", requirement="XPL-OBS-4")
+@rule(code="XPL215", requirement="XPL-OBS-4", compares=True)
 def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """Only one spelling of the instruction is understood.
 

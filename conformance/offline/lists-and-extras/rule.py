@@ -14,7 +14,7 @@ from xpl_cli.audit.served.inputs import only
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL216", requirement="XPL-OBS-1")
+@rule(code="XPL216", requirement="XPL-OBS-1", compares=True)
 def lists_and_extras(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """Forms of an observation that the schema allows are not accepted.
 

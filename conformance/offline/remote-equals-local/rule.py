@@ -25,7 +25,7 @@ _WAYS: dict[str, dict[str, Any]] = {
 _ASKING = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH)
 
 
-@rule(code="XPL255", requirement="XPL-SRV-11")
+@rule(code="XPL255", requirement="XPL-SRV-11", compares=True)
 def remote_equals_local(probe: Probe) -> Iterator[Finding]:
     """The adapter acts differently when it is served.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.session import Session
 
 
-@rule(code="XPL208", requirement="XPL-EPI-1")
+@rule(code="XPL208", requirement="XPL-EPI-1", compares=True)
 def reset_forgets(probe: Probe) -> Iterator[Finding]:
     """An episode depends on the one before it.
 

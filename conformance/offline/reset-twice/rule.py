@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, difference, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL210", requirement="XPL-EPI-2")
+@rule(code="XPL210", requirement="XPL-EPI-2", compares=True)
 def reset_twice(probe: Probe) -> Iterator[Finding]:
     """Resetting twice changes the episode.
 

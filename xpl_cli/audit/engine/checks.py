@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.facts import Facts
     from xpl_cli.audit.rules.registry import Entry, Rule
 
+_DEAF = "the policy answers the same whatever it is shown: that answers are alike proves nothing"
 _HOLDS = frozenset((Outcome.PASS, Outcome.WARN, Outcome.NOT_APPLICABLE))
 
 
@@ -84,6 +85,7 @@ class Checks:
             self._require(rule)
             with self._hurried() if rule.gate is Gate.STATIC else nullcontext():
                 told = tuple(self._facts.call(rule.check))
+            self._require_hearing(rule, told)
         except NotApplicable as why:
             return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
         except NotRun as why:
@@ -118,6 +120,15 @@ class Checks:
             raise NotApplicable(f"{self._version} of the standard does not ask for it: {rule.requirement} is newer")
         if rule.profile is Profile.FULL and self._facts.get("profile").name is Profile.SHADOW:
             raise NotApplicable("only the real model can satisfy or break it, and in shadow mode there is none")
+
+    def _require_hearing(self, rule: Rule, told: tuple[object, ...]) -> None:
+        """Drop the pass of a rule that compares answers, where they would be alike whatever the adapter does.
+
+        Raises:
+            NotApplicable: if they do not depend on what is shown.
+        """
+        if rule.compares and not told and not self._facts.get("probe").hears:
+            raise NotApplicable(_DEAF)
 
     def _result(
         self,

@@ -39,6 +39,8 @@ class Rule:
         after: slugs of rules of the same gate that have to hold first; where one does not, this one is not run.
         profile: the smaller profile that requires it: `shadow` where it holds of any model, so that both profiles
             require it; `full` where it judges the values that the real model answers.
+        compares: whether it passes because answers are alike, which proves nothing of a policy that answers the same
+            whatever it is shown.
     """
 
     code: str
@@ -50,6 +52,7 @@ class Rule:
     folder: Path
     after: tuple[str, ...] = ()
     profile: Profile = Profile.SHADOW
+    compares: bool = False
 
     @property
     def severity(self) -> str:
@@ -91,13 +94,14 @@ _ENVIRONMENTS, _EVERY_GATE, ADVICE = "environments", "audit", "advice"
 that run only where they are selected, because what they say depends on tools that may not be installed."""
 
 
-def rule(
+def rule(  # noqa: PLR0913 - what a rule says of itself
     *,
     code: str,
     requirement: str,
     gate: str | None = None,
     after: tuple[str, ...] = (),
     profile: str = "shadow",
+    compares: bool = False,
 ) -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
@@ -105,7 +109,8 @@ def rule(
     Its docstring is what `xpl explain` prints: a summary line, then the headings What it does, Why it matters, Example,
     Use instead, Fix safety. Its folder `conformance/GATE/SLUG` says what it is called and where it runs; a rule of
     `environments/` or `audit/` says by `gate` in which one first. `after` names rules of the same gate without which
-    this one would prove nothing; `profile="full"` says that only the real model can satisfy or break it.
+    this one would prove nothing; `profile="full"` says that only the real model can satisfy or break it; `compares`
+    says that it passes because answers are alike.
 
     Raises:
         RegistryError: if it says another gate than its folder, or none where the folder leaves it open.
@@ -123,6 +128,7 @@ def rule(
             entry.path.parent,
             after,
             Profile(profile),
+            compares,
         )
         return check
 

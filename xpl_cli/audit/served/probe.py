@@ -15,14 +15,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl.client import ClientError, PolicyServerError
+from xpl.client import Client, ClientError, PolicyServerError
 from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment, undeclared
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun
 from xpl_cli.audit.served.checkpoints import Checkpoint
 from xpl_cli.audit.served.choosing import Lacking
 from xpl_cli.audit.served.compare import same
-from xpl_cli.audit.served.servers import Servers
+from xpl_cli.audit.served.hanging import bounds
+from xpl_cli.audit.served.servers import PATIENCE, Servers
 from xpl_cli.packages import environments, package
 
 if TYPE_CHECKING:
@@ -162,6 +163,17 @@ class Probe(Servers):
             opened = self.fresh_session()
         with opened as session:
             yield session
+
+    @cached_property
+    def hears(self) -> bool:
+        """Whether answers depend on anything that the adapter is shown; also where it does not answer."""
+        shown = (self.observation(), self.observation(1, 2))
+        with Client(self.server().url, config=self.config | bounds(self.config) | PATIENCE) as client:
+            try:
+                answered = [(client.call(sdk.Method.RESET), client.infer(obs))[1] for obs in shown]
+            except ClientError:
+                return True
+        return not same(*answered)
 
     @cached_property
     def repeats_in_place(self) -> bool:

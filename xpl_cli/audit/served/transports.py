@@ -26,9 +26,11 @@ def _legacy_jpeg(image: np.ndarray) -> bytes:
     return target.getvalue()
 
 
+LEGACY: Final = "legacy JPEG"
+"""The only encoded form that is handed to adapters which were written without the SDK."""
 FORMS: Final[Mapping[str, Callable[[np.ndarray], bytes]]] = {
     "marked JPEG": images.encode_jpeg,
-    "legacy JPEG": _legacy_jpeg,
+    LEGACY: _legacy_jpeg,
     "true-RGB PNG": images.encode_png,
 }
 """Encoders of (H, W, 3) uint8 RGB images, by the name of the form."""
