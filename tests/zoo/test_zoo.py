@@ -117,12 +117,15 @@ SERVED = _result("XPL201", Outcome.PASS)
 
 
 def test_a_level_is_how_far_it_was_carried() -> None:
-    """Rules that failed take no level away; what could not run, or be served, or crashed does, with its reason."""
+    """Rules that failed take no level away; a gate that could not serve it, or judged less than half, does."""
     assert _level(static=[PASSES, FAILS]) == (1, "the offline gate was not asked for")
     assert _level(static=[PASSES, LACKS]) == (0, "XPL216: no module torch")
     assert _level(static=[FAILS], offline=[SERVED, FAILS])[0] == 2
     assert _level(static=[PASSES], offline=[SERVED, LACKS]) == (1, "XPL216: no module torch")
+    assert _level(static=[PASSES], offline=[SERVED, FAILS, LACKS])[0] == 2
     assert _level(static=[PASSES], offline=[_result("XPL201", Outcome.FAIL), PASSES]) == (1, "XPL201: it broke")
+    silent = _result("XPL201", Outcome.NOT_RUN, "no module jax")
+    assert _level(static=[PASSES], offline=[silent, PASSES, PASSES]) == (1, "XPL201: no module jax")
     assert _level(static=[PASSES], offline=[SERVED, _result("XPL217", Outcome.ERROR, "KeyError")])[0] == 1
 
 

@@ -154,14 +154,20 @@ def _level(report: TargetReport, verdict: Verdict, evaluated: Mapping[str, Any] 
 
 
 def _missed(gate: GateReport) -> str | None:
-    """Return why a gate did not judge a package to the end; None if it did."""
+    """Return why a gate did not judge a package; None if it did.
+
+    A few rules may lack what judges: a value that only the model has, or an earlier rule that holds.
+    """
+    counts = counted(gate.results)
     served = next((item for item in gate.results if item.code == _SERVES), None)
     if served is not None and served.outcome is Outcome.FAIL:
         return _short(f"{_SERVES}: {served.findings[0].message}")
-    for item in gate.results:
-        if item.outcome in (Outcome.ERROR, Outcome.NOT_RUN):
-            return _short(f"{item.code}: {item.reason}")
-    return None if gate.digest is not None else _short(f"the {gate.name} gate: {gate.reason}")
+    judged_by = sum(counts[outcome] for outcome in (Outcome.PASS, Outcome.WARN, Outcome.FAIL))
+    silent = [item for item in gate.results if item.outcome in (Outcome.ERROR, Outcome.NOT_RUN)]
+    if gate.digest is None or judged_by <= len(silent) or (served is not None and served in silent):
+        first = next(iter(silent), None)
+        return _short(f"{first.code}: {first.reason}" if first is not None else f"{gate.name}: {gate.reason}")
+    return None
 
 
 def _gate(gate: GateReport) -> dict[str, Any]:
@@ -172,8 +178,8 @@ def _gate(gate: GateReport) -> dict[str, Any]:
         "gate": gate.name.value,
         "outcome": gate.outcome.value,
         "counts": {str(outcome): number for outcome, number in counted(gate.results).items()},
-        "failed": [*of[Outcome.FAIL], *of[Outcome.ERROR]],
-        "not_run": of[Outcome.NOT_RUN],
+        "failed": of[Outcome.FAIL],
+        "not_run": [*of[Outcome.NOT_RUN], *of[Outcome.ERROR]],
         "stood_in": _short(gate.stood_in) if gate.stood_in else None,
         "reason": _short(reason) if reason else None,
         "digest": gate.digest,

@@ -8,7 +8,7 @@ spec/zoo/words.yml           what levels and families are called, and mean
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
@@ -84,18 +84,19 @@ class Policy:
         return levels()[0 if self.proof is None else self.proof["level"]]
 
     @property
-    def failed(self) -> list[str]:
-        """Codes of the rules that failed where it was carried."""
-        gates = () if self.proof is None else self.proof["gates"]
-        return [code for gate in gates for code in gate["failed"]]
+    def gates(self) -> Sequence[Mapping[str, Any]]:
+        """The gates that judged it."""
+        told: Sequence[Mapping[str, Any]] = () if self.proof is None else self.proof["gates"][: self.proof["level"]]
+        return told
 
     @property
     def said(self) -> str | None:
-        """What came out where it was run, in a few words; None if it was not."""
+        """What came out where it was judged, in a few words; None where it was not."""
         if self.proof is None:
             return None
-        failed = len(self.failed)
-        return f"{failed} rule{'' if failed == 1 else 's'} failed" if failed else "nothing wrong"
+        failed, silent = (sum(len(gate[key]) for gate in self.gates) for key in ("failed", "not_run"))
+        told = f"{_rules(failed)} failed" if failed else "nothing wrong"
+        return f"{told}, {_rules(silent)} could not run" if silent else told
 
     @property
     def next(self) -> str | None:
@@ -110,6 +111,10 @@ class Policy:
         """Its family; None where that is not known."""
         told: str | None = self.facts["family"].value
         return told
+
+
+def _rules(number: int) -> str:
+    return f"{number} rule{'' if number == 1 else 's'}"
 
 
 def folder() -> Path:
