@@ -138,8 +138,19 @@ def test_a_recording_says_what_was_recorded_and_with_what(recorded: tuple[Path, 
 def test_nothing_is_left_where_no_server_was_started(write_adapter: Callable[..., Path], tmp_path: Path) -> None:
     """`--trace` with the static gate alone makes no folder."""
     trace = tmp_path / "deep" / "trace"
-    xpl("audit", write_adapter(MODEL), "--gate", "static", "--trace", trace)
+    done = xpl("audit", write_adapter(MODEL), "--gate", "static", "--trace", trace)
+    assert "will be written" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_size_is_said_before_anything_is_written(tmp_path: Path) -> None:
+    """Of all adapters and gates that are recorded, with the room that there is."""
+    told = recording.foretold(tmp_path / "not" / "yet", [Gate.STATIC, Gate.OFFLINE, Gate.MUJOCO], 2)
+    assert told is not None
+    assert "about 7 MB to 28 MB" in told
+    assert told.endswith("B are free")
+    assert "--episodes" in told
+    assert recording.foretold(tmp_path, [Gate.STATIC], 2) is None
 
 
 def test_what_lies_in_the_folder_is_never_touched(write_adapter: Callable[..., Path], tmp_path: Path) -> None:

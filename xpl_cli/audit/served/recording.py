@@ -18,6 +18,7 @@ import datetime as dt
 import itertools
 import json
 import platform
+import shutil
 import struct
 import threading
 import zlib
@@ -30,6 +31,7 @@ from xpl import _spec as sdk
 from xpl.client import PolicyServerError
 from xpl.wire import codec
 from xpl_cli.audit.rules.fingerprint import fingerprint
+from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served import packing
 from xpl_cli.basics import atomic
@@ -37,9 +39,8 @@ from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.sizes import told_size
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.packages.package import Package
 
@@ -54,6 +55,10 @@ OVERRIDES, SERVED, WISHES = "overrides", "served", "options"
 _MAGIC, _PACKED = b"XPLREC1\n", b"XPLREC2\n"
 """How files of frames begin: as they are, or packed (`packing`), as they are written now."""
 _HEAD = struct.Struct("<II")
+
+
+_MEASURED = {Gate.OFFLINE: (2_000_000, 4_000_000), Gate.MUJOCO: (1_500_000, 10_000_000)}
+"""Bytes of one adapter's recording in a gate, smallest and largest: measured on scaffolds and examples."""
 
 
 class DamagedError(UserError):
@@ -164,6 +169,18 @@ def tape(target: Package, options: Options, gate: Gate) -> Tape:
         return Tape(folder, about, options.progress.step)
     except OSError as error:
         raise NotRun(f"--trace: {folder} cannot be written: {error.strerror}") from None
+
+
+def foretold(folder: Path, gates: Sequence[Gate], adapters: int) -> str | None:
+    """Return how large recordings in a folder are going to be, and how much room there is; None if there are none."""
+    sizes = [_MEASURED[gate] for gate in gates if gate in _MEASURED]
+    if not sizes:
+        return None
+    least, most = (told_size(adapters * sum(column)) for column in zip(*sizes, strict=True))
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free = told_size(shutil.disk_usage(there).free)
+    more = ", more with --episodes" if Gate.MUJOCO in gates else ""
+    return f"--trace: about {least} to {most} will be written to {folder}{more}; {free} are free"
 
 
 @contextlib.contextmanager

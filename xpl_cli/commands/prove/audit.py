@@ -11,9 +11,10 @@ import typer
 from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP, PATIENCE_HELP
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator, Sequence
 
     from xpl_cli.audit.formats.listing import Context
+    from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.audit.rules.registry import Rule
     from xpl_cli.packages.targets import Target
@@ -110,9 +111,10 @@ def audit(
         check_tasks(task)
     targets = _targets(paths or (), changed_since, every=every, is_run=set(gate or ()) != {Gate.STATIC})
     sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
-    with progress() as say, _new_folder(trace):
+    gates = tuple(Gate(name) for name in _GATES if not gate or name in gate)
+    with _new_folder(trace, gates, len(targets)), progress() as say:
         options = Options(
-            gates=tuple(Gate(name) for name in _GATES if not gate or name in gate),
+            gates=gates,
             names=tuple(selected),
             ignore=tuple(ignored),
             keep_going=keep_going,
@@ -208,12 +210,20 @@ def _profile(name: str | None, *, shadow: bool) -> str | None:
     return _PROFILES[1]
 
 
-def _new_folder(trace: Path | None) -> contextlib.AbstractContextManager[None]:
+@contextlib.contextmanager
+def _new_folder(trace: Path | None, gates: Sequence[Gate], adapters: int) -> Iterator[None]:
+    """Make the folder for recordings, if there are to be any, and say what is coming."""
     if trace is None:
-        return contextlib.nullcontext()
-    from xpl_cli.audit.served.recording import new_folder  # which needs numpy, and most audits need neither
+        yield
+        return
+    from xpl_cli.audit.served.recording import foretold, new_folder  # which needs numpy, and most audits need neither
+    from xpl_cli.basics import console
 
-    return new_folder(trace)
+    with new_folder(trace):
+        size = foretold(trace, gates, adapters)
+        if size is not None:
+            console.note(size)
+        yield
 
 
 def _repeated(option: str, values: list[str]) -> tuple[str, ...]:
