@@ -34,7 +34,8 @@ def test_a_recording_is_written_and_told(tmp_path: Path) -> None:
     assert done.returncode == ExitCode.CLEAN, done.stderr
     told = json.loads(done.stdout)
     assert answers.problems(told) == []
-    assert (told["conventions"], told["assumed"]) == (6, ["joint_order", "angle_unit"])
+    assert (told["conventions"], len(told["assumed"])) == (13, 9)  # two are said to be, seven are not named
+    assert told["assumed"][:3] == ["joint_order", "angle_unit", "camera"]
     found = pairs.read(folder)
     assert told["pairs"] == found.count >= 20
     assert set(found.provenance["native"]) == {"native.py", "network.py"}

@@ -8,7 +8,7 @@ reading.conventions["gripper"].is_assumed
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING
@@ -123,6 +123,10 @@ class Reading:
     def assumed(self) -> tuple[str, ...]:
         """Names of the conventions that are assumed."""
         return tuple(name for name, source in self.conventions.items() if source.is_assumed)
+
+    def taken_for_granted(self, applying: Iterable[str]) -> tuple[str, ...]:
+        """Return which conventions have no source: those that are assumed, and those that apply and are not named."""
+        return (*self.assumed, *(name for name in applying if name not in self.conventions))
 
 
 @cache

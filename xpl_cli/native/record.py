@@ -17,6 +17,7 @@ from xpl_cli.isolation import errand
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.native import names, pairs, provenance, reading, script
 from xpl_cli.native.pairs import Answer, Pairs, Session
+from xpl_cli.packages.conventions import applying
 
 if TYPE_CHECKING:
     from xpl_cli.native.script import Call
@@ -57,8 +58,8 @@ class Recorded:
     Attributes:
         pairs: the recording.
         size: bytes of the file.
-        assumed: conventions whose source is `assumed`.
-        conventions: number of all conventions that native.py names.
+        assumed: conventions that have no source.
+        conventions: number of all conventions that there are to agree on.
         noise: by key of the action, largest difference of two recordings as a share of the span of the answers.
     """
 
@@ -112,7 +113,9 @@ def record(package: Package, options: Options) -> Recorded:
             hint="draw from episode.rng and keep nothing between questions; if the model takes no seed, say "
             "`sampling: free` in the block native of policy.yml",
         )
-    return Recorded(answered, pairs.write(package.path, answered), read.assumed, len(read.conventions), shares)
+    applies = applying(package.manifest)
+    count = len({*read.conventions, *applies})
+    return Recorded(answered, pairs.write(package.path, answered), read.taken_for_granted(applies), count, shares)
 
 
 def sessions(package: Package, overrides: Mapping[str, Any]) -> Iterator[Session]:

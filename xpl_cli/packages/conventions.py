@@ -38,7 +38,7 @@ def _of_block(native: Mapping[str, Any]) -> Iterator[str]:
     steps = [step for image in images for step in _list(image.get("steps"))]
     if any({"resize", "letterbox"} & set(step) for step in steps):
         yield "image_filter"
-    vectors = [*(native.get("state") or ()), native["action"]]
+    vectors = [*(native.get("state") or ()), native.get("action") or {}]
     for kind in (kind for vector in vectors for part in _list(vector.get("parts")) for kind in part):
         yield from _OF_PARTS.get(kind, ())
     if any(vector.get("normalize") is not None or "pad" in vector for vector in vectors):

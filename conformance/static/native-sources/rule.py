@@ -26,7 +26,7 @@ def native_sources(source: Source) -> Iterator[Finding | Proof]:
     Reads the map `CONVENTIONS` of native.py, without running it. Every convention that applies to the policy (by its
     native block, or by its inputs and actions where it has none) is in it, and names file and line of the authors'
     code. A file that lies in the package exists, and has that line. Conventions that are assumed are counted in one
-    finding.
+    finding; the verdict counts those that are not named with them.
 
     ## Why it matters
     native.py is the second reading that the adapter is held against. A convention that both took from the same guess
@@ -50,7 +50,8 @@ def native_sources(source: Source) -> Iterator[Finding | Proof]:
         yield _finding(source, message, None, "no such map")
         return
     yield from _findings(source, reading)
-    yield Proof({"conventions": len(reading.conventions), "assumed": len(reading.assumed)})
+    named = {*reading.conventions, *applying(source.manifest)}
+    yield Proof({"conventions": len(named), "assumed": len(reading.taken_for_granted(applying(source.manifest)))})
 
 
 def _findings(source: Source, reading: Reading) -> Iterator[Finding]:

@@ -15,6 +15,7 @@ from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import UserError
 from xpl_cli.native import names, reading
 from xpl_cli.native import pairs as recording
+from xpl_cli.packages import conventions
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -92,12 +93,13 @@ class Parity:
 
     @cached_property
     def conventions(self) -> tuple[int, int]:
-        """How many conventions native.py names, and how many of them are assumed."""
+        """How many conventions there are to agree on, and how many of them are assumed, said or not."""
         try:
             read = reading.read_file(self._path)
         except UserError:
             return 0, 0
-        return len(read.conventions), len(read.assumed)
+        applying = conventions.applying(self.probe.package.manifest)
+        return len({*read.conventions, *applying}), len(read.taken_for_granted(applying))
 
     @cached_property
     def tolerance(self) -> float:
