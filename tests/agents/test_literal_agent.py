@@ -243,7 +243,8 @@ def test_the_skill_leads_from_nothing_to_green(
     whole = next(run for run in one.runs if run.command == f"xpl audit policy/{one.answers.values['NAME']}")
     for gate in ("static", "offline", "mujoco"):
         assert f"XPL-FINISH gate={gate} pass" in whole.output
-    assert "verdict GREEN contract; conversions unproven (no native.py)" in " ".join(whole.output.split())
+    proven = r"verdict GREEN contract, parity \(\d+ pairs, no convention assumed\)"
+    assert re.search(proven, " ".join(whole.output.split()))
     assert "profile=shadow" not in whole.output
     told, _ = json.JSONDecoder().raw_decode(
         one.run("xpl audit POLICY --gate static --gate offline --select XPL19 --select XPL26 --json")

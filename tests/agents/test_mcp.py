@@ -225,6 +225,7 @@ def test_a_call_that_is_given_up_ends_its_command(project: Path) -> None:
     wait_until(lambda: not processes(mark), "the server has ended, too")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, None], ids=str)
 def test_the_server_ends_when_told_and_leaves_nothing(project: Path, number: signal.Signals | None) -> None:
     """By Ctrl-C, by SIGTERM, or because its client is gone: the audit ends, and the server that it started."""

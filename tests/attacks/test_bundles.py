@@ -229,7 +229,7 @@ BYTES = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", BYTES)
 def test_documents_of_any_content_are_findings(
     kind: str, sound: tuple[dict[str, bytes], dict[str, Any]], tmp_path: Path

@@ -274,6 +274,7 @@ def test_git_is_asked_for_nothing_that_writes_or_compares(repository: Path) -> N
             asked.text(command)
 
 
+@pytest.mark.slow
 def test_no_other_module_calls_git() -> None:
     """One place has the settings; `xpl doctor` asks for the version, in `programs.program`."""
     known = {"xpl_cli/basics/git/command.py", "xpl_cli/lifecycle/doctor/programs.py"}

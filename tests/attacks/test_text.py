@@ -181,6 +181,7 @@ def test_an_error_says_what_was_given_and_no_more(text: str, capsys: pytest.Capt
     assert not any(line.lstrip().startswith("::") for line in said.splitlines())
 
 
+@pytest.mark.slow
 def test_a_package_may_have_any_name(tmp_path: Path) -> None:
     """From the command line, in every format at once, and in the commands that come next."""
     name = "\x1b[31m\n::error::@team ](http:) \u202e"

@@ -73,12 +73,14 @@ def test_what_a_tool_finds_is_a_warning_with_the_tool_s_own_code_and_place(adapt
     assert all(finding.got == 'return "ten", missing' for finding in (ruff, mypy))
 
 
+@pytest.mark.slow
 def test_the_types_of_the_sdk_count(adapter: Path) -> None:
     """A method that answers otherwise than the base class is found; numpy, of which nothing is known, is not."""
     append(adapter / "model.py", "\n    def reset(self) -> int:\n        return 1\n")
     assert any("incompatible with" in one.message for one in results(adapter, "XPL602")["XPL602"].findings)
 
 
+@pytest.mark.slow
 def test_configuration_and_plugins_of_the_adapter_have_no_say(adapter: Path, tmp_path: Path) -> None:
     """A plugin would run; a configuration would silence or add rules."""
     trace = tmp_path / "trace"

@@ -99,6 +99,7 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("change", CHANGES)
 def test_any_change_that_a_rule_could_see_makes_it_run(
     room: Room, adapter: Path, tmp_path: Path, trace: Path, change: str

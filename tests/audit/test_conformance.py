@@ -38,15 +38,16 @@ OPEN = {"placeholders"}
 def _cases() -> Iterator[Any]:
     """Yield every subject with its rule.
 
-    Of those that are served, the quick run has a bad one for each rule, and a good one for every fourth rule.
+    Each is a served adapter where the gate is not the static one. Of those the quick run has a bad one for every third
+    rule, and a good one for every twelfth.
     """
-    for number, rule in enumerate(RULES):
-        seen = set()
+    served = itertools.count()
+    for rule in RULES:
+        number, seen = next(served) if rule.gate is not Gate.STATIC else 0, set()
         for subject in subjects(rule):
-            is_spared = subject.good in seen or (subject.good and number % 4 != 0)
-            is_slow = rule.gate is not Gate.STATIC and is_spared
+            is_quick = subject.good not in seen and number % (12 if subject.good else 3) == 0
             seen.add(subject.good)
-            marks = [pytest.mark.slow] if is_slow else []
+            marks = [] if is_quick or rule.gate is Gate.STATIC else [pytest.mark.slow]
             yield pytest.param(rule, subject, id=f"{rule.slug}-{subject.name}", marks=marks)
 
 

@@ -46,7 +46,7 @@ REMAINDER = "loop-differs"
 """Speaks of what no rule of the loop names, and so only when these are content."""
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("slug", FIXED)
 def test_what_a_rule_fixes_it_no_longer_finds(slug: str, tmp_path: Path) -> None:
     """For each of its bad subjects: no finding that carried edits is left, no other rule finds more than before."""

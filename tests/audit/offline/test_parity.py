@@ -205,6 +205,7 @@ NATIVE_SAMPLER = parity.NATIVE.replace(
 )
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("drawn", "sound"),
     [("0.1 * self.rng(env).normal(size=(4, 8))", True), ("0.0", False)],
@@ -245,6 +246,7 @@ KEEPS = parity.MODEL.replace(
 EXCHANGES = parity.MODEL.replace('inputs["prompt"])', 'inputs["prompt"][::-1])')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "cause"),
     [

@@ -136,6 +136,7 @@ def test_what_can_be_loaded_is_audited_in_full(package: Path) -> None:
     assert "profile" not in str(gate.finish)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("model", "lacks"),
     [
@@ -175,6 +176,7 @@ def test_the_full_profile_is_not_given_for_a_shadow(package: Path) -> None:
     assert exit_code([report]) is ExitCode.NOT_RUN
 
 
+@pytest.mark.slow
 def test_a_shadow_has_a_digest_of_its_own_that_repeats(package: Path) -> None:
     """Equal in two runs under an equal fingerprint, which is not that of a full run."""
     shadows = [_gate(_offline(package, profile=Profile.SHADOW)) for _ in range(2)]
@@ -207,6 +209,7 @@ def test_a_shadow_shows_what_is_wrong_around_the_model(package: Path) -> None:
     assert _outcomes(_gate(_offline(package, blind)))["inputs-matter"] == "warn"
 
 
+@pytest.mark.slow
 def test_a_raw_output_of_another_shape_is_declared(package: Path) -> None:
     """`shadow` in policy.yml: decode gets that shape and that range."""
     decode = """
@@ -221,6 +224,7 @@ def test_a_raw_output_of_another_shape_is_declared(package: Path) -> None:
     assert _outcomes(_gate(_offline(package)))["action-structure"] == "pass"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
@@ -370,6 +374,7 @@ def test_the_shadow_of_an_adapter_with_a_native_block_answers_in_the_models_word
 # -- stubs -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "answer",
     [

@@ -158,6 +158,7 @@ def test_a_claim_is_measured_as_it_says(package: Callable[..., Path]) -> None:
     assert found.figures[0].episodes == 4
 
 
+@pytest.mark.slow
 def test_a_shadow_is_held_to_what_any_model_has_to_do(package: Callable[..., Path]) -> None:
     """Nothing is measured of it, and no value is judged."""
     report = gate(package(), profile=Profile.SHADOW, tasks=("push_block",))

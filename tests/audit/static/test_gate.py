@@ -58,6 +58,7 @@ def test_nothing_of_the_adapter_is_executed(adapter: Path, tmp_path: Path) -> No
     assert not trace.exists()
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("name", "content"),
     [

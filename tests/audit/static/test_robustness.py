@@ -154,6 +154,7 @@ def vendor(adapter: Path, count: int) -> None:
 TEXT = "# größe\nNAME = 'größe'\n"
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("content", "fits"),
     [
@@ -187,7 +188,7 @@ def told(report: GateReport, slug: str) -> list[str | None]:
     return [finding.path for result in report.results if result.slug == slug for finding in result.findings]
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", ["model.py", "deploy.py", "deploy.yml", "policy.yml", "eval.sh", "README.md"])
 @pytest.mark.parametrize("content", [TEXT.encode("utf-16"), b"\xff\xfe\xfd\0\1\2" * 99, b"\0" * 4096, b""])
 def test_no_file_is_needed_to_judge_the_others(adapter: Path, name: str, content: bytes) -> None:
@@ -197,6 +198,7 @@ def test_no_file_is_needed_to_judge_the_others(adapter: Path, name: str, content
     assert outcome(report, "required-files") is not Outcome.NOT_RUN
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(
     "content",
     [
@@ -259,6 +261,7 @@ def test_links_lead_nowhere(adapter: Path, tmp_path: Path) -> None:
     static(adapter)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["model.py", "deploy.yml", "policy.yml", "eval.sh", "pipe.py"])
 def test_a_pipe_blocks_nothing(adapter: Path, name: str) -> None:
     """Opening one would wait for a writer that never comes."""
@@ -278,6 +281,7 @@ def test_a_pipe_blocks_nothing(adapter: Path, name: str) -> None:
     assert not rescued.is_set()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["model.py", "deploy.yml", "policy.yml", "eval.sh", "README.md"])
 def test_a_folder_in_place_of_a_file_is_no_file(adapter: Path, name: str) -> None:
     """Some checkouts have one where a submodule should be."""
@@ -306,6 +310,7 @@ print(render("json", [report]))
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("names", [["model.py", "eval.sh"], ["deploy.yml"], ["policy.yml"], ["README.md"], ["."]])
 def test_a_file_that_may_not_be_read_is_told(adapter: Path, names: list[str]) -> None:
     """Whatever needs it could not run or is a finding, with the reason; nothing crashes. Root may read everything."""
@@ -410,6 +415,7 @@ def strange(adapter: Path) -> Path:
     return adapter.rename(adapter.with_name("a b%]::c"))
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_name_is_escaped(strange: Path, name: str) -> None:
     """No name of a file ends a line, a command or a document of any format."""
