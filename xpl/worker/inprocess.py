@@ -35,7 +35,7 @@ def load(order: Mapping[str, Any]) -> Any:
             its observations is noted (`xpl.worker.watch`).
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]
-    model = _with_kit(policy_dir, config) if order.get("shadow") else None
+    model = _with_kit(policy_dir, config) if order.get("shadow") and not order.get("stub_missing") else None
     if model is None:
         model = _real(policy_dir, config, manifest, order)
     if not order.get("watch"):

@@ -105,7 +105,7 @@ class Worker:
         gc.unfreeze()
         gc.collect()
         policy_dir = self._policy_dir = Path(message["policy_dir"])
-        if message.get("shadow"):
+        if message.get("shadow") and not message.get("stub_missing"):
             from xpl.worker.standins import kit
 
             if kit.wants(policy_dir):

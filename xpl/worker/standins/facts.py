@@ -36,15 +36,28 @@ class Facts:
         self.numbers = dict(numbers or {})
         self.widths = widths or (width,)
 
-    def worth(self, name: str) -> Any:
+    def worth(self, name: str, path: str = "") -> Any:
         """Return the number, or the numbers, that a name stands for; None where it says nothing."""
         words = name.lower()
+        if "shape_meta" in path and words in _SHAPES:
+            return [
+                {"key": key, "raw_shape": shape or self.width, "shape": shape or self.width}
+                for key, shape in _SHAPES[words]
+            ]
         if words in self.numbers:
             return self.numbers[words]
         for pattern, value in _WORTH:
             if pattern.fullmatch(words):
                 return value(self)
         return None
+
+
+_SHAPES: dict[str, list[tuple[str, Any]]] = {
+    "images": [(f"{place}_rgb", [3, 480, 640]) for place in ("head", "left_wrist", "right_wrist")],
+    "state": [("default", None)],
+    "action": [("default", None)],
+}
+"""What a data set of hydra's configurations says of its columns."""
 
 
 def _pattern(text: str) -> re.Pattern[str]:
@@ -107,7 +120,7 @@ SAME = frozenset(
 )
 """Methods that return what they were called on."""
 TRANSFORMS = _pattern(
-    r"_*(un|de|re)?(normali[sz]e|normali[sz]er|norm|normlization)(_.*|r)?|.*(transform|process|resi[sz]e|pad|crop|convert|backward"
+    r"_*(un|de|re)?(normali[sz]e|normali[sz]er|norm|normlization)(_.*|r)?|.*(transform(?!er)|process|resi[sz]e|pad|crop|convert|backward"
     r"|collate|prepare|to_pil|to_tensor|normali[sz]e|unnorm|reorder|layout|smooth|cast|stack|preserve|compose|sanitize"
     r"|quat|matrix|rotation|pose|frame_|batch_to|to_device|dict_apply|tree_map|wrap|rgb|bgr).*"
 )
@@ -117,6 +130,11 @@ ANSWERS = _pattern(
     r".*|act|step|run|query|solve|chunk|.*policy.*)"
 )
 """Functions that answer with actions."""
+EMBEDS = _pattern(
+    r"(?i).*(encoder|embed(der|ding|s)?|tower|backbone|tokenizer_vae|vae|encode_.*|.*features?|encode)|last_hidden_state"
+    r"|hidden_states?|pooler_output|.*_embeds?"
+)
+"""What gives features of an image or a text."""
 TOKENS = _pattern(r".*(token|input_ids|_ids|ids|attn_mask|attention_mask|lang_mask|img_mask|.*_masks?)")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import importlib
 import importlib.machinery
 import importlib.util
 import re
@@ -18,6 +19,9 @@ from xpl.worker.standins.given import Memory
 from xpl.worker.standins.things import WORLD, _named
 
 _VERSION = "0.0.0"
+_SERVER = re.compile(r"^\s*(?:import|from)\s+(?:websockets|requests|httpx|aiohttp|zmq|grpc)\b", re.MULTILINE)
+"""What asks a server of actions, which is not here either."""
+_LIGHT, _HEAVY = "light", "heavy"
 _SMALL = 24  # files that a piece of vendored code may need and still run by itself
 _ENOUGH_ALIKE = 0.8
 _NETWORK = re.compile(
@@ -37,6 +41,8 @@ class StandInModule(ModuleType):
             raise AttributeError(name)
         full = f"{self.__name__}.{name}"
         known = sys.modules.get(full)
+        if known is None and self.__dict__.get("_xpl_known", lambda _: {})(full):
+            known = importlib.import_module(full)
         found = known if known is not None else _named(full, Memory(), is_name=True)
         setattr(self, name, found)
         return found
@@ -108,6 +114,7 @@ class Finder:
         module = StandInModule(spec.name)
         if spec.name in self._files:
             module.__dict__.update(constants(Path(self._files[spec.name])))
+        module.__dict__["_xpl_known"] = self._parts
         module.__dict__.update(self._parts(spec.name))
         return module
 
@@ -127,25 +134,39 @@ class Finder:
             return None
         if found is None:
             return self.spec(name) if isinstance(parent, StandInModule) else None
-        if not self._is_vendored(found) or not self._is_heavy(found, name):
+        if not self._is_vendored(found):
             return None
-        label = _short(name)
-        if label not in self.names:
-            self.names.append(label)
+        weight = self._weight(found, name)
+        if weight == _LIGHT and found.loader is not None:
+            found.loader = _Trying(found.loader, self)
+            return found
+        if weight != _HEAVY:
+            return None
+        self.note(name)
         spec = self.spec(name)
         spec.submodule_search_locations = list(found.submodule_search_locations or ())
         self._files[name] = str(found.origin)
         return spec
 
-    def _is_heavy(self, found: importlib.machinery.ModuleSpec, name: str) -> bool:
+    def note(self, name: str) -> None:
+        """Remember that a piece of vendored code was stood in for."""
+        label = _short(name)
+        if label not in self.names:
+            self.names.append(label)
+
+    def _weight(self, found: importlib.machinery.ModuleSpec, name: str) -> str:
         if found.origin is None or not found.origin.endswith(".py"):
-            return False
+            return ""
         package = name if found.submodule_search_locations else name.rpartition(".")[0]
+        if _SERVER.search(Path(found.origin).read_text(errors="replace")):
+            return _HEAVY
         seen: set[str] = set()
         self._needs.clear()
         if not self._missing(Path(found.origin), package, seen):
-            return False
-        return len(seen) > _SMALL or any(_NETWORK.search(Path(file).read_text(errors="replace")) for file in seen)
+            return ""
+        if len(seen) > _SMALL or any(_NETWORK.search(Path(file).read_text(errors="replace")) for file in seen):
+            return _HEAVY
+        return _LIGHT
 
     def _is_vendored(self, found: importlib.machinery.ModuleSpec) -> bool:
         if found.origin is None:
@@ -220,6 +241,32 @@ class Finder:
                 return file.startswith(tuple(self._roots))
             frame = frame.f_back
         return False
+
+
+class _Trying:
+    """Runs vendored code on stand-ins, and stands in for it where that does not do.
+
+    Args:
+        real: its loader.
+        finder: told of it.
+    """
+
+    def __init__(self, real: Any, finder: Finder) -> None:
+        self._real, self._finder = real, finder
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType | None:
+        created: ModuleType | None = self._real.create_module(spec)
+        return created
+
+    def exec_module(self, module: ModuleType) -> None:
+        try:
+            self._real.exec_module(module)
+        except Exception:  # noqa: BLE001 - whatever it is, the code was not written for stand-ins
+            module.__class__ = StandInModule
+            self._finder.note(module.__name__)
 
 
 class _Before:

@@ -106,6 +106,8 @@ class Folders:
 
     def is_file(self, path: Any) -> bool:
         """Tell whether such a path is a file."""
+        if isinstance(path, Thing):
+            return False
         return bool(_SUFFIX.fullmatch(os.fspath(path))) or os.path.basename(os.fspath(path)).endswith("_file")
 
     def listing(self, path: Any) -> list[str]:
@@ -126,11 +128,11 @@ class Folders:
                 raise
 
         os.stat = stat  # type: ignore[assignment]
-        self._patch(os.path, "exists", lambda real, path: real(path) or _safely(ours, path))
+        self._patch(os.path, "exists", lambda real, path: _safely(ours, path) or real(path))
         self._patch(
-            os.path, "isfile", lambda real, path: real(path) or (_safely(ours, path) and self._may_be_file(path))
+            os.path, "isfile", lambda real, path: (_safely(ours, path) and self._may_be_file(path)) or real(path)
         )
-        self._patch(os.path, "isdir", lambda real, path: real(path) or (_safely(ours, path) and not self.is_file(path)))
+        self._patch(os.path, "isdir", lambda real, path: (_safely(ours, path) and not self.is_file(path)) or real(path))
         self._patch(os.path, "getmtime", lambda real, path: 0.0 if ours(path) else real(path))
         self._patch(os.path, "getsize", lambda real, path: 0 if ours(path) else real(path))
         self._patch(os, "listdir", lambda real, path=".": self.listing(path) if ours(path) else real(path))
@@ -202,6 +204,8 @@ class Folders:
             self._patch(yaml, name, lambda real, file, *a, **k: _document(file) or real(file, *a, **k))
 
     def _may_be_file(self, path: Any) -> bool:
+        if isinstance(path, Thing):
+            return True
         return self.is_file(path) or os.path.basename(os.fspath(path)) in self.files
 
     def _open(self, path: Any, mode: str) -> Any:
@@ -230,6 +234,8 @@ class Folders:
 
 
 def _safely(ours: Callable[[Any], bool], path: Any) -> bool:
+    if isinstance(path, Thing):
+        return True
     try:
         return ours(path)
     except (TypeError, ValueError):

@@ -51,14 +51,21 @@ class Given:
 
     Attributes:
         verb: name of what was called.
+        owner: name of what it was called on.
         arguments, named: what it was called with.
         recalled: what the object was given before, for what the call itself does not say.
     """
 
     def __init__(
-        self, verb: str, arguments: tuple[Any, ...], named: dict[str, Any], memory: Memory, before: Given | None = None
+        self,
+        verb: str,
+        arguments: tuple[Any, ...],
+        named: dict[str, Any],
+        memory: Memory,
+        before: Given | None = None,
+        owner: str = "",
     ) -> None:
-        self.verb, self.arguments, self.named = verb, arguments, named
+        self.verb, self.owner, self.arguments, self.named = verb, owner, arguments, named
         if before is not None:
             self.arguments = (before, *arguments)
         kinds = _kinds((arguments, named))
@@ -89,13 +96,15 @@ class Given:
         if self.known and self.numbers is not None:
             return plain([self.known[self.numbers[row or 0]]], None, None)
         count = self.count
-        return [plain(self.values, row, count), *(other.shown(row) for other in self.recalled)]
+        mine = [plain(item, row, count) for item in self.arguments]
+        named = {name: plain(item, row, count) for name, item in self.named.items()}
+        return [mine, named, *(other.shown(row) for other in self.recalled)]
 
     def entry(self, keys: tuple[Any, ...]) -> Any:
         """Return what a transformation was given under some keys, None if there is no such entry or it is not one."""
         from xpl.worker.standins.facts import TRANSFORMS
 
-        if not TRANSFORMS.fullmatch(self.verb):
+        if not TRANSFORMS.fullmatch(self.verb.lower()):
             return None
         for value in (*self.arguments, *self.named.values()):
             found = _look_up(value, keys)
@@ -107,13 +116,13 @@ class Given:
         """Tell whether a transformation was given an image as libraries of images have them."""
         from xpl.worker.standins.facts import TRANSFORMS
 
-        return bool(TRANSFORMS.fullmatch(self.verb)) and any(is_image(value) for value in self.arguments)
+        return bool(TRANSFORMS.fullmatch(self.verb.lower())) and any(is_image(value) for value in self.arguments)
 
     def keys(self, keys: tuple[Any, ...]) -> list[Any] | None:
         """Return the keys of the map that a transformation was given, None if there is no map."""
         from xpl.worker.standins.facts import TRANSFORMS
 
-        if not TRANSFORMS.fullmatch(self.verb):
+        if not TRANSFORMS.fullmatch(self.verb.lower()):
             return None
         for value in (*self.arguments, *self.named.values()):
             found = _look_up(value, keys) if keys else value

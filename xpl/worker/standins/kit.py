@@ -38,6 +38,7 @@ _PATHS = re.compile(
 _NOT = re.compile(r".*(log|result|output|cache|save|env_cfg|action|state|name|type).*|.*model_(id|type)|prompt")
 _TRIES = 8
 _ABSOLUTE = re.compile(r"/[\w./+-]+")
+_READ = re.compile(r"""(?:cfg|config|args)(?:\.get\(|\[)\s*["'](\w+)["']""")
 _WIDTH = re.compile(r"(?:^|\W)(?:\w*_)?(?:ACTION|action)_(?:DIM|dim)(?:: *int)? *[=:] *(\d+)", re.MULTILINE)
 _LOW, _HIGH = -0.4, 0.4
 
@@ -134,8 +135,8 @@ class Kit:
                 first[key] = "stand_in"
         if first.get("seed") is None:
             first["seed"] = 0
-        second = dict(first)
-        for name, value in first.items():
+        second = {**dict.fromkeys(_asked(self._policy_dir)), **first}
+        for name, value in list(second.items()):
             if value in (None, "") and _PATHS.fullmatch(name) and not _NOT.fullmatch(name):
                 second[name] = self._path(name)
         return [first] if second == first else [first, second]
@@ -189,6 +190,13 @@ def _facts(config: Mapping[str, Any], policy_dir: Path) -> Facts:
     ]
     widths = tuple(dict.fromkeys([width, *others, sum(arm.dof + arm.ee_dim for arm in robot.arms)]))
     return Facts(min(max([*steps, 0]) or _STEPS, _MOST_STEPS), width, low, high, numbers, widths)
+
+
+def _asked(policy_dir: Path) -> list[str]:
+    """Return the keys that the adapter's modules read of a configuration."""
+    return [
+        found for path in sorted(policy_dir.glob("*.py")) for found in _READ.findall(path.read_text(errors="replace"))
+    ]
 
 
 def _shape(robot: Embodiment, action_type: Any, low: np.ndarray, high: np.ndarray) -> None:

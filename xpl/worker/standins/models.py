@@ -21,11 +21,39 @@ def known(facts: Facts) -> dict[str, Any]:
         "*.tree_map": lambda function, tree, *_: dict_apply(tree, function),
         "tqdm.tqdm": lambda items=(), *_, **__: items,
         "tqdm.auto.tqdm": lambda items=(), *_, **__: items,
+        "easydict.EasyDict": Fields,
+        "addict.Dict": Fields,
+        "ml_collections.ConfigDict": Fields,
         "termcolor.cprint": _told,
         "termcolor.colored": lambda text, *_, **__: text,
         "dotenv.load_dotenv": lambda *_, **__: False,
         "*.WebsocketClientPolicy": type("WebsocketClientPolicy", (_Client,), {"facts": facts}),
     }
+
+
+class Fields(dict):  # type: ignore[type-arg]
+    """A map whose entries are attributes, too."""
+
+    def __init__(self, *entries: Any, **named: Any) -> None:
+        super().__init__()
+        for key, item in dict(*entries, **named).items():
+            self[key] = item
+
+    def __setitem__(self, key: Any, item: Any) -> None:
+        super().__setitem__(key, type(self)(item) if type(item) is dict else item)
+
+    def update(self, *entries: Any, **named: Any) -> None:
+        for key, item in dict(*entries, **named).items():
+            self[key] = item
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+    def __setattr__(self, name: str, item: Any) -> None:
+        self[name] = item
 
 
 def dict_apply(tree: Any, function: Callable[[Any], Any]) -> Any:

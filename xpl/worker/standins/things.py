@@ -7,8 +7,10 @@ number comes from its name (`xpl.worker.standins.facts`) or from what was put in
 
 from __future__ import annotations
 
+import abc
 import copy
 import functools
+import inspect
 import sys
 import types
 import typing
@@ -110,7 +112,8 @@ def value(thing: Thing) -> Any:
         return WORLD.value(thing)
     if WORLD.facts is None:
         return None
-    return WORLD.facts.worth(str(told.keys[-1]) if told.keys and isinstance(told.keys[-1], str) else told.last)
+    last = str(told.keys[-1]) if told.keys and isinstance(told.keys[-1], str) else told.last
+    return WORLD.facts.worth(last, told.name)
 
 
 def _special(name: str) -> bool:
@@ -150,10 +153,16 @@ class Thing:
 
     # -- what it is taken for ------------------------------------------------------------------------------------------
 
+    @property
+    def __signature__(self) -> inspect.Signature:
+        kinds = inspect.Parameter
+        return inspect.Signature([kinds("arguments", kinds.VAR_POSITIONAL), kinds("named", kinds.VAR_KEYWORD)])
+
     def __mro_entries__(self, bases: tuple[Any, ...]) -> tuple[type, ...]:
-        return (
-            (Thing,) if not any(type(base) is Thing and base is not self for base in bases[: _at(bases, self)]) else ()
-        )
+        if any(type(base) is Thing for base in bases[: _at(bases, self)]):
+            return ()
+        plain = all(type(base) in (type, abc.ABCMeta, _Kind, Thing) for base in bases)
+        return (_Base if plain else Thing,)
 
     def __instancecheck__(self, instance: Any) -> bool:
         if not isinstance(instance, Thing) and type(instance).__module__.partition(".")[0] != _PACKAGE:
@@ -378,6 +387,19 @@ class Thing:
         refuse(origin(self).name, "value")
 
 
+class _Kind(abc.ABCMeta):
+    """Classes that derive from things have what things have."""
+
+    def __getattr__(cls, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return _named(f"{cls.__name__}.{name}", Memory(), is_name=True)
+
+
+class _Base(Thing, metaclass=_Kind):
+    pass
+
+
 _PACKAGE = __name__.partition(".")[0]
 
 
@@ -476,11 +498,12 @@ def called(thing: Any, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> 
         told.memory.clear()
         return Thing(Origin(f"{told.name}()", told.memory))
     if told.name.endswith(")"):
-        last = "__call__" if last[:1].isupper() or last == "from_pretrained" else last
-    is_class = last[:1].isupper() or last == "from_pretrained"
-    shown = WORLD.serving or bool(known.TRANSFORMS.fullmatch(last))
+        speaks = known.TRANSFORMS.fullmatch(last.lower()) or known.EMBEDS.fullmatch(last)
+        last = "__call__" if (last[:1].isupper() and not speaks) or last == "from_pretrained" else last
+    is_class = (last[:1].isupper() and not told.name.endswith(")")) or last == "from_pretrained"
+    shown = WORLD.serving or bool(known.TRANSFORMS.fullmatch(last.lower()))
     if shown and is_data((arguments, dict(named)), texts=WORLD.serving):
-        given = Given(last, arguments, dict(named), told.memory, before=told.given)
+        given = Given(last, arguments, dict(named), told.memory, before=told.given, owner=told.last)
         if not is_class and WORLD.serving:
             told.memory.remember(given)
         return Thing(Origin(f"{told.name}()", Memory() if is_class else told.memory, given))

@@ -17,6 +17,7 @@ from xpl.worker.standins.things import Thing, holds, origin, refuse
 
 _TOKENS = 16
 _WIDEST = 64
+_FEATURES = 64
 
 
 class Values:
@@ -29,6 +30,7 @@ class Values:
     def __init__(self, facts: Facts) -> None:
         self._facts = facts
         self.guess = 0
+        self._encoders: dict[str, Answers] = {}
         self._answers: dict[int, Answers] = {}
         self._made: dict[tuple[int, tuple[Any, ...]], tuple[Given, Any]] = {}
 
@@ -47,7 +49,7 @@ class Values:
 
     def _of(self, given: Given, keys: tuple[Any, ...]) -> Any:
         name = str(next((key for key in reversed(keys) if isinstance(key, str)), given.verb))
-        if known.TRANSFORMS.fullmatch(given.verb):
+        if known.TRANSFORMS.fullmatch(given.verb.lower()):
             found = given.entry(keys) if keys else None
             if found is None:
                 found = _first(given.values)
@@ -62,6 +64,8 @@ class Values:
             return worth
         if known.TOKENS.fullmatch(name.lower()):
             return self._tokens(given, name)
+        if known.EMBEDS.fullmatch(name) or (given.verb == "__call__" and known.EMBEDS.fullmatch(given.owner)):
+            return self._features(given, keys)
         return self._actions(given, keys)
 
     def _tokens(self, given: Given, name: str) -> Any:
@@ -69,6 +73,13 @@ class Values:
         rows = [_digest(given.shown(row if count else None)) for row in range(count or 1)]
         array = np.stack([np.random.default_rng(seed).integers(2, 30000, _TOKENS) for seed in rows])
         return _typed(np.ones_like(array, bool) if "mask" in name else array)
+
+    def _features(self, given: Given, keys: tuple[Any, ...]) -> Any:
+        count = given.count
+        label = [str(key) for key in keys]
+        low, high = -np.ones(_FEATURES), np.ones(_FEATURES)
+        answers = self._encoders.setdefault(given.owner, Answers((_TOKENS, _FEATURES), low, high))
+        return _typed(np.stack([answers.of([given.shown(row if count else None), label]) for row in range(count or 1)]))
 
     def _actions(self, given: Given, keys: tuple[Any, ...]) -> Any:
         width = self._width(given, keys)
