@@ -14,10 +14,13 @@ import yaml
 
 from tests.support.commands import xpl
 from tests.support.places import ROOT
+from tests.support.runs import Faults, synthetic
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.verdict import judged
+from xpl_cli.basics.errors import UserError
 from xpl_cli.derived import zoo as pages
+from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.standard import answers
 from xpl_cli.standard.zoo import check, policies
 from xpl_cli.zoo import prove
@@ -127,6 +130,37 @@ def test_a_level_is_how_far_it_was_carried() -> None:
     silent = _result("XPL201", Outcome.NOT_RUN, "no module jax")
     assert _level(static=[PASSES], offline=[silent, PASSES, PASSES]) == (1, "XPL201: no module jax")
     assert _level(static=[PASSES], offline=[SERVED, _result("XPL217", Outcome.ERROR, "KeyError")])[0] == 1
+
+
+def test_parity_and_a_recorded_run_carry_further() -> None:
+    """Parity as the audit proves it; weights by a run, and not without parity."""
+    parity = replace(_result("XPL260", Outcome.PASS), proof={"pairs": 24})
+    provenance = _result("XPL261", Outcome.PASS)
+    gates = [
+        GateReport(Gate.STATIC, [PASSES], digest="0" * 16),
+        GateReport(Gate.OFFLINE, [SERVED, parity, provenance], digest="0" * 16),
+    ]
+    report = TargetReport("policy/Foo", "Foo", "policy", gates=gates)
+    assert prove._level(report, judged(report), None) == (3, "no recorded run of its weights was given")
+    assert prove._level(report, judged(report), {"run": "it"}) == (4, None)
+    gates[1].results.remove(parity)
+    assert prove._level(report, judged(report), {"run": "it"})[0] == 2
+
+
+def test_a_run_counts_that_is_of_this_adapter_s_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of other files, or that is not finished, is refused with one sentence."""
+    adapter = prove.adapter_in(policies.find("demo_policy"), ROOT)
+    run = synthetic(tmp_path / "run", episodes=3, faults=Faults(0.0, 0.0, 0.0))
+    with pytest.raises(UserError, match="other files"):
+        prove._evaluated(adapter, run)
+    plan = records.read(run).plan
+    monkeypatch.setattr(fingerprints, "package_digest", lambda folder: plan["policy"]["digest"])
+    told = prove._evaluated(adapter, run)
+    assert (told["environment"], told["episodes"]) == (plan["environment"]["name"], 12)
+    assert 0 <= told["successes"] <= 12
+    part = synthetic(tmp_path / "part", episodes=3, played=5)
+    with pytest.raises(UserError, match="not finished"):
+        prove._evaluated(adapter, part)
 
 
 def test_an_adapter_is_proven_and_stays_as_it_is(copied: Path, tmp_path: Path) -> None:
