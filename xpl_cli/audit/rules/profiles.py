@@ -65,6 +65,11 @@ class Choice:
         return bool(self.stubbed) and not self.stand_in.shadow
 
     @property
+    def is_made_up(self) -> bool:
+        """Whether what an adapter wraps was stood in for, so that nobody knows what the real one would answer."""
+        return self.has_kit and bool(self.stubbed)
+
+    @property
     def mark(self) -> str:
         """The end of a finish line; empty where everything is real."""
         shadow = f" profile={self.name}" if self.stand_in.shadow else ""
