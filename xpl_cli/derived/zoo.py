@@ -83,7 +83,7 @@ def _runs(found: Sequence[Policy]) -> list[tuple[str, ...]]:
             proof = one.proof
             digests = ", ".join(f"{gate['gate']} `{gate['digest']}`" for gate in proof["gates"] if gate["digest"])
             level = f"{one.level.number} {one.level.word}"
-            rows.append((one.title, level, one.said or "", f"{proof['date']}, xpl {proof['tool']['version']}", digests))
+            rows.append((one.title, level, one.said or "", f"{proof['date']}, {one.prover}", digests))
     return rows
 
 

@@ -108,7 +108,7 @@ def _told(policy: Policy) -> Iterator[str]:
     yield f"{policy.name}: {policy.title}{paper}"
     yield _line("level", f"{level.number} {level.word}: {level.meaning}")
     if proof is not None:
-        yield _line("proven", f"{proof['date']} by xpl {proof['tool']['version']}: {proof['command']}")
+        yield _line("proven", f"{proof['date']} by {policy.prover}: {proof['command']}")
         commit = proof["adapter"]["commit"] or "no commit"
         yield _line("of", f"{proof['adapter']['folder']} at {commit[:12]}, files {proof['adapter']['files'][:16]}")
         yield _line("verdict", proof["statement"])

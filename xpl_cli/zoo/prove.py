@@ -82,6 +82,12 @@ def _commit(path: Path) -> str | None:
         return None
 
 
+def _own_commit() -> str | None:
+    """Return the commit of the checkout that this tool runs from; None for an installed one."""
+    root = policies.folder().parents[1]
+    return _commit(root) if (root / ".git").exists() else None
+
+
 def proof(
     adapter: Adapter,
     options: Options,
@@ -114,7 +120,7 @@ def proof(
         "name": name,
         "level": level,
         "date": dt.datetime.now(dt.UTC).date().isoformat(),
-        "tool": {"name": "xpl", "version": xpl_cli.__version__},
+        "tool": {"name": "xpl", "version": xpl_cli.__version__, "commit": _own_commit()},
         "command": shlex.join(["xpl", "zoo", "prove", name, "CHECKOUT", *arguments]),
         "adapter": {"folder": adapter.folder, "commit": adapter.commit, "files": Source(adapter.path).record()},
         "spec": report.spec,

@@ -99,6 +99,14 @@ class Policy:
         return f"{told}, {_rules(silent)} could not run" if silent else told
 
     @property
+    def prover(self) -> str | None:
+        """The version of xpl that proved it, with its commit as far as known; None where it was not run."""
+        if self.proof is None:
+            return None
+        tool = self.proof["tool"]
+        return f"xpl {tool['version']}" + (f" ({tool['commit'][:8]})" if tool["commit"] else "")
+
+    @property
     def next(self) -> str | None:
         """Why it is not carried further; None at the last level."""
         if self.proof is not None:
