@@ -76,7 +76,7 @@ def in_the_middle(process: subprocess.Popen[bytes], mark: str, said: bytes) -> N
     wait_until(lambda: worker_runs(mark), "the worker")
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_signal_ends_a_command_and_everything_it_started(

@@ -57,6 +57,7 @@ def _examples() -> Iterator[Any]:
             yield pytest.param(example, id=f"{number} as it stands", marks=pytest.mark.slow)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("example", list(_examples()))
 def test_every_command_of_the_page_runs(workspace: Path, example: str) -> None:
     """Line by line, in one folder."""

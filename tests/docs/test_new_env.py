@@ -36,6 +36,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_every_command_of_the_page_runs(workspace: Path) -> None:
     """From nothing to an evaluation."""
     assert (workspace / "scene.png").read_bytes().startswith(b"\x89PNG")

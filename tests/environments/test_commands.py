@@ -58,6 +58,7 @@ def test_check_prints_a_table(tmp_path: Path) -> None:
     assert "handover_block (0 of 1 parts are done)" in done.stderr
 
 
+@pytest.mark.slow
 def test_check_reports_the_same_however_many_processes_play() -> None:
     """Episodes share nothing, and what comes back is put in order."""
     choice = (*LIFT, "--episodes", "11", "--json")

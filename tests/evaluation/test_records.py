@@ -181,6 +181,7 @@ def test_half_a_line_is_taken_back_where_the_disk_is_full(folder: Path) -> None:
     assert list(records.read(folder).finals) == [0, 1, 2, 3, 4, 5]
 
 
+@pytest.mark.slow
 def test_reading_takes_as_much_for_each_episode_however_many_there_are(tmp_path: Path) -> None:
     """And little: 150 calls are 60 us, so that ten thousand episodes are there in less than a second."""
     for episodes in (50, 500):

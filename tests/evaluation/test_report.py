@@ -103,6 +103,7 @@ def test_a_run_of_which_nothing_was_played_has_a_report(tmp_path: Path) -> None:
     assert "No episode has a success to speak of yet." in (out / written.PAGE).read_text()
 
 
+@pytest.mark.slow
 def test_ten_thousand_episodes_take_not_much_each(tmp_path: Path) -> None:
     """Reading, statistics, page, tables: 600 calls for an episode are 200 us."""
     run = synthetic(tmp_path / "foo", [f"task_{number}" for number in range(10)], episodes=500)

@@ -270,6 +270,7 @@ def _agree(killed: Path, whole: Path) -> None:
         assert (killed / f"traces/{index}.npz").read_bytes() == (whole / f"traces/{index}.npz").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_three_times_ends_with_the_same_table(room: Path) -> None:
     """And no process survives it."""
     command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]

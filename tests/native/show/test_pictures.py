@@ -74,6 +74,7 @@ def test_exchanged_wrists_are_said(tmp_path: Path) -> None:
     assert found["right_wrist"].notes == ("the input is called right_wrist, and shows cam_left_wrist",)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("steps", "words"),
     [

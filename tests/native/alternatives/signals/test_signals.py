@@ -90,6 +90,7 @@ def test_involutions_are_their_own_inverses() -> None:
                 assert (obs["vision"][camera]["color"] == was["vision"][camera]["color"]).all(), signal.words
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("robot", "action_type"), [("franka", "joint"), ("piper_single", "ee")])
 def test_each_changes_something(robot: str, action_type: str) -> None:
     """What is shown, or what is commanded, of an episode; and nothing is written to what it is given."""
@@ -185,6 +186,7 @@ def _said(joints: Any) -> dict[str, Any]:
     return {"left_arm_joint_state": joints}
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("state", "command", "right", "words"),
     [
