@@ -7,12 +7,12 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl_cli.basics import again
 from xpl_cli.basics.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ async def run(arguments: Sequence[str], folder: Path, progress: Callable[[int, s
     import anyio
     from anyio.streams.text import TextReceiveStream
 
-    command = [sys.executable, "-m", "xpl_cli", *arguments]
+    command = [*again.command("xpl_cli"), *arguments]
     # Standard input is the protocol's: a command must not read it.
     process = await anyio.open_process(command, cwd=folder, stdin=subprocess.DEVNULL, start_new_session=True)
     _running.add(process)

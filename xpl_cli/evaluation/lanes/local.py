@@ -13,11 +13,11 @@ import queue
 import signal
 import socket
 import subprocess
-import sys
 import threading
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.basics import again
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
 from xpl_cli.evaluation.lanes.lane import Access, Orders
@@ -200,7 +200,7 @@ class _LaneProcess:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "xpl_cli.evaluation.lanes.process", str(theirs.fileno())],
+                [*again.command("xpl_cli.evaluation.lanes.process"), str(theirs.fileno())],
                 stdin=subprocess.PIPE,  # ends with this process, and the lane with it
                 stdout=2,  # what an adapter's loop prints is no data
                 pass_fds=[theirs.fileno()],
