@@ -236,8 +236,6 @@ class Worker:
             try:
                 result = self._perform(request)
                 self._check_stubs()
-                if self._kit is not None and result is not None:
-                    self._kit.answered = True
             except _FAILURES as error:
                 result = error
             yield result

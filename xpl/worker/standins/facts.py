@@ -20,6 +20,7 @@ class Facts:
         width: columns of an action.
         low, high: range of each column, (width,) each.
         numbers: numbers of the adapter's configuration, by their names.
+        parts: how wide a part of an action is, by what its name says.
         widths: how wide a model's actions may be, where it says other than the robot; the likeliest first.
     """
 
@@ -35,6 +36,7 @@ class Facts:
         self.steps, self.width, self.low, self.high = steps, width, low, high
         self.numbers = dict(numbers or {})
         self.widths = widths or (width,)
+        self.parts: tuple[tuple[str, int], ...] = ()
 
     def worth(self, name: str, path: str = "") -> Any:
         """Return the number, or the numbers, that a name stands for; None where it says nothing."""
@@ -48,7 +50,9 @@ class Facts:
             return self.numbers[words]
         for pattern, value in _WORTH:
             if pattern.fullmatch(words):
-                return value(self)
+                found = value(self)
+                part = next((count for part, count in self.parts if part in path.lower()), None)
+                return found[:part] if isinstance(found, np.ndarray) and part is not None else found
         return None
 
 
@@ -93,6 +97,7 @@ _WORTH: list[tuple[re.Pattern[str], Callable[[Facts], Any]]] = [
         (r"(max|padded|model)_(state|action|proprio|joint)_?dim", lambda facts: max(32, facts.width)),
         (r"(.*_)?(state|action|proprio|native|joint|robot|qpos)_(dim|size|token_dim)", lambda facts: facts.width),
         # sizes that networks commonly have
+        (r"(.*_)?(resize_imgs_with_padding|image_resolution|resize_size)", lambda _: (224, 224)),
         (r"(.*_)?(image_size|resolution|img_size|input_size|crop_size|default_image_size|height|width)", lambda _: 224),
         (r"(.*_)?num_patches", lambda _: 256),
         (r"(.*_)?(hidden_size|embed_dim|feature_dim|token_dim|hidden_dim)", lambda _: 64),

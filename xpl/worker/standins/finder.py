@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import functools
 import importlib
 import importlib.machinery
 import importlib.util
@@ -67,10 +68,23 @@ class Finder:
         self.names: list[str] = []
         self._needs: dict[str, frozenset[str]] = {}
         self._files: dict[str, str] = {}
+        self._released: set[str] = set()
 
     def install(self) -> None:
         """Look for modules from now on."""
         if self._vendored:
+            real = importlib.util.spec_from_file_location
+
+            @functools.wraps(real)
+            def located(name: str, location: Any = None, **named: Any) -> Any:
+                found = real(name, location, **named)
+                if found is None or not self._is_vendored(found) or self._weight(found, name) != _HEAVY:
+                    return found
+                self.note(name)
+                self._files[name] = str(found.origin)
+                return self.spec(name)
+
+            importlib.util.spec_from_file_location = located
             sys.meta_path.insert(0, _Before(self))  # type: ignore[arg-type]
         sys.meta_path.append(self)  # type: ignore[arg-type]
 
@@ -148,6 +162,23 @@ class Finder:
         self._files[name] = str(found.origin)
         return spec
 
+    def release(self, told: str) -> bool:
+        """Let a module run as it is whose data an error speaks of; tell whether there is one."""
+        found = max(
+            (name for name in self._files if told.startswith(f"{name}.") and name not in self._released),
+            key=len,
+            default=None,
+        )
+        if found is None:
+            return False
+        self._released.add(found)
+        for name in [name for name in sys.modules if name == found or name.startswith(f"{found}.")]:
+            del sys.modules[name]
+        parent = sys.modules.get(found.rpartition(".")[0])
+        if parent is not None:
+            parent.__dict__.pop(found.rpartition(".")[2], None)
+        return True
+
     def note(self, name: str) -> None:
         """Remember that a piece of vendored code was stood in for."""
         label = _short(name)
@@ -158,6 +189,8 @@ class Finder:
         if found.origin is None or not found.origin.endswith(".py"):
             return ""
         package = name if found.submodule_search_locations else name.rpartition(".")[0]
+        if name in self._released:
+            return _LIGHT
         if _SERVER.search(Path(found.origin).read_text(errors="replace")):
             return _HEAVY
         seen: set[str] = set()

@@ -249,8 +249,8 @@ def _stem(file: Any) -> str:
 def _document(source: Any) -> Any:
     """Return what a file that is not here says: a thing; None for any other source."""
     if isinstance(source, Text):
-        return _Document(Origin(_stem(source.name), Memory()))
-    return _Document(Origin(_stem(source.name), Memory())) if isinstance(source, _File) else None
+        return _Document(Origin(_stem(source.name), Memory(), is_text=True))
+    return _Document(Origin(_stem(source.name), Memory(), is_text=True)) if isinstance(source, _File) else None
 
 
 class _Document(Thing):

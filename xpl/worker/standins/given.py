@@ -7,9 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from xpl.worker.standins.facts import ANSWERS, TRANSFORMS
+
 _MOST = 64
 """Environments of a batch; a longer first axis is something else."""
 _CHANNELS = (1, 3, 4)
+_TELLING = {"text", "image"}
+"""What a model goes on with from an earlier call, where a call has none of it."""
 
 
 class Memory:
@@ -32,7 +36,9 @@ class Memory:
 
     def remember(self, given: Given) -> None:
         """Remember the newest call of each name, and what it says of each environment."""
-        self.given = [*(other for other in self.given if other.verb != given.verb), given]
+        kinds = _kinds(given.values)
+        kept = [other for other in self.given if other.verb != given.verb or _kinds(other.values) != kinds]
+        self.given = [*kept, given]
         values = (*given.arguments, *given.named.values())
         numbers = next((numbers for numbers in map(_numbers, values) if numbers), None)
         if numbers is not None:
@@ -53,6 +59,7 @@ class Given:
         verb: name of what was called.
         owner: name of what it was called on.
         arguments, named: what it was called with.
+        alone: whether it is of one environment, however long the lists in it are.
         recalled: what the object was given before, for what the call itself does not say.
     """
 
@@ -69,10 +76,13 @@ class Given:
         if before is not None:
             self.arguments = (before, *arguments)
         kinds = _kinds((arguments, named))
-        self.recalled = [
-            other for other in memory.given if other.verb != verb or not kinds or not _kinds(other.values) <= kinds
-        ]
-        self.recalled = [other for other in self.recalled if not _kinds(other.values) <= kinds]
+        self.alone = False
+        self.recalled: list[Given] = []
+        if not kinds:
+            self.recalled = list(memory.given)
+        elif ANSWERS.fullmatch(verb.lower()):
+            lacking = _TELLING - kinds
+            self.recalled = [other for other in memory.given if _kinds(other.values) & lacking][-1:]
         self.numbers = next((found for found in map(_numbers, (*arguments, *named.values())) if found), None)
         self.known = dict(memory.rows) if self.numbers and all(n in memory.rows for n in self.numbers) else {}
 
@@ -84,6 +94,8 @@ class Given:
     @property
     def count(self) -> int | None:
         """How many environments the arguments are of, None if they are not a batch."""
+        if self.alone:
+            return None
         if self.known and self.numbers:
             return len(self.numbers)
         found = set(_counts(self.values, 0))
@@ -98,12 +110,10 @@ class Given:
         count = self.count
         mine = [plain(item, row, count) for item in self.arguments]
         named = {name: plain(item, row, count) for name, item in self.named.items()}
-        return [mine, named, *(other.shown(row) for other in self.recalled)]
+        return [mine, named, *(other.shown(row if other.count == count else None) for other in self.recalled)]
 
     def entry(self, keys: tuple[Any, ...]) -> Any:
         """Return what a transformation was given under some keys, None if there is no such entry or it is not one."""
-        from xpl.worker.standins.facts import TRANSFORMS
-
         if not TRANSFORMS.fullmatch(self.verb.lower()):
             return None
         for value in (*self.arguments, *self.named.values()):
@@ -114,14 +124,10 @@ class Given:
 
     def is_of_image(self) -> bool:
         """Tell whether a transformation was given an image as libraries of images have them."""
-        from xpl.worker.standins.facts import TRANSFORMS
-
         return bool(TRANSFORMS.fullmatch(self.verb.lower())) and any(is_image(value) for value in self.arguments)
 
     def keys(self, keys: tuple[Any, ...]) -> list[Any] | None:
         """Return the keys of the map that a transformation was given, None if there is no map."""
-        from xpl.worker.standins.facts import TRANSFORMS
-
         if not TRANSFORMS.fullmatch(self.verb.lower()):
             return None
         for value in (*self.arguments, *self.named.values()):
@@ -233,7 +239,7 @@ def _leaves(value: Any, depth: int) -> Iterator[Any]:
     elif isinstance(value, (list, tuple, set)):
         for item in value:
             yield from _leaves(item, depth + 1)
-    elif isinstance(value, (str, bytes, int, float, np.generic)) or as_data(value) is not None:
+    elif isinstance(value, (str, bytes, int, float, np.generic)) or is_image(value) or as_data(value) is not None:
         yield value
 
 
@@ -242,11 +248,13 @@ def _kinds(value: Any) -> set[str]:
     found = set()
     for leaf in _leaves(value, 0):
         told = _origin(leaf)
-        array = as_data(leaf)
-        if told is not None:
+        array = None if is_image(leaf) else as_data(leaf)
+        if is_image(leaf):
+            found.add("image")
+        elif told is not None:
             found |= _kinds(told.given.values)
         elif isinstance(leaf, (str, bytes)):
-            found.add("text")
+            found.add("text" if " " in str(leaf) else "word")
         elif array is not None:
             found.add("image" if array.ndim >= 3 and max(array.shape[-3:]) >= 32 else "numbers")
     return found
@@ -257,6 +265,9 @@ def _counts(value: Any, depth: int) -> Iterator[int]:
     if told is not None:
         if told.given is not None and told.given.count is not None:
             yield told.given.count
+        return
+    if is_image(value):
+        yield -1
         return
     array = as_data(value)
     if array is not None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
+import functools
 import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Callable
 
 import numpy as np
 
@@ -38,6 +39,7 @@ _PATHS = re.compile(
 _NOT = re.compile(r".*(log|result|output|cache|save|env_cfg|action|state|name|type).*|.*model_(id|type)|prompt")
 _TRIES = 8
 _ABSOLUTE = re.compile(r"/[\w./+-]+")
+_ATTRIBUTE = re.compile(r"(?:config|cfg)\.([a-z]\w*)\b(?!\()")
 _READ = re.compile(r"""(?:cfg|config|args)(?:\.get\(|\[)\s*["'](\w+)["']""")
 _WIDTH = re.compile(r"(?:^|\W)(?:\w*_)?(?:ACTION|action)_(?:DIM|dim)(?:: *int)? *[=:] *(\d+)", re.MULTILINE)
 _LOW, _HIGH = -0.4, 0.4
@@ -55,14 +57,18 @@ class Kit:
         self._config, self._policy_dir = dict(config), policy_dir
         roots = [policy_dir, *ecosystem.roots(policy_dir)]
         facts = _facts(config, policy_dir)
-        WORLD.facts, WORLD.value, WORLD.makes = facts, Values(facts).of, makes.find
+        self._values = Values(facts)
+        WORLD.facts, WORLD.value, WORLD.makes = facts, self._values.of, makes.find
         WORLD.serving = False
         parts = library.parts()
         makes.load(facts)
+        WORLD.documents = tuple(
+            sorted(set(_ATTRIBUTE.findall((policy_dir / spec.File.MODEL_PY).read_text(errors="replace"))))
+        )
         self._finder = Finder(
             policy_dir, roots, lambda name: {**parts.get(name, {}), **makes.parts(name)}, vendored=True
         )
-        self._is_installed = False
+        self._is_installed, self._widths = False, len(facts.widths)
         self.answered = False
         self._folders = Folders([policy_dir, *(root.parent for root in roots)])
 
@@ -81,11 +87,46 @@ class Kit:
             self._finder.install()
             self._folders.install()
         WORLD.serving = False
-        model_class = load_model_class(self._policy_dir)
-        model = self._tried(model_class)
+        model = self._loaded()
         WORLD.failed.clear()
         WORLD.serving = True
+        for name in (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH, spec.Method.INFER):
+            if callable(getattr(model, name, None)):
+                setattr(model, name, self._guessing(getattr(model, name)))
         return model
+
+    def _loaded(self) -> Any:
+        """Load and build the model; a module of vendored code whose data is asked for runs as it is."""
+        for _ in range(_TRIES):
+            try:
+                return self._tried(load_model_class(self._policy_dir))
+            except StandInError as error:  # noqa: PERF203 - the last one tells
+                if not self._finder.release(str(error)):
+                    raise
+        return self._tried(load_model_class(self._policy_dir))
+
+    def _guessing(self, method: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a method that tries the widths that actions may have, until one has done."""
+
+        @functools.wraps(method)
+        def guessing(*arguments: Any, **named: Any) -> Any:
+            if self.answered:
+                return method(*arguments, **named)
+            first: Exception | None = None
+            for place in range(self._widths):
+                self._values.guess(place)
+                try:
+                    found = method(*arguments, **named)
+                except Exception as error:  # noqa: BLE001 - the first one is told, if none does
+                    first = first or error
+                else:
+                    self.answered = True
+                    WORLD.failed.clear()
+                    return found
+            self._values.guess(0)
+            raise first or RuntimeError("there is no width to try")
+
+        return guessing
 
     def lacks(self, error: BaseException) -> dict[str, str] | None:
         """Return what an error says that only the real model could give; None if the adapter is to blame for it.
@@ -183,13 +224,17 @@ def _facts(config: Mapping[str, Any], policy_dir: Path) -> Facts:
         for name, value in config.items()
         if isinstance(value, (int, float)) and not isinstance(value, bool)
     }
-    others = [
+    others = known.declared(config, r"(max|model|padded)_action_dim")
+    others += [
         int(found)
         for path in sorted(policy_dir.glob("*.py"))
         for found in _WIDTH.findall(path.read_text(errors="replace"))
     ]
     widths = tuple(dict.fromkeys([width, *others, sum(arm.dof + arm.ee_dim for arm in robot.arms)]))
-    return Facts(min(max([*steps, 0]) or _STEPS, _MOST_STEPS), width, low, high, numbers, widths)
+    facts = Facts(min(max([*steps, 0]) or _STEPS, _MOST_STEPS), width, low, high, numbers, widths)
+    ends = sum(arm.ee_dim for arm in robot.arms)
+    facts.parts = (("effector", ends), ("gripper", ends), ("arm.", width - ends), ("arm_", width - ends))
+    return facts
 
 
 def _asked(policy_dir: Path) -> list[str]:

@@ -57,31 +57,12 @@ class Fields(dict):  # type: ignore[type-arg]
 
 
 def dict_apply(tree: Any, function: Callable[[Any], Any]) -> Any:
-    """Apply a function to the leaves of maps and lists, and to what is looked up in a thing."""
+    """Apply a function to the leaves of maps; a thing stays what it is."""
     if isinstance(tree, Thing):
-        told = origin(tree)
-        return _Applied(told, function)
+        return tree
     if isinstance(tree, Mapping):
         return {key: dict_apply(item, function) for key, item in tree.items()}
     return function(tree)
-
-
-class _Applied(Thing):
-    def __init__(self, told: Origin, function: Callable[[Any], Any]) -> None:
-        super().__init__(Origin(told.name, told.memory, told.given, told.keys))
-        self.__dict__["_xpl_function"] = function
-
-    def __getitem__(self, key: Any) -> Any:
-        return dict_apply_once(super().__getitem__(key), self.__dict__["_xpl_function"])
-
-
-def dict_apply_once(item: Any, function: Callable[[Any], Any]) -> Any:
-    """Return a function's value, or what a thing is where it has none."""
-    from xpl.worker.standins.things import holds, value
-
-    if isinstance(item, Thing) and holds(item):
-        return function(value(item))
-    return item if isinstance(item, Thing) else function(item)
 
 
 def _told(text: Any = "", *_: Any, **__: Any) -> None:
@@ -112,6 +93,7 @@ class _Client(Thing):
     def _answer(self, verb: str, shown: Any) -> Any:
         memory = origin(self).memory
         given = Given(verb, (shown,), {}, memory)
+        given.alone = verb == "infer"
         memory.remember(given)
         return Thing(Origin(f"client.{verb}()", memory, given))
 

@@ -37,6 +37,7 @@ class World:
         value: makes an array, or a tensor, of a thing that holds data; set by `xpl.worker.standins.values`.
         makes: what knows more of some names; finds a function for a dotted name.
         failed: what was asked in vain.
+        documents: names that the adapter reads; what a map is taken to hold, where all of it is asked for.
     """
 
     def __init__(self) -> None:
@@ -45,6 +46,7 @@ class World:
         self.value: Callable[[Thing], Any] | None = None
         self.makes: Callable[[str], Callable[..., Any] | None] = lambda _: None
         self.failed: list[str] = []
+        self.documents: tuple[str, ...] = ()
 
 
 WORLD = World()
@@ -58,10 +60,11 @@ class Origin:
         memory: what the object that it is a part of was given.
         given: what went into it, None where nothing did.
         keys: what was looked up in what a call gave.
+        is_text: whether it was read from a file of text, which has lists for arrays.
         is_name: whether it was imported or is an attribute of what was, and was not made by a call.
     """
 
-    __slots__ = ("given", "is_name", "keys", "memory", "name")
+    __slots__ = ("given", "is_name", "is_text", "keys", "memory", "name")
 
     def __init__(
         self,
@@ -71,13 +74,17 @@ class Origin:
         keys: tuple[Any, ...] = (),
         *,
         is_name: bool = False,
+        is_text: bool = False,
     ) -> None:
         self.name, self.memory, self.given, self.keys, self.is_name = name, memory, given, keys, is_name
+        self.is_text = is_text
 
     @property
     def last(self) -> str:
         """The last part of the name, without calls and elements."""
-        return self.name.rpartition(".")[2].partition("(")[0].partition("[")[0]
+        if self.keys and isinstance(self.keys[-1], str):
+            return self.keys[-1]
+        return self.name.replace("[...]", "").rpartition(".")[2].partition("(")[0].partition("[")[0]
 
 
 def refuse(name: str, what: str) -> NoReturn:
@@ -113,7 +120,8 @@ def value(thing: Thing) -> Any:
     if WORLD.facts is None:
         return None
     last = str(told.keys[-1]) if told.keys and isinstance(told.keys[-1], str) else told.last
-    return WORLD.facts.worth(last, told.name)
+    found = WORLD.facts.worth(last, ".".join([told.name, *map(str, told.keys[:-1])]))
+    return found.tolist() if told.is_text and hasattr(found, "tolist") else found
 
 
 def _special(name: str) -> bool:
@@ -227,7 +235,7 @@ class Thing:
             worth = value(self) if isinstance(key, (int, slice, tuple)) else None
             if worth is not None:
                 return worth[key]
-            part = Thing(Origin(f"{told.name}[...]", told.memory, None, (*told.keys, key)))
+            part = Thing(Origin(f"{told.name}[...]", told.memory, None, (*told.keys, key), is_text=told.is_text))
             if isinstance(key, (str, int)):
                 self.__dict__["_xpl_parts"][key] = part
             return part
@@ -265,6 +273,8 @@ class Thing:
             found = list(self.__dict__.get("_xpl_parts", {}))
             if not found and WORLD.facts is not None and known.STATISTICS.search(f"{told.name}.{told.keys}".lower()):
                 found = list(known.STATISTIC)
+            elif not found and WORLD.documents and not told.is_name:
+                found = list(WORLD.documents)
         return found
 
     def items(self) -> Any:

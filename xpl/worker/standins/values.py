@@ -29,10 +29,15 @@ class Values:
 
     def __init__(self, facts: Facts) -> None:
         self._facts = facts
-        self.guess = 0
+        self._guess = 0
         self._encoders: dict[str, Answers] = {}
         self._answers: dict[int, Answers] = {}
         self._made: dict[tuple[int, tuple[Any, ...]], tuple[Given, Any]] = {}
+
+    def guess(self, place: int) -> None:
+        """Take the actions of models to be as wide as another place of the adapter's says."""
+        self._guess = place
+        self._made.clear()
 
     def of(self, thing: Thing) -> Any:
         """Return the array or tensor that a thing is worth; the same thing is worth the same."""
@@ -107,7 +112,7 @@ class Values:
             found = _by_tail(given.values, tail)
             if found is not None and tail not in ("action", "actions", "state"):
                 return found
-        return self._facts.widths[self.guess]
+        return self._facts.widths[self._guess]
 
 
 def _typed(array: np.ndarray) -> Any:
