@@ -21,6 +21,7 @@ class Facts:
         low, high: range of each column, (width,) each.
         numbers: numbers of the adapter's configuration, by their names.
         parts: how wide a part of an action is, by what its name says.
+        quaternions: first columns of quaternions.
         widths: how wide a model's actions may be, where it says other than the robot; the likeliest first.
     """
 
@@ -37,6 +38,7 @@ class Facts:
         self.numbers = dict(numbers or {})
         self.widths = widths or (width,)
         self.parts: tuple[tuple[str, int], ...] = ()
+        self.quaternions: list[int] = []
 
     def worth(self, name: str, path: str = "") -> Any:
         """Return the number, or the numbers, that a name stands for; None where it says nothing."""
@@ -56,6 +58,7 @@ class Facts:
         return None
 
 
+_REACH = 2.0  # of statistics: no joint is cut off, and what answers mean twice over is still an opening of a gripper
 _SHAPES: dict[str, list[tuple[str, Any]]] = {
     "images": [(f"{place}_rgb", [3, 480, 640]) for place in ("head", "left_wrist", "right_wrist")],
     "state": [("default", None)],
@@ -76,11 +79,17 @@ _WORTH: list[tuple[re.Pattern[str], Callable[[Facts], Any]]] = [
             lambda _: [f"observation.images.{name}" for name in ("cam_high", "cam_left_wrist", "cam_right_wrist")],
         ),
         (r"(.*_)?(action_)?chunk_size|n_action_steps", lambda facts: facts.numbers.get("replan_steps", facts.steps)),
-        # statistics that change nothing: what is normalised by them stays what it is
+        # statistics that change little
         (r"(.*[_.])?(mean|median)(_abs)?", lambda facts: np.zeros(facts.width, np.float32)),
         (r"(.*[_.])?(std|scale|var)(_abs)?", lambda facts: np.ones(facts.width, np.float32)),
-        (r"(.*[_.])?(min|low|lower|q0?1|q_01|percentile_1|p0?1)", lambda facts: -np.ones(facts.width, np.float32)),
-        (r"(.*[_.])?(max|high|upper|q99|q_99|percentile_99|p99)", lambda facts: np.ones(facts.width, np.float32)),
+        (
+            r"(.*[_.])?(min|low|lower|q0?1|q_01|percentile_1|p0?1)",
+            lambda facts: np.full(facts.width, -_REACH, np.float32),
+        ),
+        (
+            r"(.*[_.])?(max|high|upper|q99|q_99|percentile_99|p99)",
+            lambda facts: np.full(facts.width, _REACH, np.float32),
+        ),
         (r"mask|action_mask", lambda facts: np.ones(facts.width, bool)),
         # lists over the steps
         (r"(action_)?(delta_)?indices", lambda facts: list(range(facts.steps))),

@@ -42,7 +42,9 @@ _ABSOLUTE = re.compile(r"/[\w./+-]+")
 _ATTRIBUTE = re.compile(r"(?:config|cfg)\.([a-z]\w*)\b(?!\()")
 _READ = re.compile(r"""(?:cfg|config|args)(?:\.get\(|\[)\s*["'](\w+)["']""")
 _WIDTH = re.compile(r"(?:^|\W)(?:\w*_)?(?:ACTION|action)_(?:DIM|dim)(?:: *int)? *[=:] *(\d+)", re.MULTILINE)
-_LOW, _HIGH = -0.4, 0.4
+_LOW, _HIGH = 0.05, 0.35
+"""Of a column: fit for a joint and for a gripper, also where an adapter has columns in an order of its own."""
+_OPENING = 0.1, 0.45
 
 
 class Kit:
@@ -218,7 +220,7 @@ def _facts(config: Mapping[str, Any], policy_dir: Path) -> Facts:
         robot = get_embodiment(next(iter(spec.EMBODIMENTS)))
     width = action_dim(robot, action_type)
     low, high = np.full(width, _LOW), np.full(width, _HIGH)
-    _shape(robot, action_type, low, high)
+    quaternions = _shape(robot, action_type, low, high)
     numbers = {
         str(name).lower(): value
         for name, value in config.items()
@@ -233,6 +235,7 @@ def _facts(config: Mapping[str, Any], policy_dir: Path) -> Facts:
     widths = tuple(dict.fromkeys([width, *others, sum(arm.dof + arm.ee_dim for arm in robot.arms)]))
     facts = Facts(min(max([*steps, 0]) or _STEPS, _MOST_STEPS), width, low, high, numbers, widths)
     ends = sum(arm.ee_dim for arm in robot.arms)
+    facts.quaternions = quaternions
     facts.parts = (("effector", ends), ("gripper", ends), ("arm.", width - ends), ("arm_", width - ends))
     return facts
 
@@ -244,14 +247,16 @@ def _asked(policy_dir: Path) -> list[str]:
     ]
 
 
-def _shape(robot: Embodiment, action_type: Any, low: np.ndarray, high: np.ndarray) -> None:
-    """Give grippers and quaternions values that they can have."""
-    start = 0
+def _shape(robot: Embodiment, action_type: Any, low: np.ndarray, high: np.ndarray) -> list[int]:
+    """Give grippers and quaternions values that they can have; tell where quaternions are."""
+    start, quaternions = 0, []
     for arm in robot.arms:
         if action_type == spec.ACTION_TYPES[0]:
             start += arm.dof
         else:
             low[start + spec.POSITION_DIM], high[start + spec.POSITION_DIM] = 0.8, 1.0
+            quaternions.append(start + spec.POSITION_DIM)
             start += spec.POSE_DIM
-        low[start : start + arm.ee_dim], high[start : start + arm.ee_dim] = 0.1, 0.9
+        low[start : start + arm.ee_dim], high[start : start + arm.ee_dim] = _OPENING
         start += arm.ee_dim
+    return quaternions

@@ -94,6 +94,10 @@ class Values:
             rows = [self._answer(width).of([given.shown(row if count else None), label]) for row in range(count or 1)]
         except ShadowError:
             refuse(given.verb, "value that could depend on what was shown")
+        if width == self._facts.width:
+            for start in self._facts.quaternions:
+                for row in rows:
+                    row[:, start : start + 4] /= np.linalg.norm(row[:, start : start + 4], axis=1, keepdims=True)
         return _typed(np.stack(rows) if count else rows[0])
 
     def _answer(self, width: int) -> Answers:
