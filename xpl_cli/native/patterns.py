@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from xpl import _spec as spec
 from xpl_cli.native.difference import columns, differences
 
 if TYPE_CHECKING:
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 _SAME = 1e-6
 """Share of the span below which steps are the same."""
+_FEW = 0.25
+"""Share of the later answers that may be right by chance, where a model remembers."""
 _SIGMAS = 4.0
 """How far the mean of differences may be from zero, in its standard errors, where they are drawn."""
 
@@ -80,16 +83,30 @@ def _moves(chunks: Sequence[Sequence[object]], spread: Differences) -> float:
     return largest
 
 
+@dataclass(frozen=True)
+class _Answer:
+    """Where an answer stands, and whether it is right.
+
+    Attributes:
+        episode: number of the episode of its environment, from 0.
+        earlier: questions before it in the episode, or observations before it.
+        is_right: whether it is the native one.
+    """
+
+    episode: int
+    earlier: int
+    is_right: bool
+
+
 def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, kind: Kind) -> Iterator[Pattern]:
-    """Tell which answers of the episodes are right: those to the first observation, or those of the first episode."""
-    first: list[bool] = []
-    later: list[bool] = []
-    for thread in threads:
-        for place, native, given in zip(thread.asked, thread.native, thread.given, strict=True):
-            far = max(differences([native], [given], spread).values())
-            (later if place else first).append(far <= tolerance)
+    """Tell which answers of the episodes are right: those that need nothing from before, or those of first episodes."""
+    answers = list(_answers(threads, spread, tolerance, by_question=kind.keeps_state))
+    later = [one.is_right for one in answers if one.earlier]
+    begins = [one.is_right for one in answers if not one.earlier]
+    again = [one.is_right for one in answers if not one.earlier and one.episode]
     convention = "recurrent" if kind.keeps_state else "history" if kind.history > 1 else "action_reference"
-    if first and later and all(first) and not any(later):
+    remembers = kind.keeps_state or kind.history > 1
+    if begins and later and all(begins) and (not any(later) or (remembers and sum(later) <= _FEW * len(later))):
         told = {
             "recurrent": "the state is not carried on, or not as often as the model does it",
             "history": "earlier observations are not the model's",
@@ -98,8 +115,21 @@ def _memory(threads: Sequence[Thread], spread: Differences, tolerance: float, ki
         yield Pattern(
             f"answers to the first observation of an episode are right, and later ones are not: {told}", convention
         )
-    elif len(first) > 1 and first[0] and not any(first[1:]) and kind.keeps_state:
-        yield Pattern("only the first answer of all is right: the state outlives a reset", "recurrent")
+    elif again and answers[0].is_right and not any(again) and remembers:
+        told = "the first episode begins right, and later ones do not: what is remembered outlives a reset"
+        yield Pattern(told, convention)
+
+
+def _answers(
+    threads: Sequence[Thread], spread: Differences, tolerance: float, *, by_question: bool
+) -> Iterator[_Answer]:
+    episodes: dict[Any, int] = {}
+    for thread in threads:
+        env = thread.observations[0].get(spec.Obs.ENV_IDX) if thread.observations else None
+        number = episodes[env] = episodes.get(env, -1) + 1
+        for index, (place, native, given) in enumerate(zip(thread.asked, thread.native, thread.given, strict=True)):
+            far = max(differences([native], [given], spread).values())
+            yield _Answer(number, index if by_question else place, far <= tolerance)
 
 
 def _steps(threads: Sequence[Thread], spread: Differences, tolerance: float) -> Iterator[Pattern]:

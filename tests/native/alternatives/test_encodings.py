@@ -39,13 +39,13 @@ def test_each_is_there_once_and_can_be_sent() -> None:
 def test_what_is_not_read_is_not_changed() -> None:
     """A model without pictures and texts has vectors."""
     kinds = {one.how["kind"] for one in _all(pictures=False, text=False)}
-    assert kinds == {"normalized", "ordered", "rotation"}
+    assert kinds == {"drawn", "normalized", "ordered", "rotation"}
 
 
 def test_the_geometry_tells_a_filter_from_a_size() -> None:
     """A change that leaves the adapter's own geometry changes the filter."""
     letterbox = next(one for one in _all() if one.geometry == "letterbox")
-    assert convention_of(letterbox, "letterbox") == "image_filter"
-    assert convention_of(letterbox, "resize") == "image_size"
+    assert convention_of(letterbox, {"letterbox", "resize"}) == "image_filter"
+    assert convention_of(letterbox, {"resize"}) == "image_size"
     colours = next(one for one in _all() if one.how["kind"] == "colours")
-    assert convention_of(colours, "") == "image_channels"
+    assert convention_of(colours, ()) == "image_channels"

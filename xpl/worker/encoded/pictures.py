@@ -14,7 +14,7 @@ from xpl.worker.encoded.walk import UnfitError, changed, leaves
 
 _LEAST = 12
 """Pixels that a side of a picture has at least."""
-_CROPS = (1.0, 0.9, 0.95, 0.875, 0.8, 0.85)
+_CROPS = (1.0, 0.9, 0.95, 0.875, 0.8, 0.85, 0.9**0.5, 0.95**0.5, 0.8**0.5, 0.9**2, 0.8**2)
 """What an adapter may cut out of what it is shown."""
 
 

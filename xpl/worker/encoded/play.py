@@ -6,7 +6,8 @@ otherwise, texts and vectors written otherwise, while `decode` sees what was sho
     as `xpl.worker.inprocess.load` reads, further "changes", "calls" (as in `xpl.worker.native`), "seconds"
     one map for the load, whose result is None, or the reason why nothing can be changed; one for each change in its
     order, as far as the seconds reach: its result has "answers", the chunk of every question; "apart", how far pictures
-    are from those before; "words", if the process knows better what the change is; or there is an "error"
+    are from those before; "draws", how many times something was drawn; "words", if the process knows better what the
+    change is; or there is an "error"
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from xpl import _spec as spec
 from xpl.policy import Policy
 from xpl.wire.arrays import as_array
 from xpl.worker.encoded import pictures, texts, turns, vectors
+from xpl.worker.encoded.draws import Drawn
 from xpl.worker.encoded.walk import UnfitError, leaves
 from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.inprocess import on_model
@@ -58,6 +60,9 @@ def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Mapping[s
             model.reset()
             model.update_obs(samples[0])  # so that there is an environment that encodes
             told: dict[str, Any] = {}
+            if how["kind"] == "drawn":
+                yield _drawn(model, how, order["calls"])
+                continue
             if how.get("way") != "out":
                 wrapped, told = _wrapped(model, own, how, samples, known)
                 model.encode = wrapped  # type: ignore[method-assign, assignment]
@@ -68,6 +73,14 @@ def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Mapping[s
             yield failed(error)
         finally:
             model.encode, model.predict = own, predicts  # type: ignore[method-assign]
+
+
+def _drawn(model: Policy, how: Mapping[str, Any], calls: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return the answers with other draws, packed."""
+    drawn = Drawn(model, how)
+    model.predict = drawn.predict  # type: ignore[method-assign]
+    answers = list(renewed(model, calls))
+    return result({"answers": answers, **drawn.told})
 
 
 def _answering(predicts: Callable[..., Any], how: Mapping[str, Any]) -> Callable[..., Any]:

@@ -7,7 +7,7 @@ cannot be shown to it. `xpl.worker.encoded.play` carries these changes out.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +60,12 @@ class Encoding:
 
 
 def encodings(
-    embodiment: Embodiment, action_type: str, *, pictures: bool = True, text: bool = True
+    embodiment: Embodiment,
+    action_type: str,
+    *,
+    pictures: bool = True,
+    text: bool = True,
+    templates: Sequence[str] = (),
 ) -> Iterator[Encoding]:
     """Yield changes of encoded inputs, the likeliest first.
 
@@ -72,24 +77,37 @@ def encodings(
         action_type: joint or ee.
         pictures: whether the adapter reads any.
         text: whether it reads an instruction.
+        templates: of instructions, besides those that are known.
     """
-    found = [*_vectors(list(embodiment.dims(action_type).values()))]
+    found = [*_draws(), *_vectors(list(embodiment.dims(action_type).values()))]
     if pictures:
         found = [*_ranges(), *_axes(), *_sizes(), *found]
     if text:
-        found += _texts()
+        found += _texts(templates)
     yield from sorted(found, key=lambda one: one.rank)
 
 
-def convention_of(change: Encoding, nearest: str) -> str:
-    """Return what a change is about, given the geometry of the pictures that are nearest to the adapter's."""
-    return "image_filter" if change.geometry and change.geometry == nearest else change.convention
+def convention_of(change: Encoding, nearest: Collection[str]) -> str:
+    """Return what a change is about, given the geometries of the pictures that are nearest to the adapter's."""
+    return "image_filter" if change.geometry and change.geometry in nearest else change.convention
+
+
+def _draws() -> Iterator[Encoding]:
+    """Yield other draws; without any of them a model draws nothing, and nothing changes."""
+    for rank, told, kind in (
+        (0, "", "own"),
+        (1, ", in double precision", "double"),
+        (1, ", in single precision", "single"),
+    ):
+        words = f"drawn from each environment's generator{told}"
+        yield Encoding(rank, words, "sampling", {"kind": "drawn", "as": kind})
 
 
 def _ranges() -> Iterator[Encoding]:
     forms: list[tuple[int, str, list[list[float]]]] = [
         (rank, f"range: {span}", [[span[0]] * 3, [span[1]] * 3]) for rank, span in RANGES
     ]
+    forms.append((2, "range: [0, 1], divided by 255 once more", [[0.0] * 3, [1 / 255] * 3]))
     bytes_forms: list[tuple[int, str, list[list[float]]]] = []
     for name, (mean, std) in MEANS.items():
         if name == "0.5":  # which is the range from -1 to 1
@@ -132,7 +150,7 @@ def _told(box: Mapping[str, Any]) -> str:
     return "".join(f", {key}: {value}" for key, value in box.items())
 
 
-def _texts() -> Iterator[Encoding]:
+def _texts(templates: Sequence[str]) -> Iterator[Encoding]:
     for rank, case, strip in (
         (0, "keep", ""),
         (0, "lower", ""),
@@ -144,7 +162,7 @@ def _texts() -> Iterator[Encoding]:
         how = {"kind": "text", "case": case, "strip": strip}
         words = f"instruction: case: {case}, strip: {strip!r}"
         yield Encoding(rank, words, sdk.Obs.INSTRUCTION, how)
-        for template in TEMPLATES:
+        for template in dict.fromkeys((*templates, *TEMPLATES)):
             told = f"{words}, template: {template!r}"
             yield Encoding(rank + 1, told, sdk.Obs.INSTRUCTION, {**how, "template": template})
 

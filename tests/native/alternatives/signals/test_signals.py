@@ -58,7 +58,11 @@ def test_changes_go_there_and_back(robot: str, seed: int, data: st.DataObject) -
 
     Angles that are read as others of the same rotation come back as the same rotation only within their ranges.
     """
-    found = [one for one in _changes(robot) if "action" in one.ways and "euler" not in one.words]
+    found = [
+        one
+        for one in _changes(robot)
+        if "action" in one.ways and "euler" not in one.words and "the angle" not in one.words
+    ]
     change = data.draw(st.sampled_from(found))
     state = fields(robot, np.random.default_rng(seed), joints=True)
     for one, other in ((change.there, change.back), (change.back, change.there)):

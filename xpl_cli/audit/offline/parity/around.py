@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Self
 
 from xpl.client import PolicyServerError
-from xpl_cli.audit.offline.parity.played import RefusedError, checked
+from xpl_cli.audit.offline.parity.played import RefusedError, checked, replay
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +27,8 @@ class Around:
         given: the adapter's own answers to all of them.
         connect: yields a client of a model that was just built; None where nothing is to be shown.
         once: connect once, since a reset makes the model forget.
+        together: play as the whole session does, all environments together and each episode in its turn; else each
+            episode of an environment by itself.
     """
 
     def __init__(
@@ -36,11 +38,13 @@ class Around:
         connect: Callable[[], AbstractContextManager[Client]] | None = None,
         *,
         once: bool = True,
+        together: bool = False,
     ) -> None:
         self._course = course
         self._given = given
         self._connect = connect
         self._once = once
+        self._together = together
         self._opened = ExitStack()
         self._client: Client | None = None
         self._plays: dict[tuple[int, tuple[int, ...]], dict[int, Chunk] | None] = {}
@@ -80,7 +84,8 @@ class Around:
         key = (id(signal.shown), tuple(numbers))
         if key not in self._plays:
             try:
-                self._plays[key] = self._played(self._connected(), signal, numbers)
+                play = self._session if self._together else self._played
+                self._plays[key] = play(self._connected(), signal, numbers)
             except RefusedError:
                 self._plays[key] = None
         return self._plays[key]
@@ -92,6 +97,22 @@ class Around:
             self._opened.close()
             self._client = self._opened.enter_context(self._connect())
         return self._client
+
+    def _session(self, client: Client, signal: Signal, numbers: Sequence[int]) -> dict[int, Chunk]:
+        """Play all episodes in their order, each with its environments together."""
+        assert signal.shown is not None  # noqa: S101 - see who asks
+        session = self._course.session
+        changed: dict[tuple[int, int], Any] = {}
+        for episode in self._course.episodes(numbers):
+            last = session.questions[episode[-1]]
+            changed.update(zip(last.shown, signal.shown(self._course.seen(last)), strict=True))
+
+        def observation(env: int, place: int) -> Mapping[str, Any]:
+            return changed.get((env, place)) or self._course.observation(env, place)
+
+        asked = [session.questions[number] for number in numbers]
+        answers = replay(client, session, self._course.calls(numbers), asked, observation)
+        return {question.number: takes[0] for question, takes in zip(asked, answers, strict=True)}
 
     def _played(self, client: Client, signal: Signal, numbers: Sequence[int]) -> dict[int, Chunk]:
         assert signal.shown is not None  # noqa: S101 - see who asks

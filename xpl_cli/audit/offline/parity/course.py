@@ -56,12 +56,19 @@ class Course:
         return [number for number in self.everything if number <= last.get(self._key(number), -1)]
 
     def calls(self, wanted: Sequence[int]) -> list[Call]:
-        """Return the calls that ask some questions, and those before them, as the whole session does."""
+        """Return the calls that ask some questions, and those before them, as the whole session does.
+
+        Of an episode that is only passed something is shown: what is drawn in the next one depends on its number.
+        """
         questions = self.session.questions
         until = {key: questions[number].call for key, number in self._last(wanted).items()}
+        passed = set(range(max((episode for episode, _ in until), default=0))) - {episode for episode, _ in until}
         found = []
         for place, (call, episode) in enumerate(played(self.session.calls)):
             show = tuple(recipe for recipe in call.show if place <= until.get((episode, recipe[0]), -1))
+            if call.show and episode in passed:
+                show = call.show
+                passed.remove(episode)
             ask = tuple(env for env in call.ask if place <= until.get((episode, env), -1))
             if call.reset or show or ask:
                 found.append(Call(call.reset, show, ask))

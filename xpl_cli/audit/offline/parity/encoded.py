@@ -41,7 +41,9 @@ class Encoded:
 
     def __init__(self, probe: Probe, course: Course, config: Mapping[str, Any]) -> None:
         self._probe, self._course, self._config = probe, course, config
-        self._nearest = ""
+        self._nearest: set[str] = set()
+        self.draws: int | None = None
+        """How many times numbers are drawn in some answers; None if that is not known."""
 
     def answers(self, changes: Sequence[Encoding], wanted: Sequence[int], seconds: float) -> list[Answered]:
         """Return the answers to some questions under each change, as far as the time reaches.
@@ -52,7 +54,10 @@ class Encoded:
         found = replayed(self._probe, self._course, self._config, "xpl.worker.encoded.play", how, wanted, seconds)
         tried = list(zip(changes, found or [], strict=False))
         sizes = [(told["apart"], change.geometry) for change, told in tried if told and change.geometry]
-        self._nearest = self._nearest or min(sizes, default=(0.0, ""))[1]  # of the first, which were all
+        least = min(sizes, default=(0.0, ""))[0]
+        # Of the first, which were all; with some pictures several geometries are one.
+        self._nearest = self._nearest or {geometry for apart, geometry in sizes if apart <= least}
+        self.draws = next((told["draws"] for _, told in tried if told and "draws" in told), self.draws)
         numbers = self._course.with_earlier(wanted)
         return [
             Answered(

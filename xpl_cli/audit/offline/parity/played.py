@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -12,6 +12,7 @@ from xpl.client import PolicyServerError
 if TYPE_CHECKING:
     from xpl_cli.audit.served.session import Session as Client
     from xpl_cli.native.pairs import Chunk, Question, Session
+    from xpl_cli.native.script import Call
 
 Observation = Mapping[str, Any]
 
@@ -43,21 +44,43 @@ def play(client: Client, session: Session) -> list[list[Chunk]]:
     Raises:
         RefusedError: if an answer is an error or no chunk.
     """
-    questions: Iterator[Question] = iter(session.questions)
+    return replay(client, session, session.calls, session.questions, session.scene.observation)
+
+
+def replay(
+    client: Client,
+    session: Session,
+    calls: Sequence[Call],
+    asked: Sequence[Question],
+    observation: Callable[[int, int], Observation],
+) -> list[list[Chunk]]:
+    """Return the answers to the questions of some calls.
+
+    Args:
+        client: of the adapter.
+        session: that they are of.
+        calls: some of the session's.
+        asked: the questions of these calls, in their order.
+        observation: of a recipe, what is shown.
+
+    Raises:
+        RefusedError: if an answer is an error or no chunk.
+    """
+    questions: Iterator[Question] = iter(asked)
     found: list[list[Chunk]] = []
     newest: tuple[int, ...] = ()
-    for call in session.calls:
+    for call in calls:
         if call.reset:
             client.reset()
         elif call.show:
             newest = tuple(env for env, _ in call.show)
-            observations = session.scene.observations(call.show)
+            observations = [observation(env, place) for env, place in call.show]
             told = client.update_obs(observations[0]) if len(newest) == 1 else client.update_obs_batch(observations)
             if isinstance(told, PolicyServerError):
                 raise RefusedError(next(questions), told)
         else:
-            asked = [next(questions) for _ in call.ask]
-            takes = [_asked(client, session, asked, alone=call.ask == newest) for _ in range(session.takes)]
+            now = [next(questions) for _ in call.ask]
+            takes = [_asked(client, session, now, alone=call.ask == newest) for _ in range(session.takes)]
             found += [list(chunks) for chunks in zip(*takes, strict=True)]
     return found
 

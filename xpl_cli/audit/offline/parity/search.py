@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,22 +18,28 @@ from xpl import _spec as sdk
 from xpl import checkpoint
 from xpl.client import ClientError
 from xpl.convert import NativeError
+from xpl.convert.frames import tool
 from xpl_cli.audit.offline.parity import blocks
 from xpl_cli.audit.offline.parity.around import Around
 from xpl_cli.audit.offline.parity.contest import Ask, Contest
 from xpl_cli.audit.offline.parity.course import Course
 from xpl_cli.audit.offline.parity.encoded import Encoded
 from xpl_cli.audit.offline.parity.played import overrides
+from xpl_cli.audit.offline.parity.shown import Shown
 from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.basics.errors import UserError
+from xpl_cli.native import reading
 from xpl_cli.native.alternatives.block import alternatives
 from xpl_cli.native.alternatives.encodings import encodings
+from xpl_cli.native.alternatives.prompts import templates
 from xpl_cli.native.alternatives.signals import Signal, signals
-from xpl_cli.native.alternatives.signals.pictures import dark
-from xpl_cli.native.difference import Thread, differences
+from xpl_cli.native.difference import Thread
 from xpl_cli.native.explain import Explanation, Tried
 from xpl_cli.native.fitted import fitted
 from xpl_cli.native.patterns import Kind, Pattern, patterns
+from xpl_cli.native.places import places
 from xpl_cli.native.record import is_free, span
+from xpl_cli.native.rigid import rigid
 
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.parity.judgement import Judgement
@@ -43,12 +48,6 @@ if TYPE_CHECKING:
 
 SEARCH_S: Final = 60.0
 """Longest search, s."""
-
-
-_APART: Final = Signal(
-    0, "each environment asked by itself", "recurrent", shown=lambda seen: [dict(obs) for obs in seen]
-)
-"""Changes nothing of what is shown."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,12 @@ class Search:
             if explanation.cause is not None:
                 return found[-1]
         best = next((one for one in found if one.explanation.text), found[0])
-        told = (*self._unseen, *patterns(self._threads, self._judgement.spread, self._judgement.tolerance, self._kind))
+        judgement = self._judgement
+        told = (
+            *self._unseen,
+            *places(self._threads, judgement.shares, judgement.tolerance),
+            *patterns(self._threads, judgement.spread, judgement.tolerance, self._kind),
+        )
         explanation = replace(best.explanation, patterns=told)
         return Found(explanation, best.in_block) if explanation.text else None
 
@@ -129,7 +133,9 @@ class Search:
         config = package.config({**self._probe.options.overrides, **self._config})
         folders = checkpoint.folders(config, package.path)
         try:
-            changes = list(alternatives(self._native, session.robot, session.action_type, folders, chunk))
+            changes = list(
+                alternatives(self._native, session.robot, session.action_type, folders, chunk, self._templates)
+            )
         except NativeError:
             return None
         converts_by_it = True
@@ -159,15 +165,33 @@ class Search:
             return found
         judgement = self._judgement
         line = fitted(self._threads, judgement.shares, judgement.spread, judgement.tolerance)
-        return found if line is None else contest.explained([line])
+        fits = [] if line is None else [line]
+        fits += rigid(self._threads, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
+        fit = contest.explained(fits)
+        return fit if fit.cause is not None or (fit.partial and not found.partial) else found
+
+    @property
+    def _tool(self) -> Any:
+        """The point between the fingertips in the flange, None where the standard does not know it."""
+        try:
+            return tool(self._judgement.session.robot)
+        except NativeError:
+            return None
 
     def _by_encodings(self) -> Explanation | None:
         """Return what changes of encoded inputs explain; None if there is no time for them."""
         if self._left <= 0:
             return None
         inputs, session = self._inputs, self._judgement.session
-        has = {"pictures": bool(inputs.cameras), "text": bool(inputs.instructions)}
-        changes = list(encodings(session.robot, session.action_type, **has))
+        changes = list(
+            encodings(
+                session.robot,
+                session.action_type,
+                pictures=bool(inputs.cameras),
+                text=bool(inputs.instructions),
+                templates=self._templates,
+            )
+        )
         encoded = Encoded(self._probe, self._course, self._config)
         contest = Contest(self._course, self._judgement, self._course.everything)
 
@@ -177,48 +201,21 @@ class Search:
             for one in answered:
                 yield Tried(one.words, one.convention, contest.remaining(one.given))
 
-        return contest.held(len(changes), ask)
+        found = contest.held(len(changes), ask)
+        if found.cause is None and encoded.draws == 0 and self._kind.draws:
+            self._unseen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
+        return found
 
     def _by_shown(self) -> Explanation | None:
         """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
-        flags = [] if self._repeats else ["--renew"]
+        shown = Shown(self._probe, self._course, self._judgement, self._config, repeats=self._repeats)
+        changes = [signal for signal in self._signals if signal.shown is not None]
         try:
-            with ExitStack() as opened, self._probe.own_server(self._config, flags) as server:
-                connect = functools.partial(self._probe.connected, server.url)
-                around = Around(self._course, self._judgement.given, connect, once=self._repeats)
-                return self._played(opened.enter_context(around))
+            found = shown.explained(changes, self._asking, self._inputs.cameras, self._until)
         except (NotRun, ClientError):
             return None
-
-    def _played(self, around: Around) -> Explanation | None:
-        """Return what changes explain that are played one environment at a time, each in an episode of its own.
-
-        That alone may make a difference: then no change of what is shown says anything.
-        """
-        contest = Contest(self._course, self._judgement, self._replayable)
-        if not contest.differs:
-            return None
-        apart = around.answers(_APART, self._replayable)
-        alone = Tried(_APART.words, _APART.convention, contest.remaining(apart))
-        same = self._is_as_before(apart)
-        changes = [one for one in self._signals if one.shown is not None and same and not self._breaks(one)]
-        if not same and contest.explained([alone]).cause is not None:
-            return contest.explained([alone])
-        found = contest.held(len(changes), self._asking(around, changes, contest))
-        if found.cause is None and same:
-            self._unseen += self._cameras_without_effect(around)
+        self._unseen += shown.patterns
         return found
-
-    def _cameras_without_effect(self, around: Around) -> Iterator[Pattern]:
-        """Tell which cameras may be exchanged for darkness."""
-        judgement, number = self._judgement, self._replayable[-1]
-        for camera in self._inputs.cameras if self._left > 0 else ():
-            answers = around.answers(Signal(0, camera, "camera", dark(camera)), [number])
-            if answers is None:
-                continue
-            far = differences([judgement.given[one] for one in answers], list(answers.values()), judgement.spread)
-            if max(far.values()) == 0.0:
-                yield Pattern(f"a dark {camera} changes no answer: the model does not see it", "camera")
 
     @property
     def _kind(self) -> Kind:
@@ -226,8 +223,21 @@ class Search:
         return Kind(
             keeps_state=bool(self._native.get("recurrent")) or temporal.get("kind") == "memory",
             history=span(self._manifest),
-            draws=not self._manifest.get("deterministic", True),
+            draws=self._draws or "sampling" in self._named,
         )
+
+    @functools.cached_property
+    def _templates(self) -> list[str]:
+        """The templates of instructions that native.py or its source writes."""
+        return templates(self._probe.package.path)
+
+    @functools.cached_property
+    def _named(self) -> Collection[str]:
+        """The conventions that native.py names."""
+        try:
+            return reading.read_file(self._probe.package.path).conventions
+        except UserError:
+            return ()
 
     def _asking(self, around: Around, changes: Sequence[Signal], contest: Contest) -> Ask:
         """Return what tries changes; those that are less likely than one that leaves nothing are not tried."""
@@ -258,25 +268,6 @@ class Search:
             )
             for episode in self._course.episodes(self._course.everything)
         ]
-
-    @property
-    def _replayable(self) -> list[int]:
-        """The questions whose answers are the same when they are played again; a model may draw otherwise later."""
-        questions = self._judgement.session.questions
-        return [question.number for question in questions if self._repeats or question.episode == 0]
-
-    def _is_as_before(self, answers: Mapping[int, Sequence[Any]] | None) -> bool:
-        """Tell whether answers to the questions that can be played again are those of the whole session."""
-        judgement, numbers = self._judgement, self._replayable
-        if answers is None:
-            return False
-        given = [judgement.given[number] for number in numbers]
-        found = differences(given, [answers[number] for number in numbers], judgement.spread)
-        return all(share <= judgement.allowed[part] for part, share in found.items())
-
-    def _breaks(self, signal: Signal) -> bool:
-        """Tell whether a change leaves out questions, after which a model that draws would draw otherwise."""
-        return signal.windowed and not self._repeats
 
     @functools.cached_property
     def _inputs(self) -> _Inputs:
@@ -316,8 +307,12 @@ class Search:
     @property
     def _repeats(self) -> bool:
         """Whether a reset is enough between two plays: the model draws nothing, or nothing that could be had again."""
-        draws = not self._manifest.get("deterministic", True) or self._native.get("sampling", "none") != "none"
-        return is_free(self._manifest) or not draws
+        return is_free(self._manifest) or not self._draws
+
+    @property
+    def _draws(self) -> bool:
+        """Whether the adapter says that its model draws."""
+        return not self._manifest.get("deterministic", True) or self._native.get("sampling", "none") != "none"
 
     @property
     def _left(self) -> float:

@@ -47,12 +47,13 @@ class Alternative:
     answers_only: bool
 
 
-def alternatives(
+def alternatives(  # noqa: PLR0913, PLR0917 - what is known of the adapter
     native: Mapping[str, Any],
     embodiment: Embodiment,
     action_type: str,
     folders: Sequence[Path] = (),
     chunk: int | None = None,
+    templates: Sequence[str] = (),
 ) -> Iterator[Alternative]:
     """Yield every single change of the block that fits the robot, each block once, the likeliest first.
 
@@ -65,13 +66,14 @@ def alternatives(
         action_type: joint or ee.
         folders: where files of statistics may lie.
         chunk: action steps that the manifest declares.
+        templates: of instructions, besides those that are known.
 
     Raises:
         NativeError: if the block itself does not fit.
     """
     widths = _widths(compile_interface(native, embodiment, action_type, folders, chunk))
     seen = {_same(native)}
-    for candidate in sorted(_candidates(native, embodiment, folders), key=lambda one: one.rank):
+    for candidate in sorted(_candidates(native, embodiment, folders, templates), key=lambda one: one.rank):
         block = edited(native, candidate.edits)
         text = _same(block)
         if text in seen:
@@ -86,7 +88,9 @@ def alternatives(
             yield Alternative(candidate.words, candidate.convention, block, told)
 
 
-def _candidates(block: Mapping[str, Any], embodiment: Embodiment, folders: Sequence[Path]) -> Iterator[Candidate]:
+def _candidates(
+    block: Mapping[str, Any], embodiment: Embodiment, folders: Sequence[Path], templates: Sequence[str]
+) -> Iterator[Candidate]:
     yield from images(block, embodiment.cameras)
     yield from grippers(block, embodiment)
     yield from arms(block)
@@ -95,7 +99,7 @@ def _candidates(block: Mapping[str, Any], embodiment: Embodiment, folders: Seque
     yield from references(block)
     yield from numbers(block, folders)
     yield from histories(block)
-    yield from instructions(block)
+    yield from instructions(block, templates)
     yield from order(block)
 
 

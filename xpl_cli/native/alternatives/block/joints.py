@@ -42,10 +42,16 @@ def joints(block: Mapping[str, Any], embodiment: Embodiment) -> Iterator[Candida
     yield from everywhere(sites, 1, "sign: none", "joint_order", _without("sign"))
     yield from everywhere(sites, 1, "offset: none", "joint_order", _without("offset"))
     yield from everywhere(sites, 2, "offset: the other way round", "joint_order", _negated("offset"))
-    for index in range(embodiment.arms[0].dof):
+    dof = embodiment.arms[0].dof
+    for index in range(dof):
         told = f"sign of joint {index + 1}: the other"
-        yield from everywhere(sites, 1, told, "joint_order", _flipped(index, embodiment.arms[0].dof))
-    yield from everywhere(sites, 2, "sign: the other of all", "joint_order", _flipped(None, embodiment.arms[0].dof))
+        yield from everywhere(sites, 1, told, "joint_order", _flipped([index], dof))
+    yield from everywhere(sites, 2, "sign: the other of all", "joint_order", _flipped(range(dof), dof))
+    for count in (2, 3):
+        for several in itertools.combinations(range(dof), count):
+            told = f"signs of joints {', '.join(str(one + 1) for one in several)}: the other"
+            yield from everywhere(sites, count, told, "joint_order", _flipped(several, dof), alone=False)
+    yield from _alike(block)
 
 
 def _orders(count: int) -> list[tuple[int, str, list[int]]]:
@@ -83,10 +89,31 @@ def _negated(key: str) -> Any:
     return lambda entry: {key: [-value for value in entry[key]]} if key in entry else None
 
 
-def _flipped(index: int | None, count: int) -> Any:
+def _alike(block: Mapping[str, Any]) -> Iterator[Candidate]:
+    """Yield parts of the state that say what the action's of the same arm say, and the other way round."""
+    for kind, words in (
+        ("joints", {"names": "joint_order", "sign": "joint_order", "offset": "joint_order", "unit": "angle_unit"}),
+        ("rotation", {"form": "rotation", "point": "point", "frame": "frame"}),
+        ("position", {"point": "point", "frame": "frame", "unit": "frame"}),
+    ):
+        sites = parts(block, kind)
+        for key, convention in words.items():
+            for group, other in (("state", "action"), ("action", "state")):
+                said = {site.name: site.entry.get(key, GONE) for site in sites if site.group == other}
+                edits = {
+                    (*site.place, key): said[site.name]
+                    for site in sites
+                    if site.group == group
+                    and said.get(site.name, site.entry.get(key, GONE)) != site.entry.get(key, GONE)
+                }
+                if edits:
+                    yield Candidate(1, f"{kind}: {key} of the {group} as of the {other}", convention, edits)
+
+
+def _flipped(places: Sequence[int], count: int) -> Any:
     def change(entry: Mapping[str, Any]) -> Mapping[str, Any]:
         signs = entry.get("sign", [1] * count)
-        changed = [-value if index in (None, position) else value for position, value in enumerate(signs)]
+        changed = [-value if position in places else value for position, value in enumerate(signs)]
         return {"sign": GONE if set(changed) == {1} else changed}
 
     return change

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from xpl import _spec as sdk
@@ -58,8 +58,8 @@ def histories(block: Mapping[str, Any]) -> Iterator[Candidate]:
             yield from everywhere(site, 3, f"history: length: {value}", "history", word("length", value))
 
 
-def instructions(block: Mapping[str, Any]) -> Iterator[Candidate]:
-    """Yield other ways to write the instruction."""
+def instructions(block: Mapping[str, Any], templates: Sequence[str] = ()) -> Iterator[Candidate]:
+    """Yield other ways to write the instruction; `templates` besides those that are known."""
     how = block.get(sdk.Obs.INSTRUCTION)
     if not how:
         return
@@ -70,7 +70,9 @@ def instructions(block: Mapping[str, Any]) -> Iterator[Candidate]:
         told = f"instruction: strip: {strip!r}"
         yield from everywhere(site, 0 if strip in ("", " ") else 1, told, sdk.Obs.INSTRUCTION, word("strip", strip, ""))
     template = how.get("template", "{instruction}")
-    for text in dict.fromkeys((*TEMPLATES, template.strip(), f"{template}\n", f"{template} ", template.lower())):
+    for text in dict.fromkeys(
+        (*templates, *TEMPLATES, template.strip(), f"{template}\n", f"{template} ", template.lower())
+    ):
         if "{instruction}" in text:
             told = f"instruction: template: {text!r}"
             yield from everywhere(site, 1, told, sdk.Obs.INSTRUCTION, word("template", text, "{instruction}"))

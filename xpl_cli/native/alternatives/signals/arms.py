@@ -16,6 +16,8 @@ from xpl_cli.native.alternatives.signals.fields import Change, Function, Numbers
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
 
+_ZEROS = (90, -90, 180, -180)
+"""Where joints of models have their zero, from the standard's, deg."""
 _JOINTS, _EFFECTOR = spec.State.ARM_JOINT_STATE, spec.State.EE_JOINT_STATE
 
 
@@ -47,6 +49,14 @@ def joints(embodiment: Embodiment) -> Iterator[Change]:
             signs = np.where(np.arange(arm.dof) == index, -1.0, 1.0)
             yield _signed(1 + later, f"sign of joint {index + 1}{told}: the other", keys, signs)
         yield _signed(2 + later, f"signs of all joints{told}: the other", keys, -np.ones(arm.dof))
+        for index, degrees in itertools.product(range(arm.dof), _ZEROS):
+            yield _zeroed(2 + later, f"zero of joint {index + 1}{told}: {degrees:+} deg", keys, index, degrees)
+    keys = [prefix + _JOINTS for prefix in embodiment.prefixes]
+    for rank, count in ((2, 2), (3, 3)):
+        for several in itertools.combinations(range(arm.dof), count):
+            signs = np.where(np.isin(np.arange(arm.dof), several), -1.0, 1.0)
+            told = ", ".join(str(one + 1) for one in several)
+            yield _signed(rank, f"signs of joints {told}: the other", keys, signs)
     if arm.gripper != "parallel_gripper":
         hands = [prefix + _EFFECTOR for prefix in embodiment.prefixes]
         yield _linear(0, "unit of hands: deg", "angle_unit", hands, float(np.rad2deg(1.0)), 0.0)
@@ -82,6 +92,16 @@ def _taken(order: list[int]) -> Function:
 def _signed(rank: int, words: str, keys: list[str], signs: Numbers) -> Change:
     turn = on(keys, lambda values: values * signs)
     return Change(rank, words, "joint_order", turn, turn, turn)
+
+
+def _zeroed(rank: int, words: str, keys: list[str], index: int, degrees: int) -> Change:
+    def moved(values: Numbers, *, by: float) -> Numbers:
+        result = np.array(values)
+        result[..., index] += by
+        return result
+
+    there, back = (on(keys, partial(moved, by=sign * np.deg2rad(degrees))) for sign in (1.0, -1.0))
+    return Change(rank, words, "joint_order", there, back, None)
 
 
 def grippers(embodiment: Embodiment) -> Iterator[Change]:
@@ -122,6 +142,9 @@ def _ranges(stroke: float | None) -> list[tuple[int, str, float, float]]:
         (2, "closed 0, open 255", 0.0, 255.0),
         (2, "closed 0, open 1, not 255", 0.0, 1 / 255.0),
     ]
+    for most in (100.0, 255.0):
+        found += [(2, f"closed {most:g}, open 0, not 1 and 0", 1.0 - most, 1.0)]
+        found += [(2, f"closed 1, open 0, not {most:g} and 0", 1.0 - 1 / most, 1.0)]
     for rank, metres, name in ((0, stroke, "metres between the fingers"), (1, (stroke or 0) / 2, "metres of a finger")):
         if metres:
             found += [(rank, name, 0.0, metres), (rank, f"0 to 1, not {name}", 0.0, 1 / metres)]

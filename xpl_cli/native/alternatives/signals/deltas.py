@@ -14,6 +14,9 @@ _PLACE, _TURN = slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_
 
 MODES = ("fixed", "body")
 """Where a change of pose is applied: in the frame of the pose, or in the moving one."""
+APPLIED = (*MODES, "the turn alone in body", "the move alone in body")
+"""The same, and the two ways to mix them."""
+_MOVES_IN_BODY, _TURNS_IN_BODY = {"body", APPLIED[3]}, {"body", APPLIED[2]}
 
 
 def apart(step: Mapping[str, Any], base: Mapping[str, Any], mode: str) -> dict[str, Any]:
@@ -49,16 +52,16 @@ def _apart(key: str, value: Any, base: Any, mode: str) -> Any:
     if not is_pose(key):
         return value - base
     place, back = value[_PLACE] - base[_PLACE], rotation.conjugate(base[_TURN])
-    if mode == "body":
-        return np.concatenate((rotation.rotate(back, place), rotation.multiply(back, value[_TURN])))
-    return np.concatenate((place, rotation.multiply(value[_TURN], back)))
+    turn = value[_TURN]
+    moved = rotation.rotate(back, place) if mode in _MOVES_IN_BODY else place
+    turned = rotation.multiply(back, turn) if mode in _TURNS_IN_BODY else rotation.multiply(turn, back)
+    return np.concatenate((moved, turned))
 
 
 def _together(key: str, change: Any, base: Any, mode: str) -> Any:
     if not is_pose(key):
         return base + change
-    if mode == "body":
-        place, turn = rotation.rotate(base[_TURN], change[_PLACE]), rotation.multiply(base[_TURN], change[_TURN])
-    else:
-        place, turn = change[_PLACE], rotation.multiply(change[_TURN], base[_TURN])
-    return np.concatenate((base[_PLACE] + place, turn))
+    start, place, turn = base[_TURN], change[_PLACE], change[_TURN]
+    moved = rotation.rotate(start, place) if mode in _MOVES_IN_BODY else place
+    turned = rotation.multiply(start, turn) if mode in _TURNS_IN_BODY else rotation.multiply(turn, start)
+    return np.concatenate((base[_PLACE] + moved, turned))

@@ -28,10 +28,12 @@ def poses(embodiment: Embodiment) -> Iterator[Change]:
     """Yield ways to write poses."""
     for later, told, prefixes in scopes(embodiment.prefixes):
         keys = [prefix + key for prefix in prefixes for key in _KEYS]
-        for change in (*_rotations(keys, told), *_units(keys, told)):
+        for change in (*_rotations(keys, told), *_angles(keys, told), *_units(keys, told)):
             yield replace(change, rank=change.rank + later)
     yield from _points(embodiment)
+    yield from _hands(embodiment)
     yield from _frames(embodiment)
+    yield from _stands(embodiment)
 
 
 def _turned(function: Function) -> Function:
@@ -61,6 +63,17 @@ def _rotations(keys: Sequence[str], told: str) -> Iterator[Change]:
             on(keys, _turned(partial(_reread, of=other, by=one))),
         )
         yield Change(2, f"rotation{told}: {_form(one)}, not {_form(other)}", "rotation", there, back, back)
+
+
+def _angles(keys: Sequence[str], told: str) -> Iterator[Change]:
+    """Yield other angles of the turns that a model answers."""
+    for words, factor in (("twice", 2.0), ("half", 0.5)):
+        there, back = (on(keys, _turned(partial(_powered, by=one))) for one in (1 / factor, factor))
+        yield Change(1, f"turn{told}: {words} the angle", "rotation", there, back, back, ways=("action",))
+
+
+def _powered(quaternion: Numbers, *, by: float) -> Numbers:
+    return rotation.from_axis_angle(by * rotation.to_axis_angle(quaternion))
 
 
 def _rolled(quaternion: Numbers, *, by: int) -> Numbers:
@@ -115,6 +128,23 @@ def _points(embodiment: Embodiment) -> Iterator[Change]:
         yield change.inverse(f"point{told}: flange, not tcp")
 
 
+def _hands(embodiment: Embodiment) -> Iterator[Change]:
+    """Yield hands that are turned about an axis of their own."""
+    keys = [prefix + key for prefix in embodiment.prefixes for key in _KEYS]
+    for rank, axis, degrees in (
+        *((2, 2, degrees) for degrees in (45, -45, 90, -90, 180, 135, -135)),
+        *((3, axis, degrees) for axis in (0, 1) for degrees in (90, -90, 180)),
+    ):
+        turn = rotation.from_axis_angle(np.deg2rad(degrees) * np.eye(3)[axis])
+        there, back = (on(keys, _turned(partial(_turned_by, by=one))) for one in (turn, rotation.conjugate(turn)))
+        told = f"hand: turned by {degrees:+} deg about its {'xyz'[axis]}"
+        yield Change(rank, told, "point", there, back, None)
+
+
+def _turned_by(quaternion: Numbers, *, by: Numbers) -> Numbers:
+    return rotation.multiply(quaternion, by)
+
+
 def _unturned(tool: Numbers) -> Numbers:
     return np.concatenate((-tool[_PLACE], rotation.identity()))
 
@@ -140,10 +170,8 @@ _PARTS: tuple[tuple[int, str, Callable[[Function], Function]], ...] = (
 
 
 def _frames(embodiment: Embodiment) -> Iterator[Change]:
-    sides = list(embodiment.data["arms"])
-    try:
-        mounts = {arm.prefix: frames.mount(embodiment, side) for arm, side in zip(embodiment.arms, sides, strict=True)}
-    except NativeError:
+    mounts = _mounts(embodiment)
+    if not mounts:
         return
     for later, told, only in _PARTS:
         inward, outward = _mounted(mounts, _moved, only, inverse=True), _mounted(mounts, _moved, only, inverse=False)
@@ -151,6 +179,61 @@ def _frames(embodiment: Embodiment) -> Iterator[Change]:
         change = Change(later, f"frame{told}: base", "frame", inward, outward, out)
         yield change
         yield change.inverse(f"frame{told}: world, not base", into)
+
+
+def _stands(embodiment: Embodiment) -> Iterator[Change]:
+    """Yield bases that stand turned otherwise, or elsewhere: what is left of a frame that was taken off by half."""
+    mounts = _mounts(embodiment)
+    if not mounts:
+        return
+    places = {prefix: _placed_at(mount[_PLACE]) for prefix, mount in mounts.items()}
+    turns = {prefix: _only_turned(mount[_TURN]) for prefix, mount in mounts.items()}
+    for rank, words, count in (
+        (1, "turned the other way", -2),
+        (1, "not turned", -1),
+        (2, "turned", 1),
+        (2, "turned twice", 2),
+    ):
+        about = {prefix: _about(places[prefix], turns[prefix], count) for prefix in mounts}
+        yield _stood(rank, f"base: {words}", about)
+    for rank, words, share in ((1, "place taken off before the turn", 1), (2, "place taken off after the turn", -1)):
+        moved = {
+            prefix: _placed_at(share * (rotation.rotate(mount[_TURN], mount[_PLACE]) - mount[_PLACE]))
+            for prefix, mount in mounts.items()
+        }
+        yield _stood(rank, f"base: {words}", moved)
+    for words, share in (("place taken off", -1), ("place not taken off", 1)):
+        yield _stood(2, f"base: {words}", {prefix: _placed_at(share * mounts[prefix][_PLACE]) for prefix in mounts})
+
+
+def _stood(rank: int, words: str, transforms: dict[str, Numbers]) -> Change:
+    there, back = (_mounted(transforms, _moved, _whole, inverse=inverse) for inverse in (False, True))
+    return Change(rank, words, "frame", there, back, None)
+
+
+def _placed_at(place: Numbers) -> Numbers:
+    return np.concatenate((place, rotation.identity()))
+
+
+def _only_turned(turn: Numbers) -> Numbers:
+    return np.concatenate((np.zeros(spec.POSITION_DIM), turn))
+
+
+def _about(place: Numbers, turn: Numbers, count: int) -> Numbers:
+    """Return a turn about a place, applied so many times, backwards if below zero."""
+    outer = pose_math.compose(place, turn if count > 0 else pose_math.invert(turn))
+    for _ in range(abs(count) - 1):
+        outer = pose_math.compose(outer, turn if count > 0 else pose_math.invert(turn))
+    return pose_math.compose(outer, pose_math.invert(place))
+
+
+def _mounts(embodiment: Embodiment) -> dict[str, Numbers]:
+    """Return the pose of each arm's base in the world; none where the standard does not know them."""
+    sides = list(embodiment.data["arms"])
+    try:
+        return {arm.prefix: frames.mount(embodiment, side) for arm, side in zip(embodiment.arms, sides, strict=True)}
+    except NativeError:
+        return {}
 
 
 def _mounted(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,8 @@ def references(embodiment: Embodiment, action_type: str, history: int, stride: i
             for age in ages:
                 words = f"the newest observation, not that {age} step{'' if age == 1 else 's'} before"
                 changes.append((1, words, _from_older(age, mode)))
+            if mode == deltas.MODES[0] and action_type == "joint":
+                changes.append((2, "cumulative over the steps, not over the numbers", _across))
             for rank, words, change in changes:
                 yield Signal(rank + later, _said(words, told), "action_reference", None, _counted(change, chosen))
             for words, to_command in (
@@ -46,10 +49,16 @@ def references(embodiment: Embodiment, action_type: str, history: int, stride: i
             ):
                 change = _commands(mode, to_command=to_command)
                 yield Signal(later, _said(words, told), "action_reference", None, _counted(change, chosen))
-        for one, other in (("fixed", "body"), ("body", "fixed")) if len(modes) > 1 and "gripper" not in told else ():
+        applied = itertools.permutations(deltas.APPLIED, 2) if len(modes) > 1 and "gripper" not in told else ()
+        for one, other in applied:
             words = f"applied: {one}, not {other}"
             change = _applied(other, one)
             yield Signal(later, words + told, "action_reference", None, _counted(change, chosen))
+
+    for (one, other), mode in itertools.product(itertools.permutations(embodiment.prefixes, 2), modes):
+        words = f"the {one.rstrip('_')} arm's own state, not the other's"
+        chosen = functools.partial(_is_of, one, arm=True)
+        yield Signal(1, _said(words, ""), "action_reference", None, _counted(_from_arm(one, other, mode), chosen))
 
 
 def _said(words: str, told: str) -> str:
@@ -151,6 +160,29 @@ def _from_older(age: int, mode: str) -> _Change:
         return [deltas.together(deltas.apart(step, other, mode), true, mode) for step in steps]
 
     return change
+
+
+def _from_arm(one: str, other: str, mode: str) -> _Change:
+    """Count from an arm's own state what was counted from the other's."""
+
+    def change(
+        steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], _last: Mapping[str, Any] | None
+    ) -> list[dict[str, Any]]:
+        true = _state(seen, place)
+        taken = {key: true[other + key.removeprefix(one)] for key in true if key.startswith(one)}
+        return [deltas.together(deltas.apart(step, taken, mode), true, mode) for step in steps]
+
+    return change
+
+
+def _across(
+    steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], _last: Mapping[str, Any] | None
+) -> list[dict[str, Any]]:
+    """Add up over the steps what was added up over the numbers of each."""
+    state = _state(seen, place)
+    apart = [deltas.apart(step, state, deltas.MODES[0]) for step in steps]
+    single = [{key: np.diff(value, prepend=0.0) for key, value in step.items()} for step in apart]
+    return _summed(single, state, deltas.MODES[0])
 
 
 def _applied(done: str, wanted: str) -> _Change:

@@ -1,0 +1,121 @@
+"""Changes of what an adapter draws: from each environment's own generator, whatever it asks, and in which precision."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Callable
+
+import numpy as np
+
+_DRAWN = {
+    "standard_normal": "standard_normal",
+    "normal": "normal",
+    "uniform": "uniform",
+    "random": "random",
+    "randn": "standard_normal",
+    "rand": "random",
+    "random_sample": "random",
+}
+"""Functions of `numpy.random` and of its older generators, and what generators call them."""
+_SPREAD = {"randn", "rand"}
+"""Take the shape as so many arguments."""
+_MADE = "default_rng"
+_SIZED = {"standard_normal": 0, "random": 0, "normal": 2, "uniform": 2}
+"""Place of the size among the arguments."""
+_LIBRARY = "torch"
+"""Draws by itself: what it draws is not counted here."""
+
+
+class Drawn:
+    """Has a model draw from its environments' generators, each asked in its turn.
+
+    Args:
+        model: the adapter's.
+        how: `as`: own, or single or double for another precision.
+    """
+
+    def __init__(self, model: Any, how: Mapping[str, Any]) -> None:
+        self._model, self._predict, self._rng = model, model.predict, model.rng
+        self._type = {"single": np.float32, "double": np.float64}.get(how["as"])
+        self._envs: Sequence[int] = ()
+        self._asked = 0
+        self.count = 0
+
+    def predict(self, inputs: Any, envs: list[int]) -> Any:
+        """Return what the model predicts with these draws."""
+        self._envs, self._asked = envs, 0
+        with self._instead():
+            return self._predict(inputs, envs)
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """How many times something was drawn; None if that is not known."""
+        return {"draws": None if _LIBRARY in sys.modules and not self.count else self.count}
+
+    @contextmanager
+    def _instead(self) -> Iterator[None]:
+        """Have whoever asks for numbers ask here."""
+        kept = {name: getattr(np.random, name) for name in (*_DRAWN, _MADE)}
+        try:
+            for name in _DRAWN:
+                setattr(np.random, name, self._function(name))
+            setattr(np.random, _MADE, self._maker(kept[_MADE]))
+            self._model.rng = lambda _env: self._source()
+            yield
+        finally:
+            for name, value in kept.items():
+                setattr(np.random, name, value)
+            del self._model.rng
+
+    def _function(self, name: str) -> Callable[..., Any]:
+        def drawn(*arguments: Any, **more: Any) -> Any:  # each call is another environment's
+            return getattr(self._source(), name)(*arguments, **more)
+
+        return drawn
+
+    def _maker(self, real: Callable[..., Any]) -> Callable[..., Any]:
+        """Return what makes generators: these for the adapter's own module, others for whoever needs them else."""
+        own = type(self._model).__module__
+
+        def made(*arguments: Any, **more: Any) -> Any:
+            asks = sys._getframe(1).f_globals.get("__name__")  # noqa: SLF001 - who calls
+            return self._source() if asks == own else real(*arguments, **more)
+
+        return made
+
+    def _source(self) -> _Source:
+        """Return the generator of the environment whose turn it is."""
+        env = self._envs[self._asked % len(self._envs)]
+        self._asked += 1
+        return _Source(self, env)
+
+    def draw(self, env: int, name: str, *arguments: Any, **more: Any) -> Any:
+        """Draw for an environment; for all, if the first axis counts them."""
+        self.count += 1
+        kind = _DRAWN[name]
+        if name in _SPREAD:
+            arguments, more = (), {**more, "size": arguments or None}
+        place = _SIZED[kind]
+        size = more.pop("size", arguments[place] if len(arguments) > place else None)
+        arguments = arguments[:place]
+        if self._type is not None and kind in ("standard_normal", "random"):
+            more["dtype"] = self._type
+        shape = tuple(np.atleast_1d(size)) if size is not None else ()
+        if len(self._envs) > 1 and shape and shape[0] == len(self._envs):
+            drawn = [getattr(self._rng(one), kind)(*arguments, size=shape[1:], **more) for one in self._envs]
+            return np.stack(drawn)
+        return getattr(self._rng(env), kind)(*arguments, size=size, **more)
+
+
+class _Source:
+    """What an adapter takes for a generator."""
+
+    def __init__(self, drawn: Drawn, env: int) -> None:
+        self._drawn, self._env = drawn, env
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        if name not in _DRAWN:
+            raise AttributeError(name)
+        return lambda *arguments, **more: self._drawn.draw(self._env, name, *arguments, **more)
