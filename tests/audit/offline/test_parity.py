@@ -251,7 +251,7 @@ EXCHANGES = parity.MODEL.replace('inputs["prompt"])', 'inputs["prompt"][::-1])')
     ("model", "cause"),
     [
         pytest.param(KEEPS, None, id="keeps", marks=pytest.mark.slow),
-        pytest.param(EXCHANGES, "each environment asked by itself", id="exchanges"),
+        pytest.param(EXCHANGES, "each environment's own instruction", id="exchanges"),
     ],
 )
 def test_what_shows_in_later_questions_and_in_batches_is_seen(model: str, cause: str | None, tmp_path: Path) -> None:

@@ -117,19 +117,20 @@ def test_pictures_get_their_size_before_the_adapter(own: list[Any], turned: bool
         return [_seen(seen, *own, turned=turned)]
 
     wanted = {"filter": "area"}
-    resized = pictures.Resized([{"resize": wanted}], encode, obs)
-    assert np.allclose(encode(resized(obs))[0], _seen(obs, {"resize": {**wanted, "to": [18, 18]}}, turned=turned))
-    same = pictures.Resized([{kind: how} for step in own for kind, how in step.items()], encode, obs)
-    assert pictures.apart(encode(same(obs)), encode(obs)) < 0.01
+    resized = pictures.Resized(encode, obs)
+    shown = resized(obs, [{"resize": wanted}])
+    assert np.allclose(encode(shown)[0], _seen(obs, {"resize": {**wanted, "to": [18, 18]}}, turned=turned))
+    same = resized(obs, [{kind: how} for step in own for kind, how in step.items()])
+    assert pictures.apart(encode(same), encode(obs)) < 0.01
 
 
 def test_an_adapter_without_pictures_or_with_ways_of_its_own_is_left() -> None:
     """Nothing would be known of what it does."""
     obs = observation("franka_single", 3, (48, 64))
     with pytest.raises(UnfitError, match="no pictures"):
-        pictures.Resized([STRETCH], lambda _: np.ones(3), obs)
+        pictures.Resized(lambda _: np.ones(3), obs)
     with pytest.raises(UnfitError, match="the adapter changes pictures"):
-        pictures.Resized([STRETCH], lambda seen: _seen(seen, {"crop": {"fraction": 0.5}}, STRETCH), obs)
+        pictures.Resized(lambda seen: _seen(seen, {"crop": {"fraction": 0.5}}, STRETCH), obs)
 
 
 @pytest.mark.parametrize(

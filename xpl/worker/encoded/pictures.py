@@ -108,11 +108,22 @@ def sizes(value: Any) -> list[tuple[int, int]]:
     return list(dict.fromkeys(found))
 
 
+def whole(steps: Sequence[Mapping[str, Any]], size: Sequence[int], shape: Sequence[int]) -> list[dict[str, Any]]:
+    """Return steps of a geometry with the sizes that a picture of a shape gets; `square` cuts out its middle."""
+    found = []
+    for step in steps:
+        for kind, how in step.items():
+            if kind == "square":
+                found.append({"crop": {"to": [min(shape[:2])] * 2}})
+            else:
+                found.append({kind: {**how, "to": list(size)} if kind in ("resize", "letterbox") else how})
+    return found
+
+
 class Resized:
     """Shows pictures that already have the model's size, so that what the adapter does to the size has no effect.
 
     Args:
-        steps: geometry in the words of a native block, without `to`.
         encode: the adapter's.
         sample: an observation.
 
@@ -120,8 +131,7 @@ class Resized:
         UnfitError: if it does not see through to the adapter's pictures: other sizes, other ways to cut them.
     """
 
-    def __init__(self, steps: Sequence[Mapping[str, Any]], encode: Any, sample: Mapping[str, Any]) -> None:
-        self._steps = steps
+    def __init__(self, encode: Any, sample: Mapping[str, Any]) -> None:
         made = encode(sample)
         found = sizes(made)
         if not found:
@@ -132,22 +142,17 @@ class Resized:
                     return
         raise UnfitError("the adapter changes pictures that have the model's size")
 
-    def __call__(self, obs: Mapping[str, Any]) -> dict[str, Any]:
-        """Return an observation with such pictures."""
+    def __call__(self, obs: Mapping[str, Any], steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Return an observation with such pictures; steps are a geometry in words of a native block, without `to`."""
         vision = obs[spec.Obs.VISION]
-        entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8", "steps": self._whole()}
+        entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8"}
         seen = {}
         for camera, was in vision.items():
-            view = ImageInput({**entry, "cameras": [camera]}).view(get_image(obs, camera))
+            image = get_image(obs, camera)
+            made = whole(steps, self._size, image.shape)
+            view = ImageInput({**entry, "cameras": [camera], "steps": made}).view(image)
             seen[camera] = {**was, spec.Camera.COLOR: self._framed(view)}
         return {**obs, spec.Obs.VISION: seen}
-
-    def _whole(self) -> list[dict[str, Any]]:
-        return [
-            {kind: {**how, "to": list(self._size)} if kind in ("resize", "letterbox") else how}
-            for step in self._steps
-            for kind, how in step.items()
-        ]
 
     def _framed(self, view: np.ndarray) -> np.ndarray:
         """Return a picture whose middle, as much as the adapter cuts out, is this one."""

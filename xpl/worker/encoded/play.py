@@ -21,6 +21,7 @@ from xpl.policy import Policy
 from xpl.wire.arrays import as_array
 from xpl.worker.encoded import pictures, texts, turns, vectors
 from xpl.worker.encoded.draws import Drawn
+from xpl.worker.encoded.rebuilt import Rebuilt
 from xpl.worker.encoded.walk import UnfitError, leaves
 from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.inprocess import on_model
@@ -107,8 +108,7 @@ def _wrapped(
 
     kind = how["kind"]
     if kind == "resized":
-        seen = pictures.Resized(how["steps"], encode, sample)
-        return (lambda obs, env: own(seen(obs), env)), {"apart": pictures.apart(encode(seen(sample)), encode(sample))}
+        return _resized(own, encode, how, sample, known)
     if kind == "text":
         texts.text(encode(sample), how, sample)
         return (lambda obs, env: texts.text(own(obs, env), how, obs)), {}
@@ -126,6 +126,35 @@ def _wrapped(
     if _equal(change(before, how), before):
         raise UnfitError("it changes nothing")
     return (lambda obs, env: change(own(obs, env), how)), {}
+
+
+def _resized(
+    own: Encode, encode: Callable[[Any], Any], how: Mapping[str, Any], sample: Mapping[str, Any], known: dict[str, Any]
+) -> tuple[Encode, dict[str, Any]]:
+    """Return an `encode` whose pictures got their size otherwise: shown in that size, or made again.
+
+    Raises:
+        UnfitError: if that cannot be done.
+    """
+    steps, exchanged = how["steps"], bool(how.get("exchanged"))
+    if "pictures" not in known:
+        known["pictures"] = _tried(pictures.Resized, encode, sample), _tried(Rebuilt, encode, sample), encode(sample)
+    seen, rebuilt, before = known["pictures"]
+    if not exchanged and not isinstance(seen, UnfitError):
+        far = pictures.apart(encode(seen(sample, steps)), before)
+        return (lambda obs, env: own(seen(obs, steps), env)), {"apart": far}
+    if isinstance(rebuilt, UnfitError):
+        raise rebuilt
+    far = pictures.apart(rebuilt(before, sample, steps, exchanged=exchanged), before)
+    return (lambda obs, env: rebuilt(own(obs, env), obs, steps, exchanged=exchanged)), {"apart": far}
+
+
+def _tried(make: Callable[..., Any], *arguments: Any) -> Any:
+    """Return what is made, or why it is not."""
+    try:
+        return make(*arguments)
+    except UnfitError as error:
+        return error
 
 
 def _equal(one: Any, other: Any) -> bool:

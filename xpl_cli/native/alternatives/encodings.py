@@ -140,6 +140,10 @@ def _sizes() -> Iterator[Encoding]:
         steps: list[tuple[int, str, list[dict[str, Any]]]] = [(0, "resize", [{"resize": how}])]
         steps += [(rank, f"letterbox{_told(box)}", [{"letterbox": {**how, **box}}]) for rank, box in _BOXES]
         steps += [(2, f"crop to {part}, resize", [{"crop": {"fraction": part}}, {"resize": how}]) for part in _CROPS]
+        steps += [(1, "the middle square, resize", [{"square": {}}, {"resize": how}])]
+        exchanged = {"kind": "resized", "steps": [{"resize": how}], "exchanged": True}
+        told = f"resize, height and width exchanged, {words}"
+        yield Encoding(1 + (place > 3), told, "image_size", exchanged, "exchanged")
         for rank, geometry, made in steps:
             later = 1 if rank and place > 3 else 0
             told = f"{geometry}, {words}"

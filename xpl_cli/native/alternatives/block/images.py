@@ -159,7 +159,18 @@ def _sizes(sites: Sequence[Site]) -> Iterator[Candidate]:
         yield from everywhere(sites, 2, f"anchor: {anchor}", "image_size", edit)
     for fill in (0, 127, 128, 114, 255):
         yield from everywhere(sites, 2, f"fill: {fill}", "image_size", _stepped(_inside("letterbox", "fill", fill, 0)))
+    yield from everywhere(sites, 1, "to: height and width exchanged", "image_size", _exchanged)
     yield from everywhere(sites, 3, "steps in the other order", "image_size", _stepped(lambda steps: steps[::-1]))
+
+
+def _exchanged(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Exchange height and width of the size that the model reads."""
+    steps = [
+        {kind: {**how, "to": how["to"][::-1]} if isinstance(how, Mapping) and "to" in how else how}
+        for step in entry.get("steps", ())
+        for kind, how in step.items()
+    ]
+    return {"steps": steps} if steps != list(entry.get("steps", ())) else None
 
 
 def _resampling(sites: Sequence[Site]) -> Iterator[Candidate]:
