@@ -39,7 +39,7 @@ def test_each_is_there_once_and_can_be_sent() -> None:
 def test_what_is_not_read_is_not_changed() -> None:
     """A model without pictures and texts has vectors."""
     kinds = {one.how["kind"] for one in _all(pictures=False, text=False)}
-    assert kinds == {"drawn", "normalized", "ordered", "rotation"}
+    assert kinds == {"drawn", "normalized", "ordered", "rotation", "segmented"}
 
 
 def test_the_geometry_tells_a_filter_from_a_size() -> None:

@@ -95,10 +95,10 @@ class Drawn:
         """Draw for an environment; for all, if the first axis counts them."""
         self.count += 1
         kind = _DRAWN[name]
+        place = 0 if name in _SPREAD else _SIZED[kind]
+        size: Any = more.pop("size", arguments[place] if len(arguments) > place else None)
         if name in _SPREAD:
-            arguments, more = (), {**more, "size": arguments or None}
-        place = _SIZED[kind]
-        size = more.pop("size", arguments[place] if len(arguments) > place else None)
+            size = tuple(arguments) or None
         arguments = arguments[:place]
         if self._type is not None and kind in ("standard_normal", "random"):
             more["dtype"] = self._type

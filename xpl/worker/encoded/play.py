@@ -22,6 +22,7 @@ from xpl.wire.arrays import as_array
 from xpl.worker.encoded import pictures, texts, turns, vectors
 from xpl.worker.encoded.draws import Drawn
 from xpl.worker.encoded.rebuilt import Rebuilt
+from xpl.worker.encoded.segments import Segments
 from xpl.worker.encoded.walk import UnfitError, leaves
 from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.inprocess import on_model
@@ -112,9 +113,10 @@ def _wrapped(
     if kind == "text":
         texts.text(encode(sample), how, sample)
         return (lambda obs, env: texts.text(own(obs, env), how, obs)), {}
-    if kind == "normalized":
+    if kind in ("normalized", "segmented"):
         if kind not in known:
-            known[kind] = vectors.Normalized(model, encode, sample)
+            several = kind == "segmented"
+            known[kind] = Segments(model, encode, samples) if several else vectors.Normalized(model, encode, sample)
         numbers = known[kind]
         words = numbers.change(encode(sample), how)[1]
         return (lambda obs, env: numbers.change(own(obs, env), how)[0]), {"words": words}

@@ -62,7 +62,7 @@ class Normalized:
     def __init__(self, model: Any, encode: Any, sample: Mapping[str, Any]) -> None:
         widths = [leaf.shape[-1] for leaf in leaves(encode(sample)) if channel_axis(leaf) is None and is_vector(leaf)]
         self._width = widths[0] if len(set(widths)) == 1 else 0
-        self._lines = list(_lines(_arrays(model, self._width))) if self._width else []
+        self._lines = list(lines(_arrays(model, self._width))) if self._width else []
         self._now = self._told(encode(sample), sample)
 
     def __len__(self) -> int:
@@ -102,7 +102,8 @@ def _is_numbers(item: Any) -> bool:
     return not isinstance(item, Mapping) and np.asarray(item).dtype.kind == "f"
 
 
-def _lines(arrays: Mapping[str, Any]) -> Iterator[Line]:
+def lines(arrays: Mapping[str, Any]) -> Iterator[Line]:
+    """Yield normalisations by pairs of vectors, none of them first."""
     yield "none", _same, _same
     for (one, low), (other, high) in itertools.permutations(arrays.items(), 2):
         span = high - low
@@ -129,7 +130,7 @@ def _arrays(model: Any, width: int) -> dict[str, Any]:
     module = sys.modules.get(type(model).__module__)
     places = {**vars(module), **vars(model)} if module is not None else vars(model)
     found: dict[str, Any] = {}
-    for name, value in _named(places):
+    for name, value in named(places):
         try:
             array = np.asarray(value, np.float64)
         except (TypeError, ValueError):
@@ -140,12 +141,13 @@ def _arrays(model: Any, width: int) -> dict[str, Any]:
     return found
 
 
-def _named(places: Mapping[Any, Any], depth: int = 3) -> Iterator[tuple[str, Any]]:
+def named(places: Mapping[Any, Any], depth: int = 3) -> Iterator[tuple[str, Any]]:
+    """Yield what may be numbers, in a module or an object and in its maps, by dotted names."""
     for name, value in list(places.items()):
         if not isinstance(name, str) or name.startswith("__"):
             continue
         if isinstance(value, Mapping) and depth:
-            for inner, item in _named(value, depth - 1):
+            for inner, item in named(value, depth - 1):
                 yield f"{name}.{inner}", item
         elif isinstance(value, (list, tuple, np.ndarray)) or hasattr(value, "new_tensor"):
             yield name, value

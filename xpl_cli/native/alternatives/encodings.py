@@ -175,6 +175,8 @@ def _vectors(groups: Sequence[int]) -> Iterator[Encoding]:
     for number in range(_NUMBERS):
         how = {"kind": "normalized", "number": number}
         yield Encoding(1, "normalize: other numbers", "normalization", how)
+        segmented = {"kind": "segmented", "number": number}
+        yield Encoding(1, "normalize: other numbers of a part", "normalization", segmented)
     for rank, words, order in _orders(list(groups)):
         for way, told in (("both", ""), ("in", " (state)"), ("out", " (action)")):
             yield Encoding(rank, words + told, "joint_order", {"kind": "ordered", "order": order, "way": way})

@@ -44,6 +44,7 @@ from xpl_cli.native.rigid import rigid
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.parity.judgement import Judgement
     from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.native.pairs import Chunk
 
 
 SEARCH_S: Final = 60.0
@@ -199,12 +200,22 @@ class Search:
             # No more than half of the time: the last family needs some, too.
             answered = encoded.answers([changes[number] for number in chosen], wanted, self._left / 2)
             for one in answered:
-                yield Tried(one.words, one.convention, contest.remaining(one.given))
+                tried = Tried(one.words, one.convention, contest.remaining(one.given))
+                yield self._both_ways(tried, one.given) if len(wanted) == len(self._course.everything) else tried
 
         found = contest.held(len(changes), ask)
         if found.cause is None and encoded.draws == 0 and self._kind.draws:
             self._unseen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
         return found
+
+    def _both_ways(self, tried: Tried, given: Mapping[int, Chunk] | None) -> Tried:
+        """Return a change of what goes in, with the line that what comes out is then of the native answers, if any."""
+        judgement = self._judgement
+        if given is None or max(tried.remaining.values()) <= judgement.tolerance:
+            return tried
+        threads = self._threads_of([given[number] for number in self._course.everything])
+        line = fitted(threads, tried.remaining, judgement.spread, judgement.tolerance)
+        return tried if line is None else Tried(f"{tried.words}, both ways", tried.convention, line.remaining)
 
     def _by_shown(self) -> Explanation | None:
         """Return what changes of what is shown explain; None if the adapter cannot be served for it."""
@@ -257,14 +268,17 @@ class Search:
 
     @functools.cached_property
     def _threads(self) -> list[Thread]:
-        """The episodes of each environment."""
+        return self._threads_of(self._judgement.given)
+
+    def _threads_of(self, given: Sequence[Chunk]) -> list[Thread]:
+        """Return the episodes of each environment, with some answers."""
         questions, judgement = self._judgement.session.questions, self._judgement
         return [
             Thread(
                 self._course.seen(questions[episode[-1]]),
                 [questions[number].asked[-1] for number in episode],
                 [judgement.native[number] for number in episode],
-                [judgement.given[number] for number in episode],
+                [given[number] for number in episode],
             )
             for episode in self._course.episodes(self._course.everything)
         ]

@@ -1,0 +1,146 @@
+"""Parts of encoded vectors that are a field of the state, normalised by numbers of the adapter's or its package's."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Callable
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.worker.encoded.pictures import channel_axis
+from xpl.worker.encoded.vectors import is_vector, lines, named
+from xpl.worker.encoded.walk import UnfitError, changed, leaves
+
+_WIDTHS = range(3, 10)
+"""Of a position, and of an arm's joints."""
+_MOST_ARRAYS = 10
+_NEAR = 1e-4
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """A part of a vector.
+
+    Attributes:
+        start, width: where it is.
+        line: number of the normalisation that it has.
+    """
+
+    start: int
+    width: int
+    line: int
+
+
+class Segments:
+    """Normalises parts of vectors otherwise.
+
+    Args:
+        model: the adapter's.
+        encode: its own.
+        samples: observations by which parts are known.
+    """
+
+    def __init__(self, model: Any, encode: Callable[[Any], Any], samples: Sequence[Mapping[str, Any]]) -> None:
+        self._lines = {width: list(_turned(_arrays(model, width))) for width in _WIDTHS}
+        self._found: dict[int, list[_Segment]] = {}
+        vectors = [[leaf for leaf in leaves(encode(one)) if _is_one(leaf)] for one in samples]
+        for several in zip(*vectors):
+            width = several[0].shape[-1]
+            if width not in self._found:
+                rows = np.stack([np.ravel(one)[-width:] for one in several])
+                self._found[width] = list(self._parts(rows, [_fields(one) for one in samples]))
+        used = [segment for segments in self._found.values() for segment in segments]
+        self._changes = list(dict.fromkeys((one.width, one.line) for one in used))
+
+    def change(self, value: Any, how: Mapping[str, Any]) -> tuple[Any, str]:
+        """Return encoded inputs with parts normalised otherwise, and how.
+
+        Raises:
+            UnfitError: if there are no such parts or numbers.
+        """
+        wanted = [
+            (width, line, other)
+            for width, line in self._changes
+            for other in range(len(self._lines[width]))
+            if other != line
+        ]
+        if how["number"] >= len(wanted):
+            raise UnfitError("no such numbers")
+        width, line, other = wanted[how["number"]]
+        words, there, _ = self._lines[width][other]
+        was, _, back = self._lines[width][line]
+
+        def change(leaf: Any) -> Any:
+            if not _is_one(leaf):
+                return None
+            result = np.array(leaf, np.float64)
+            for one in self._found.get(leaf.shape[-1], ()):
+                if (one.width, one.line) == (width, line):
+                    part = slice(one.start, one.start + width)
+                    result[..., part] = there(back(result[..., part]))
+            return result
+
+        return changed(value, change), f"normalize: {words}, not {was}"
+
+    def _parts(self, rows: np.ndarray, fields: Sequence[Mapping[str, np.ndarray]]) -> Iterator[_Segment]:
+        """Yield the parts of a vector that are fields, normalised by one of the lines."""
+        for width in _WIDTHS:
+            for start in range(rows.shape[1] - width + 1):
+                part = rows[:, start : start + width]
+                for number, (_, _, back) in enumerate(self._lines[width]):
+                    if any(_are_near(back(part), held) for held in _held(fields, width)):
+                        yield _Segment(start, width, number)
+                        break
+
+
+def _held(fields: Sequence[Mapping[str, np.ndarray]], width: int) -> Iterator[np.ndarray]:
+    """Yield rows of fields of a width, and of positions, as they are and the other way round."""
+    for name in fields[0]:
+        size = spec.POSITION_DIM if name.endswith("pose") else len(fields[0][name])
+        if size == width:
+            rows = np.stack([one[name][:size] for one in fields])
+            yield rows
+            yield rows[:, ::-1]
+
+
+def _are_near(one: np.ndarray, other: np.ndarray) -> bool:
+    return bool((np.abs(one - other) < _NEAR * (1 + np.abs(other))).all())
+
+
+def _fields(obs: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    state = obs[spec.Obs.STATE]
+    return {name: np.ravel(np.asarray(value, np.float64)) for name, value in state.items() if np.ndim(value) == 1}
+
+
+def _is_one(leaf: Any) -> bool:
+    return channel_axis(leaf) is None and is_vector(leaf)
+
+
+def _turned(arrays: Mapping[str, np.ndarray]) -> Iterator[Any]:
+    """Yield normalisations by these numbers, and by the same in the other order."""
+    both = [arrays, {f"{name} reversed": values[::-1] for name, values in arrays.items()}]
+    for place, line in enumerate(itertools.chain(*map(lines, both))):
+        if place == 0 or line[0] != "none":
+            yield line
+
+
+def _arrays(model: Any, width: int) -> dict[str, np.ndarray]:
+    """Return the vectors of a width in modules of the adapter's package, and in the model, by their names."""
+    own = type(model).__module__
+    package = own.rpartition(".")[0]
+    modules = [own, *(name for name in sorted(sys.modules) if package and name.startswith(f"{package}."))]
+    places = [vars(model), *(vars(sys.modules[name]) for name in modules if name in sys.modules)]
+    found: dict[str, np.ndarray] = {}
+    for name, value in itertools.chain(*map(named, places)):
+        try:
+            array = np.asarray(value, np.float64)
+        except (TypeError, ValueError):
+            continue
+        known = any(np.array_equal(array, other) for other in found.values())
+        if array.shape == (width,) and np.isfinite(array).all() and not known and len(found) < _MOST_ARRAYS:
+            found[name] = array
+    return found
