@@ -36,10 +36,18 @@ def test_each_is_there_once_and_can_be_sent() -> None:
     assert [one.rank for one in found] == sorted(one.rank for one in found)
 
 
+def test_grippers_are_the_last_numbers_of_their_arms() -> None:
+    """Of two arms both."""
+    for robot, places in (("franka", [7, 15]), ("franka_single", [7])):
+        found = [one for one in _all(robot) if one.how["kind"] == "linear"]
+        assert all(one.how["places"] == places and one.how["width"] == places[-1] + 1 for one in found)
+        assert {one.convention for one in found} == {"gripper"}
+
+
 def test_what_is_not_read_is_not_changed() -> None:
     """A model without pictures and texts has vectors."""
     kinds = {one.how["kind"] for one in _all(pictures=False, text=False)}
-    assert kinds == {"drawn", "normalized", "ordered", "rotation", "segmented"}
+    assert kinds == {"drawn", "linear", "normalized", "ordered", "rotation", "segmented"}
 
 
 def test_the_geometry_tells_a_filter_from_a_size() -> None:

@@ -211,6 +211,16 @@ def test_quaternions_are_written_otherwise(turn: str, wanted: Any) -> None:
         turns.Turned([RNG.uniform(2, 3, 8) for _ in range(4)], {"turn": turn})
 
 
+def test_some_numbers_are_scaled() -> None:
+    """In vectors of the width that is meant, and in histories of them."""
+    how = {"width": 5, "places": [1, 4], "scale": 100.0, "offset": -1.0}
+    result = vectors.linear({"a": np.ones((2, 5)), "b": np.ones(6)}, how)
+    assert result["a"].tolist() == [[1.0, 99.0, 1.0, 1.0, 99.0]] * 2
+    assert result["b"].tolist() == [1.0] * 6
+    with pytest.raises(UnfitError, match="no vector"):
+        vectors.linear(np.ones(4), how)
+
+
 class Small(Policy):
     """Joints and gripper as they are, though it has their range; answers what it reads, stretched."""
 

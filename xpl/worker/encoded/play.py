@@ -39,6 +39,7 @@ _CHANGES: dict[str, Callable[[Any, Mapping[str, Any]], Any]] = {
     "layout": pictures.layout,
     "beside": pictures.beside,
     "ordered": vectors.ordered,
+    "linear": vectors.linear,
 }
 
 

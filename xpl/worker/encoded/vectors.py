@@ -50,6 +50,33 @@ def ordered(value: Any, how: Mapping[str, Any]) -> Any:
     return result
 
 
+def linear(value: Any, how: Mapping[str, Any]) -> Any:
+    """Return vectors with some numbers scaled and moved.
+
+    Args:
+        value: encoded inputs.
+        how: `width` of the vectors that are meant, `places` in them, `scale` and `offset`.
+
+    Raises:
+        UnfitError: if there is no vector of this width.
+    """
+    seen = False
+
+    def change(leaf: Any) -> Any:
+        nonlocal seen
+        if channel_axis(leaf) is not None or not is_vector(leaf) or leaf.shape[-1] != how["width"]:
+            return None
+        seen = True
+        result = np.array(leaf, np.float64)
+        result[..., how["places"]] = result[..., how["places"]] * how["scale"] + how["offset"]
+        return result
+
+    result = changed(value, change)
+    if not seen:
+        raise UnfitError("no vector of this width")
+    return result
+
+
 class Normalized:
     """Normalises vectors by numbers that lie in the adapter's own module and model.
 

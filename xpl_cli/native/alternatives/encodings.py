@@ -36,6 +36,18 @@ _BOXES: tuple[tuple[int, dict[str, Any]], ...] = (
     (2, {"fill": 255}),
 )
 _CROPS = (0.9, 0.95, 0.875, 0.8, 0.85)
+_GRIPPERS: tuple[tuple[str, float, float], ...] = (
+    ("a hundred times as much", 100.0, 0.0),
+    ("a hundredth", 0.01, 0.0),
+    ("255 times as much", 255.0, 0.0),
+    ("a 255th", 1 / 255, 0.0),
+    ("the other sign", -1.0, 0.0),
+    ("closed and open exchanged, 0 to 1", -1.0, 1.0),
+    ("closed and open exchanged, 0 to 100", -1.0, 100.0),
+    ("-1 to 1, not 0 to 1", 2.0, -1.0),
+    ("0 to 1, not -1 to 1", 0.5, 0.5),
+    ("1 to -1, not 0 to 1", -2.0, 1.0),
+)
 _NUMBERS = 40
 """Normalisations by numbers of the adapter's own that are tried at most."""
 
@@ -177,6 +189,10 @@ def _vectors(groups: Sequence[int]) -> Iterator[Encoding]:
         yield Encoding(1, "normalize: other numbers", "normalization", how)
         segmented = {"kind": "segmented", "number": number}
         yield Encoding(1, "normalize: other numbers of a part", "normalization", segmented)
+    hands = [sum(groups[: place + 1]) - 1 for place in range(1, len(groups), 2) if groups[place] == 1]
+    for told, scale, offset in _GRIPPERS if hands else ():
+        how = {"kind": "linear", "width": sum(groups), "places": hands, "scale": scale, "offset": offset}
+        yield Encoding(1, f"gripper as the model reads it: {told}", "gripper", how)
     for rank, words, order in _orders(list(groups)):
         for way, told in (("both", ""), ("in", " (state)"), ("out", " (action)")):
             yield Encoding(rank, words + told, "joint_order", {"kind": "ordered", "order": order, "way": way})
