@@ -270,12 +270,12 @@ def _agree(killed: Path, whole: Path) -> None:
         assert (killed / f"traces/{index}.npz").read_bytes() == (whole / f"traces/{index}.npz").read_bytes()
 
 
-@pytest.mark.slow
-def test_a_run_that_is_killed_three_times_ends_with_the_same_table(room: Path) -> None:
+@pytest.mark.parametrize("kills", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_run_that_is_killed_ends_with_the_same_table(room: Path, kills: int) -> None:
     """And no process survives it."""
     command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
     command += ["--episodes", "6", "--out"]
-    _killed_again_and_again(room, [*command, "killed"], 3, 20261121, 0.2)
+    _killed_again_and_again(room, [*command, "killed"], kills, 20261121, 0.2)
     whole = subprocess.run([*command, "whole"], cwd=room, capture_output=True, text=True, check=False)
     assert whole.returncode == ExitCode.CLEAN, whole.stderr
     _agree(room / "killed", room / "whole")
