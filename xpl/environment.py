@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from xpl import _spec as spec
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
-from xpl.episode import Episode, Referee, Setup
+from xpl.episode import Episode, Referee, Setup, Simulated
 
 if TYPE_CHECKING:
     import numpy as np
@@ -281,6 +281,10 @@ class Environment(EnvironmentBase[Referee]):
         one_of("camera", name, seen)
         image: NDArray[np.uint8] = seen[str(name)][spec.Camera.COLOR]
         return image
+
+    def simulated(self, env_idx: int = 0) -> Simulated | None:
+        """Return what a simulator says for itself, for a bridge (`xpl.bridge`); None if its episode does not."""
+        return self._env(env_idx).simulated()
 
     def _place(self, setup: Setup, index: int) -> Referee:
         return Referee(self._make(setup), index)

@@ -67,6 +67,19 @@ class Setup:
         return float(self.facts.get("control_frequency", self.manifest["control_frequency"]))
 
 
+@dataclass(frozen=True)
+class Simulated:
+    """What an environment's simulator says for itself, before anything is converted.
+
+    Attributes:
+        observation: what it observes now, as it gives it to anybody.
+        command: (N,) what it was told in the last control step, in its own units and order; None before the first.
+    """
+
+    observation: Any
+    command: Any = None
+
+
 class Episode(ABC):
     """A simulator with one robot and one task: what the author of an environment writes.
 
@@ -121,6 +134,13 @@ class Episode(ABC):
 
     def end_reason(self) -> str | None:
         """Return why the episode cannot go on, besides success and the step limit; None if it can."""
+        return None
+
+    def simulated(self) -> Simulated | None:
+        """Return what the simulator says for itself, for a bridge (`xpl.bridge`); None if nobody can tell.
+
+        Nothing of it may be converted: the authors' client of a policy reads the one and commands the other.
+        """
         return None
 
     def close(self) -> None:  # noqa: B027 - most have nothing to release
@@ -195,6 +215,10 @@ class Referee:
     def vision(self) -> dict[str, Mapping[str, Any]]:
         """Return what each camera sees now, whether or not observations show it."""
         return dict(self._episode.vision())
+
+    def simulated(self) -> Simulated | None:
+        """Return what the simulator says for itself; None if it does not."""
+        return self._episode.simulated()
 
     def result(self) -> dict[str, Any]:
         """Return the episode's outcome so far: plain values, ready for a report."""

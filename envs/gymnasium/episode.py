@@ -12,7 +12,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.environment import Episode, Setup
-from xpl.episode import SUCCESS_SCORE
+from xpl.episode import SUCCESS_SCORE, Simulated
 
 from .mapping import EnvMapping, MappingError, join
 
@@ -53,6 +53,7 @@ class GymnasiumEpisode(Episode):
         obs, info = self._env.reset(seed=seed)
         self._sources: dict[str, Any] = {spec.Payload.OBS: obs, "info": info, "reward": 0.0}
         self._ended: str | None = None
+        self._told: NDArray[np.float64] | None = None
 
     def state(self) -> dict[str, NDArray[np.float64]]:
         """Return the robot's state as the mapping says."""
@@ -65,7 +66,8 @@ class GymnasiumEpisode(Episode):
         if wanted.shape != self._low.shape:
             raise MappingError(f"{self.mapping.id} takes {self._low.shape[0]} numbers, the mapping gives {wanted.size}")
         allowed = np.clip(wanted, self._low, self._high)
-        obs, reward, terminated, truncated, info = self._env.step(allowed.astype(self._dtype))
+        self._told = allowed.astype(self._dtype)
+        obs, reward, terminated, truncated, info = self._env.step(self._told)
         self._sources = {spec.Payload.OBS: obs, "info": info, "reward": float(reward)}
         if terminated or truncated:
             self._ended = "terminated" if terminated else "truncated"
@@ -91,6 +93,10 @@ class GymnasiumEpisode(Episode):
     def truth(self) -> dict[str, Any]:
         """Return what the mapping lists as truth."""
         return {name: place.numbers(self._sources) for name, place in self.mapping.truth.items()}
+
+    def simulated(self) -> Simulated:
+        """Return Gymnasium's own observation, and the action that it was given last."""
+        return Simulated(self._sources[spec.Payload.OBS], self._told)
 
     def close(self) -> None:
         """Close the Gymnasium environment."""
