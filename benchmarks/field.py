@@ -248,7 +248,9 @@ def _compare(row: Row, known: list[dict[str, Any]]) -> None:
 
 def _is_near(found: dict[str, Any], defect: dict[str, Any]) -> bool:
     path, line = str(found["path"] or ""), defect.get("line")
-    if not path or not f"/{defect['file']}".endswith("/" + path.removeprefix("./")):
+    if not path:
+        return Path(defect["file"]).name in found["message"]
+    if not f"/{defect['file']}".endswith("/" + path.removeprefix("./")):
         return False
     return line is None or found["line"] is None or abs(found["line"] - line) <= _NEAR
 
