@@ -17,7 +17,8 @@ from types import ModuleType
 from typing import Any
 
 from xpl.worker.standins.given import Memory
-from xpl.worker.standins.things import WORLD, _named
+from xpl.worker.standins.origins import WORLD
+from xpl.worker.standins.things import _named
 
 _VERSION = "0.0.0"
 _SERVER = re.compile(r"^\s*(?:import|from)\s+(?:websockets|requests|httpx|aiohttp|zmq|grpc)\b", re.MULTILINE)

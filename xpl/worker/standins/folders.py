@@ -24,7 +24,8 @@ from typing import Any, Callable
 import numpy as np
 
 from xpl.worker.standins.given import Memory
-from xpl.worker.standins.things import Origin, Thing
+from xpl.worker.standins.origins import Origin
+from xpl.worker.standins.things import Thing
 
 ROOT = "xpl-stand-in"
 """Name of the folder that paths of a configuration point to where it says nothing."""

@@ -101,7 +101,7 @@ class Given:
         found = set(_counts(self.values, 0))
         if not found and self.recalled:
             return self.recalled[-1].count
-        return found.pop() if len(found) == 1 and max(found, default=0) <= _MOST else None
+        return found.pop() if len(found) == 1 and 0 < max(found) <= _MOST else None
 
     def shown(self, row: int | None) -> Any:
         """Return what one environment has to do with the call: nested maps and lists of arrays, numbers and texts."""

@@ -23,7 +23,7 @@ from xpl.worker.standins import makes
 from xpl.worker.standins.facts import Facts
 from xpl.worker.standins.finder import Finder
 from xpl.worker.standins.folders import Folders
-from xpl.worker.standins.things import WORLD
+from xpl.worker.standins.origins import WORLD
 from xpl.worker.standins.torch import library
 from xpl.worker.standins.values import Values
 

@@ -11,7 +11,8 @@ from typing import Any, Callable
 
 from xpl.worker.standins.facts import Facts
 from xpl.worker.standins.given import Given
-from xpl.worker.standins.things import Origin, Thing, origin
+from xpl.worker.standins.origins import Origin, origin
+from xpl.worker.standins.things import Thing
 
 
 def known(facts: Facts) -> dict[str, Any]:

@@ -15,113 +15,12 @@ import sys
 import types
 import typing
 from collections.abc import Iterator, Mapping
-from typing import Any, Callable, NoReturn
+from typing import Any
 
-from xpl.worker.lacking import StandInError
 from xpl.worker.standins import facts as known
 from xpl.worker.standins.given import Given, Memory, is_data
-
-
-class StubError(StandInError):
-    """Something was asked of a stand-in that only the real one can give."""
-
-    kind = "stub"
-
-
-class World:
-    """What all things of a process share.
-
-    Attributes:
-        facts: sizes, or None where things are mere stubs without any worth.
-        serving: whether what is passed on now is what the adapter is shown, rather than its configuration.
-        value: makes an array, or a tensor, of a thing that holds data; set by `xpl.worker.standins.values`.
-        makes: what knows more of some names; finds a function for a dotted name.
-        failed: what was asked in vain.
-        documents: names that the adapter reads; what a map is taken to hold, where all of it is asked for.
-    """
-
-    def __init__(self) -> None:
-        self.facts: known.Facts | None = None
-        self.serving = False
-        self.value: Callable[[Thing], Any] | None = None
-        self.makes: Callable[[str], Callable[..., Any] | None] = lambda _: None
-        self.failed: list[str] = []
-        self.documents: tuple[str, ...] = ()
-
-
-WORLD = World()
-
-
-class Origin:
-    """Where a thing comes from.
-
-    Attributes:
-        name: dotted, with () for calls and [...] for elements.
-        memory: what the object that it is a part of was given.
-        given: what went into it, None where nothing did.
-        keys: what was looked up in what a call gave.
-        is_text: whether it was read from a file of text, which has lists for arrays.
-        is_name: whether it was imported or is an attribute of what was, and was not made by a call.
-    """
-
-    __slots__ = ("given", "is_name", "is_text", "keys", "memory", "name")
-
-    def __init__(
-        self,
-        name: str,
-        memory: Memory,
-        given: Given | None = None,
-        keys: tuple[Any, ...] = (),
-        *,
-        is_name: bool = False,
-        is_text: bool = False,
-    ) -> None:
-        self.name, self.memory, self.given, self.keys, self.is_name = name, memory, given, keys, is_name
-        self.is_text = is_text
-
-    @property
-    def last(self) -> str:
-        """The last part of the name, without calls and elements."""
-        if self.keys and isinstance(self.keys[-1], str):
-            return self.keys[-1]
-        return self.name.replace("[...]", "").rpartition(".")[2].partition("(")[0].partition("[")[0]
-
-
-def refuse(name: str, what: str) -> NoReturn:
-    """Raise, and remember it.
-
-    Raises:
-        StubError: always.
-    """
-    message = f"{name} has no {what}: {name.partition('.')[0]} is not installed here, and stubbed"
-    WORLD.failed.append(message)
-    raise StubError(message)
-
-
-def origin(thing: Any) -> Origin:
-    """Return where a thing comes from; what derives from one gets an origin when it is asked first."""
-    found = thing.__dict__.get("_xpl_origin")
-    if found is None:
-        found = Origin(type(thing).__name__, Memory())
-        thing.__dict__["_xpl_origin"] = found
-    return found
-
-
-def holds(thing: Any) -> bool:
-    """Tell whether anything was put into a thing."""
-    return isinstance(thing, Thing) and origin(thing).given is not None
-
-
-def value(thing: Thing) -> Any:
-    """Return the array, the tensor or the number that a thing stands for, None if there is none."""
-    told = origin(thing)
-    if told.given is not None and WORLD.value is not None:
-        return WORLD.value(thing)
-    if WORLD.facts is None:
-        return None
-    last = str(told.keys[-1]) if told.keys and isinstance(told.keys[-1], str) else told.last
-    found = WORLD.facts.worth(last, ".".join([told.name, *map(str, told.keys[:-1])]))
-    return found.tolist() if told.is_text and hasattr(found, "tolist") else found
+from xpl.worker.standins.origins import WORLD, Origin, holds, origin, refuse, value
+from xpl.worker.standins.worth import Worth, operation
 
 
 def _special(name: str) -> bool:
@@ -144,7 +43,7 @@ def _unpacked(depth: int) -> int | None:
     return None
 
 
-class Thing:
+class Thing(Worth):
     """What stands in for a class, a function, an object or a value of a module that is not here."""
 
     __array_ufunc__ = None  # numpy leaves operations to this side
@@ -173,17 +72,16 @@ class Thing:
         return (_Base if plain else Thing,)
 
     def __instancecheck__(self, instance: Any) -> bool:
-        if not isinstance(instance, Thing) and type(instance).__module__.partition(".")[0] != _PACKAGE:
-            return False
         if type(instance) is Thing:
             return origin(instance).name.endswith(f"{origin(self).name}()") or origin(instance).last[:1].islower()
-        return False
+        return issubclass(type(instance), self)
 
     def __subclasscheck__(self, cls: type) -> bool:
-        return isinstance(cls, type) and issubclass(cls, Thing)
+        bases = [base for kind in getattr(cls, "__mro__", ()) for base in kind.__dict__.get("__orig_bases__", ())]
+        return any(isinstance(base, Thing) and origin(base).name == origin(self).name for base in bases)
 
     def __or__(self, other: Any) -> Any:
-        return _operation(self, "or", other) if holds(self) else typing.Any
+        return operation(self, "or", other) if holds(self) else typing.Any
 
     __ror__ = __or__
 
@@ -287,6 +185,10 @@ class Thing:
 
     # -- calls ---------------------------------------------------------------------------------------------------------
 
+    def _xpl_again(self) -> Thing:
+        told = origin(self)
+        return Thing(Origin(told.name, told.memory, told.given, told.keys))
+
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         return called(self, arguments, named)
 
@@ -295,9 +197,6 @@ class Thing:
 
     def __exit__(self, *_: object) -> None:
         pass
-
-    def __get__(self, instance: Any, owner: Any = None) -> Any:
-        return self
 
     # -- values --------------------------------------------------------------------------------------------------------
 
@@ -336,50 +235,6 @@ class Thing:
             refuse(origin(self).name, "elements")
         return Thing(Origin(f"{origin(self).name}.next", origin(self).memory))
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
-        import numpy as np
-
-        found = value(self)
-        if found is None:
-            refuse(origin(self).name, "value")
-        array = np.asarray(found)
-        return array if dtype is None else array.astype(dtype)
-
-    def __float__(self) -> float:
-        return float(_number(self))
-
-    def __int__(self) -> int:
-        return int(_number(self))
-
-    def __index__(self) -> int:
-        return int(_number(self))
-
-    def __complex__(self) -> complex:
-        return complex(_number(self))
-
-    def __bytes__(self) -> bytes:  # noqa: PLE0308 - it is refused
-        refuse(origin(self).name, "value")
-
-    def __fspath__(self) -> str:
-        if WORLD.facts is None:
-            refuse(origin(self).name, "path")
-        return str(self)
-
-    def __str__(self) -> str:
-        return origin(self).last
-
-    def __repr__(self) -> str:
-        return f"<stub {origin(self).name}>"
-
-    def __hash__(self) -> int:
-        return id(self)
-
-    def __eq__(self, other: object) -> Any:
-        return self is other if not holds(self) else _operation(self, "eq", other)
-
-    def __ne__(self, other: object) -> Any:
-        return self is not other if not holds(self) else _operation(self, "ne", other)
-
     def __copy__(self) -> Any:
         return self
 
@@ -410,43 +265,8 @@ class _Base(Thing, metaclass=_Kind):
     pass
 
 
-_PACKAGE = __name__.partition(".")[0]
-
-
 def _at(bases: tuple[Any, ...], base: Any) -> int:
     return next(place for place, other in enumerate(bases) if other is base)
-
-
-def _number(thing: Thing) -> Any:
-    found = value(thing)
-    if found is None:
-        refuse(origin(thing).name, "value")
-    return found.item() if hasattr(found, "item") else found
-
-
-def _operation(thing: Any, name: str, *others: Any) -> Any:
-    import operator
-
-    told = origin(thing)
-    function = getattr(operator, name.removeprefix("r") if not hasattr(operator, name) else name, None)
-    found = value(thing)
-    if found is not None and function is not None and not isinstance(found, list):
-        values = [value(other) if isinstance(other, Thing) else other for other in others]
-        if all(item is not None for item in values):
-            ordered = [*values, found] if name.startswith("r") and not hasattr(operator, name) else [found, *values]
-            return function(*ordered)
-    return Thing(Origin(told.name, told.memory, told.given, told.keys))
-
-
-def _operator(name: str) -> Callable[..., Any]:
-    return lambda self, *others: _operation(self, name, *others)
-
-
-for _name in ("add", "sub", "mul", "truediv", "floordiv", "mod", "pow", "matmul", "and_", "xor"):
-    for _form in ("", "r"):
-        setattr(Thing, f"__{_form}{_name.rstrip('_')}__", _operator(f"{_form}{_name}"))
-for _name in ("neg", "pos", "abs", "invert", "lt", "le", "gt", "ge"):
-    setattr(Thing, f"__{_name}__", _operator(_name))
 
 
 def _of_value(thing: Thing, name: str) -> Any:

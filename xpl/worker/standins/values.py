@@ -13,7 +13,8 @@ from xpl.worker.answers import Answers, ShadowError
 from xpl.worker.standins import facts as known
 from xpl.worker.standins.facts import Facts
 from xpl.worker.standins.given import Given, as_data, is_data, is_image
-from xpl.worker.standins.things import Thing, holds, origin, refuse
+from xpl.worker.standins.origins import holds, origin, refuse
+from xpl.worker.standins.things import Thing
 
 _TOKENS = 16
 _WIDEST = 64

@@ -233,7 +233,8 @@ def of_things(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def either(*arguments: Any, **named: Any) -> Any:
         from xpl.worker.standins.given import Memory
-        from xpl.worker.standins.things import Origin, Thing, called, holds, value
+        from xpl.worker.standins.origins import Origin, holds, value
+        from xpl.worker.standins.things import Thing, called
 
         def settled(item: Any) -> Any:
             if isinstance(item, Thing):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator
-from typing import Any, Callable, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from xpl.worker.standins.torch import kinds
+from xpl.worker.standins.torch import arithmetic, kinds
+from xpl.worker.standins.torch.arithmetic import raw
 from xpl.worker.standins.torch.kinds import DTYPES, Size, device, dtype
 
 _CPU = device("cpu")
@@ -25,7 +26,8 @@ class _TensorType(type):
     def __instancecheck__(cls, instance: Any) -> bool:
         if type.__instancecheck__(cls, instance):
             return True
-        from xpl.worker.standins.things import Thing, holds, value
+        from xpl.worker.standins.origins import holds, value
+        from xpl.worker.standins.things import Thing
 
         if isinstance(instance, Thing) and holds(instance):
             try:
@@ -324,11 +326,6 @@ class Tensor(metaclass=_TensorType):
         return self.fill_(0)
 
 
-def raw(value: Any) -> Any:
-    """Return the array of a tensor, and anything else as it is."""
-    return value.array if type(value) is Tensor else value
-
-
 def _sizes(shape: tuple[Any, ...]) -> tuple[int, ...]:
     if len(shape) == 1 and isinstance(shape[0], (tuple, list)):
         shape = tuple(shape[0])
@@ -341,98 +338,4 @@ def _index(key: Any) -> Any:
     return raw(key)
 
 
-def _binary(function: Callable[..., Any], *, swapped: bool = False, in_place: bool = False) -> Callable[..., Any]:
-    def operation(self: Tensor, other: Any = None, **_: Any) -> Any:
-        from xpl.worker.standins.things import Thing, value
-
-        if isinstance(other, Thing):
-            other = value(other)
-        if other is None or isinstance(other, (str, dict)):
-            return NotImplemented
-        mine, theirs = self.array, raw(other)
-        if isinstance(theirs, (int, float)) and mine.dtype.kind == "f":
-            theirs = mine.dtype.type(theirs)
-        with np.errstate(all="ignore"):
-            made = function(theirs, mine) if swapped else function(mine, theirs)
-        if (
-            made.dtype == np.float64
-            and mine.dtype.kind == "f"
-            and mine.dtype != np.float64
-            and (not isinstance(theirs, np.ndarray) or theirs.dtype != np.float64)
-        ):
-            made = made.astype(np.float32)
-        if in_place:
-            self.array[...] = made
-            return self
-        return self.like(made)
-
-    return operation
-
-
-_FUNCTIONS = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "truediv": np.true_divide, "floordiv": np.floor_divide,
-    "mod": np.mod, "pow": np.power, "matmul": np.matmul, "and": np.logical_and,
-    "or": np.logical_or, "xor": np.logical_xor,
-}  # fmt: skip
-for _name, _function in _FUNCTIONS.items():
-    setattr(Tensor, f"__{_name}__", _binary(_function))
-    setattr(Tensor, f"__r{_name}__", _binary(_function, swapped=True))
-    setattr(Tensor, f"__i{_name}__", _binary(_function, in_place=True))
-for _name in ("add", "sub", "mul", "pow", "matmul"):
-    setattr(Tensor, _name, _binary(_FUNCTIONS[_name]))
-    setattr(Tensor, f"{_name}_", _binary(_FUNCTIONS[_name], in_place=True))
-Tensor.div, Tensor.div_ = _binary(np.true_divide), _binary(np.true_divide, in_place=True)  # type: ignore[attr-defined]
-for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
-    _function = {
-        "lt": np.less,
-        "le": np.less_equal,
-        "gt": np.greater,
-        "ge": np.greater_equal,
-        "eq": np.equal,
-        "ne": np.not_equal,
-    }[_name]
-    setattr(Tensor, f"__{_name}__", _binary(_function))
-    setattr(Tensor, _name, _binary(_function))
-
-
-def _unary(function: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda self, *_, **__: self.like(function(self.array))
-
-
-for _name in (
-    "abs",
-    "exp",
-    "log",
-    "sin",
-    "cos",
-    "tan",
-    "sqrt",
-    "tanh",
-    "floor",
-    "ceil",
-    "sign",
-    "isnan",
-    "isfinite",
-    "isinf",
-):
-    setattr(Tensor, _name, _unary(getattr(np, _name)))
-Tensor.round = lambda self, decimals=0: self.like(np.round(self.array, decimals))  # type: ignore[attr-defined]
-Tensor.__neg__ = _unary(np.negative)  # type: ignore[attr-defined]
-Tensor.__abs__ = _unary(np.abs)  # type: ignore[attr-defined]
-Tensor.__invert__ = _unary(np.logical_not)  # type: ignore[attr-defined]
-
-
-def _reduction(function: Callable[..., Any]) -> Callable[..., Any]:
-    def reduce(self: Tensor, dim: Any = None, keepdim: bool = False, dtype: Any = None, **_: Any) -> Tensor:
-        axis = tuple(dim) if isinstance(dim, list) else dim
-        made = self.like(np.asarray(function(self.array, axis=axis, keepdims=keepdim)))
-        return made if dtype is None else made.to(dtype)
-
-    return reduce
-
-
-for _name in ("mean", "sum", "prod", "any", "all"):
-    setattr(Tensor, _name, _reduction(getattr(np, _name)))
-Tensor.cumsum = lambda self, dim, **_: self.like(self.array.cumsum(dim))  # type: ignore[attr-defined]
-for _name, _kind in {**kinds.ALIASES, "bfloat16": "bfloat16", "bool": "bool"}.items():
-    setattr(Tensor, _name, lambda self, _kind=_kind: self.to(DTYPES[_kind]))
+arithmetic.equip(Tensor)
