@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import INSTALLERS, PYTHONS, STEPS, place, program, runs, scripts, shown
+from xpl_cli.audit.static.scripts.flow import (
+    INSTALLERS,
+    PYTHONS,
+    STEPS,
+    place,
+    program,
+    runs,
+    scripts,
+    shown,
+    sourced_by,
+    sources,
+)
 from xpl_cli.audit.static.shell import Command, Script
 from xpl_cli.audit.static.source import Source
+from xpl_cli.standard import spec
 
+_STOPS: Final = re.compile(r"stop|kill|clean|down|teardown")
 _ASKED: Final = frozenset(("if", "elif", "while", "until", "!"))
 
 
@@ -20,7 +34,8 @@ def failure_passes(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks at the steps of each script: programs, installations, changes of the folder. Without `set -e` the failure of
     every step but the last has to be looked at; with it, that of a step in a pipeline (`set -o pipefail`), and that of
-    a step behind which stands `|| true`.
+    a step behind which stands `|| true`, unless it only cleans up, asks or stops something. A script that others read
+    by `source` has their options; one that reads a library with `set -e` has that.
 
     ## Why it matters
     Whoever runs the script, a launcher or a job queue, sees success: an environment in which half is missing, a
@@ -38,7 +53,9 @@ def failure_passes(source: Source) -> Iterator[Finding]:
     found = False
     for name, script in scripts(source):
         found = True
-        if "errexit" in script.options or _shebang(source.text(name)):
+        if _is_read(source, name):
+            continue  # the options of the script that reads it hold
+        if "errexit" in script.options or _shebang(source.text(name)) or _is_given(source, script):
             yield from _hidden(source, name, script)
         else:
             yield from _passed(source, name, script)
@@ -78,7 +95,7 @@ def _hidden(source: Source, name: str, script: Script) -> Iterator[Finding]:
             message = f"a failure of `{shown(words, 3)}` is lost in the pipe to {following}: {name} ends with success"
             expected = "set -o pipefail"
             edits = (_first(source, name, expected),)
-        elif command.end == "||" and following in {"true", ":"} and program(command) not in {"conda", "mamba"}:
+        elif command.end == "||" and following in {"true", ":"} and not _may_fail(command):
             message = f"that `{shown(words, 3)}` failed is passed over: {name} goes on without what it should have made"
             expected = "the step without `|| true`"
             edits = _without(command, script[number + 1], name)
@@ -91,6 +108,37 @@ def _hidden(source: Source, name: str, script: Script) -> Iterator[Finding]:
             got=f"{shown(words, 3)} {command.end} {following}",
             fix=Fix("unsafe_edit" if edits else "advice", expected, edits),
         )
+
+
+def _is_read(source: Source, name: str) -> bool:
+    """Tell whether a script is a library: another one reads it by `source`, or it asks whether that is so."""
+    is_standard = name in spec.data("package")["scripts"]
+    asks = re.search(r"BASH_SOURCE\S*\s*[!=]=\s*\S*\$\{?0|\(return 0", source.text(name)) is not None
+    return not is_standard and (asks or bool(sourced_by(source, name)))
+
+
+def _is_given(source: Source, script: Script) -> bool:
+    """Tell whether a library that a script reads before its first step sets `errexit` for it."""
+    steps = (
+        number for number, command in enumerate(script) if _is_step(command) and command.name not in {"source", "."}
+    )
+    first = next(steps, len(script))
+    return any("errexit" in library.options and number < first for number, library in sources(source, script))
+
+
+def _may_fail(command: Command) -> bool:
+    """Tell whether nothing lacks where a command failed: it cleans up, asks, or stops something."""
+    words = [word.text for word in runs(command)]
+    name, rest = program(command), words[1:]
+    if name in {"conda", "mamba"} or {"uninstall", "remove", "cache", "check", "show", "list", "config"} & set(
+        rest[:3]
+    ):
+        return True
+    if name in {"bash", "sh"}:
+        return any(_STOPS.search(word.rpartition("/")[2]) for word in rest[:2])
+    return (
+        name in PYTHONS and rest[:1] == ["-c"] and not re.search(r"\b(save|write|dump|download|train)", " ".join(rest))
+    )
 
 
 def _first(source: Source, name: str, text: str) -> Edit:

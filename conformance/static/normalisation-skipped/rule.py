@@ -45,9 +45,9 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
         found = [*_returned(function), *_fallen_through(function), *_branched(function)]
         for node, statistics, why in found:
             settled = _settled(adapter) if settled is None else settled
-            if statistics in settled | reported:
+            if {statistics, str(id(node))} & (settled | reported):
                 continue
-            reported.add(statistics)
+            reported |= {statistics, str(id(node))}
             yield Finding(
                 f"where {statistics} {why}, {function.name} passes values on unnormalised: "
                 "numbers between -1 and 1 are taken for radians, or radians for them",

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.scripts.flow import place, scripts
+from xpl_cli.audit.static.scripts.flow import is_tried, place, scripts
 from xpl_cli.audit.static.shell import Command, Script, Word
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import assigned, called, constant, last, targets
@@ -52,7 +52,7 @@ def one_machine(source: Source) -> Iterator[Finding]:
         for command in script:
             yield from _devices(name, command)
             yield from _ports(name, command)
-        yield from _folders(name, script)
+        yield from _folders(source, name, script)
     if source.has(sdk.File.DEPLOY_YML):
         lines = source.text(sdk.File.DEPLOY_YML).split("\n")
         for number, line in enumerate(lines, start=1):
@@ -96,10 +96,10 @@ def _ports(name: str, command: Command) -> Iterator[Finding]:
             )
 
 
-def _folders(name: str, script: Script) -> Iterator[Finding]:
+def _folders(source: Source, name: str, script: Script) -> Iterator[Finding]:
     for word in _words(script):
         found = _PLACES.search(word.raw) if "/" in word.raw else None
-        if found and not _PERSON.match(found.group()):
+        if found and not _PERSON.match(found.group()) and not is_tried(source.text(name), word.line):
             yield _folder(place(name, word), found.group())
 
 

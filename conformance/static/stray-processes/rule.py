@@ -10,9 +10,14 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.static.scripts.flow import PYTHONS, place, runs, script, scripts, shown
 from xpl_cli.audit.static.shell import Command, Script
 from xpl_cli.audit.static.source import Source
+from xpl_cli.standard import spec
 
 _BY_NAME = frozenset(("pkill", "killall", "fuser"))
 _DETACHED = re.compile(r"tmux new\S* .*-\w*d|screen -\w*d")
+
+_LAUNCHER = re.compile(r"(?:^|[_-])(?:start|launch|serve|spawn|up|daemon)(?:[_.-]|$)")
+_STANDARD = frozenset(spec.data("package")["scripts"])
+"""Scripts that others call and wait for."""
 
 
 @rule(code="XPL157", requirement="XPL-PKG-11")
@@ -22,7 +27,7 @@ def stray_processes(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks for processes in the background that are neither waited for nor ended in an exit trap; for a server that is
     ended by the id of the shell around it, while that shell does not `exec` the server; and for processes that are
-    ended by name.
+    ended by name. A script that is called `start_...` or `launch_...` is meant to leave processes behind.
 
     ## Why it matters
     A server that is left running keeps the memory of the GPU and the port. The next run fails, or talks to the old
@@ -50,6 +55,8 @@ def stray_processes(source: Source) -> Iterator[Finding]:
 
 def _left(name: str, commands: Script) -> Iterator[Finding]:
     """Yield what runs in the background when the script ends."""
+    if _LAUNCHER.search(name) and name not in _STANDARD:
+        return  # what it starts is meant to go on
     started = [command for command in commands if command.end == "&" or command.name in {"tmux", "screen"}]
     if not started or any(command.name == "wait" for command in commands):
         return

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.static.around import vendored
 from xpl_cli.audit.static.manifests import key_line
 from xpl_cli.audit.static.scripts.flow import place, runs, script
 from xpl_cli.audit.static.shell import Command, Word
@@ -25,6 +26,10 @@ _OF_TORCH: Final = frozenset(("torchaudio", "torchvision"))
 """What asks for one version of torch, so that pinning torch pins it."""
 
 _REPOSITORY: Final = re.compile(r"git\+\S+?://[^@\s]+$|git\+ssh://[^@\s]+@[^@\s]+$")
+_PROJECTS: Final = frozenset(("pyproject.toml", "setup.cfg", "setup.py"))
+_VERSIONED: Final = re.compile(
+    r"^[\s\"',\[]*([A-Za-z][\w.-]*)(?:\[[\w,]*\])?\s*(?:==|~=|<|>=?[^,\n]*,\s*<)", re.MULTILINE
+)
 _LONGEST: Final = 500
 _NAME: Final = re.compile(r"([A-Za-z][\w.-]*)(?:\[[^\]]*\])?(.*)")
 _WITH_VALUE: Final = frozenset(("-r", "-c", "-i", "-e", "-f", "-t", "--target", "--python", "-p"))
@@ -36,7 +41,8 @@ def unpinned_install(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Reads `install.sh`, `requirements.txt` and the requirements in `policy.yml`, and looks for libraries that compute
-    actions or read weights without any version, and for repositories without a revision.
+    actions or read weights without any version, and for repositories without a revision. What a pyproject.toml,
+    setup.py or list of requirements in the package bounds, a vendored one too, is pinned.
 
     ## Why it matters
     The environment that was tested cannot be made again. With another version, weights do not load, or they load and
@@ -75,11 +81,23 @@ def _script(source: Source) -> Iterator[Finding]:
     commands = [command for command in script(source, sdk.File.INSTALL_SH) if _is_install(command)]
     words = [word for command in commands for word in _wanted(command)]
     pinned = {_plain(found.group(1)) for word in words if (found := _NAME.fullmatch(word.text)) and found.group(2)}
+    pinned |= _declared(source)
     if "torch" in pinned:
         pinned |= _OF_TORCH
     loose = [(name, word) for word in words for name in _loose(word.text) if name not in pinned]
     if loose:
         yield _finding(place(sdk.File.INSTALL_SH, loose[0][1]), list(dict.fromkeys(name for name, _ in loose)))
+
+
+def _declared(source: Source) -> set[str]:
+    """Return what a project in the package, its own or a vendored one, or a list of requirements bounds."""
+    own = ((name, source.text(name)) for name in source.text_files if "/" not in name)
+    found: set[str] = set()
+    for name, text in (*own, *vendored.texts(source)):
+        short = name.rpartition("/")[2]
+        if short in _PROJECTS or (short.startswith(("requirements", "constraints")) and short.endswith(".txt")):
+            found |= {_plain(entry) for entry in _VERSIONED.findall(text)}
+    return found
 
 
 def _is_install(command: Command) -> bool:

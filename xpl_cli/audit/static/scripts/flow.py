@@ -19,6 +19,10 @@ STEPS: Final = PYTHONS | SHELLS | INSTALLERS | {"cd", "git", "wget", "curl", "ma
 """Programs whose failure leaves what follows without what it needs."""
 
 _WRAPPERS: Final = frozenset(("exec", "env", "nohup", "setsid", "time", "sudo", "command", "stdbuf"))
+_TESTS: Final = re.compile(r"(?:\[\[?|\btest)\s+(?:!\s+)?-[defrsx]\s")
+_TESTED: Final = r"(?:\[\[?|\btest)\s+(?:!\s+)?-[defrsx]\s+[\"']?\$\{{?{}\b"
+_LISTED: Final = re.compile(r"\bfor\s+(?P<item>\w+)\s+in\b|^\s*(?:local\s+|declare -a\s+)?(?P<array>\w+)\+?=\(")
+_LONGEST_LIST: Final = 30
 _TALK: Final = frozenset(("echo", "printf", "[", "[[", "test", ":"))
 
 
@@ -101,3 +105,48 @@ def _tested(script: Script) -> set[str]:
         for word in command.words:
             found.update(item.name for item in word.expansions if is_test or "?" in item.guard)
     return found
+
+
+def sourced_by(source: Source, name: str) -> list[str]:
+    """Return the scripts of the adapter that read another one into their own shell, by its file name."""
+    return [
+        other
+        for other, commands in scripts(source)
+        if other != name and any(_sources(command, name) for command in commands)
+    ]
+
+
+def sources(source: Source, commands: Script) -> Iterator[tuple[int, Script]]:
+    """Yield the scripts of the adapter that a script reads into its own shell, and before which command."""
+    for number, command in enumerate(commands):
+        for name in source.text_files if command.name in {"source", "."} else ():
+            if name.endswith(".sh") and "/" not in name and _sources(command, name):
+                yield number, script(source, name)
+
+
+def _sources(command: Command, name: str) -> bool:
+    words = command.arguments
+    return command.name in {"source", "."} and len(words) > 1 and words[1].text.rpartition("/")[2] == name
+
+
+def is_tried(text: str, line: int) -> bool:
+    """Tell whether a path in a line of a script is a candidate only: taken if a test finds it there.
+
+    Args:
+        text: the script.
+        line: 1-based; a list over several lines counts from the `for` or the name of the array that begins it.
+    """
+    lines = text.split("\n")
+    here = lines[line - 1]
+    if _TESTS.search(here):
+        return True
+    for start in range(line - 1, max(line - _LONGEST_LIST, -1), -1):
+        head = _LISTED.search(lines[start])
+        if head is None:
+            continue
+        variable = head.group("item")
+        if head.group("array"):
+            loop = re.search(rf"\bfor\s+(\w+)\s+in\s+[^\n]*\$\{{{head.group('array')}\[", text)
+            variable = loop.group(1) if loop else None
+        return variable is not None and re.search(_TESTED.format(re.escape(variable)), text) is not None
+    return False
