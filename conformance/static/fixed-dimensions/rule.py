@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterable, Iterator
 from functools import cache
 from itertools import accumulate
@@ -12,11 +13,14 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import Adapter
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import constant, texts
+from xpl_cli.audit.static.syntax import constant, dotted, enclosing, last, texts
 
 _STATE = (sdk.State.ARM_JOINT_STATE, sdk.State.EE_JOINT_STATE)
 _FEWEST_CUTS = 3
 _FIX = Fix("advice", "ask self.embodiment, or use xpl.action.pack and unpack, which do")
+
+_OLD = re.compile(r"legacy|compat|deprecated|(?:^|_)old(?:_|$)", re.IGNORECASE)
+_ROBOT = re.compile(r"robot|embodiment|env_cfg", re.IGNORECASE)
 
 
 @cache
@@ -40,7 +44,8 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks for joint and gripper values that are cut at constants, for packed vectors that are taken apart by three or
     more constant slices which are the layout of a robot, for constant masks as long as a robot's action, and for
-    constant tables of arm dimensions.
+    constant tables of arm dimensions. What runs only for a robot that the code asks for by its name, or is kept for
+    old checkpoints, is left alone.
 
     ## Why it matters
     On a robot with seven joints the seventh is dropped, or taken for the gripper. Shapes still fit, so that the arm
@@ -59,13 +64,43 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     for function in Adapter.of(source).reach(*Adapter.of(source).methods):
         for node, message in (*_cut_values(function), *_layout(function), *_tables(function)):
             place = (function.file, id(function.node))
-            if place not in seen:
+            if place not in seen and not _is_guarded(node, function):
                 seen.add(place)
                 yield _finding(source, function.file, node, message)
     for node in source.tree(Adapter.of(source).file).body:
         if isinstance(node, (ast.Assign, ast.AnnAssign)):
             for inner, message in _masks(ast.walk(node)):
                 yield _finding(source, Adapter.of(source).file, inner, message)
+
+
+def _is_guarded(node: ast.AST, function: Function) -> bool:
+    """Tell whether code runs for one robot only, that it asks for by name, or for what was trained long ago."""
+    if _OLD.search(function.name):
+        return True
+    inner = node
+    for outer in enclosing(node, function.up):
+        if isinstance(outer, (ast.If, ast.IfExp)) and inner is not outer.test:
+            words = {last(dotted(child)) for child in ast.walk(outer.test)} | texts(outer.test)
+            if any(_OLD.search(word) for word in words if word):
+                return True
+            body = outer.body if isinstance(outer.body, list) else [outer.body]
+            if inner in body and _names_robot(outer.test):
+                return True
+        inner = outer
+    return False
+
+
+def _names_robot(test: ast.expr) -> bool:
+    """Tell whether a test holds for robots of a certain name only: `robot == "arx"`, `self.robot in ("arx", "x5")`."""
+    return any(
+        isinstance(node, ast.Compare)
+        and isinstance(node.ops[0], (ast.Eq, ast.In))
+        and any(
+            _ROBOT.search(last(dotted(part))) or any(map(_ROBOT.search, texts(part))) for part in ast.walk(node.left)
+        )
+        and bool(texts(node.comparators[0]))
+        for node in ast.walk(test)
+    )
 
 
 def _finding(source: Source, file: str, node: ast.AST, message: str) -> Finding:

@@ -22,7 +22,8 @@ def quaternion_order(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Finds SciPy's `as_quat()` in the acting methods and `from_quat()` of part of a pose in the observing ones, both with
-    the real part last unless `scalar_first=True` is given, and looks for anything in the same function that reorders:
+    the real part last unless `scalar_first=True` is given, and looks for anything in the same function, or in those
+    that call it, that reorders:
     an index list, `np.roll`, single components, or a function that names an order.
 
     ## Why it matters
@@ -47,14 +48,14 @@ def quaternion_order(source: Source) -> Iterator[Finding]:
             quaternion = node.args[0] if last(called(node)) == "from_quat" and node.args else None
             if quaternion is None or not _is_of_pose(quaternion, function):
                 continue
-            if not _is_reordered(node, quaternion, function):
+            if not _is_reordered(node, quaternion, function) and not _callers_reorder(adapter, function, observing):
                 yield _finding(source, function, node, "[w, x, y, z] of the observation is read as [x, y, z, w]")
     seen = {id(function.node) for function in observing}
     for function in acting:
         for node in function.of(ast.Call) if id(function.node) not in seen else ():
             if last(called(node)) not in _MAKES_LAST or _goes_back(node, function):
                 continue
-            if not _is_reordered(node, node, function):
+            if not _is_reordered(node, node, function) and not _callers_reorder(adapter, function, acting):
                 yield _finding(source, function, node, "[x, y, z, w] goes out where [w, x, y, z] is read")
 
 
@@ -99,6 +100,20 @@ def _is_reordered(call: ast.Call, value: ast.expr, function: Function) -> bool:
         if isinstance(node, ast.Subscript) and _reorders(node.slice):
             return True
     return any(_REORDERS.search(name) for name in bound)
+
+
+def _callers_reorder(adapter: Adapter, function: Function, functions: list[Function], depth: int = 3) -> bool:
+    """Tell whether a function that gets the result, or gives the quaternion, puts components into another order."""
+    for caller in functions if depth else ():
+        if caller is function or not any(adapter.callee(caller, call) is function for call in caller.of(ast.Call)):
+            continue
+        if any(_reorders(node.slice) for node in caller.of(ast.Subscript)):
+            return True
+        if any(_REORDERS.search(called(call)) for call in caller.of(ast.Call)):
+            return True
+        if _callers_reorder(adapter, caller, functions, depth - 1):
+            return True
+    return False
 
 
 def _reorders(index: ast.expr) -> bool:

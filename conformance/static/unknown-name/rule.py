@@ -10,7 +10,7 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, key_read, last, names, targets
+from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, enclosing, key_read, last, names, targets
 
 _NAMES = re.compile(r"(^|_)(task|bench|robot|embodiment|env_cfg|dataset|domain|unnorm|suite)(_|$|s$)", re.IGNORECASE)
 
@@ -107,8 +107,20 @@ def _defaults(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
         name = last(dotted(key)) or (str(constant(key.slice)) if isinstance(key, ast.Subscript) else "")
         if not _NAMES.search(name) or not _is_table(node.func.value, function) or _says_nothing(default):
             continue
-        if not names(default) & names(key) - {"self"}:
+        if not names(default) & names(key) - {"self"} and not _selects_import(node, function):
             yield node, name, ast.unparse(default)
+
+
+def _selects_import(node: ast.AST, function: Function) -> bool:
+    """Tell whether what is looked up is the name of a module or class to import, which then speaks for itself."""
+    statement = next((outer for outer in enclosing(node, function.up) if isinstance(outer, ast.stmt)), None)
+    bound = {name for target in targets(statement) for name in names(target)} if statement is not None else set()
+    for call in function.of(ast.Call):
+        if last(called(call)) in {"import_module", "__import__", "getattr"}:
+            given = [child for argument in call.args for child in ast.walk(argument)]
+            if node in given or any(isinstance(child, ast.Name) and child.id in bound for child in given):
+                return True
+    return False
 
 
 def _is_table(node: ast.expr, function: Function) -> bool:

@@ -43,7 +43,10 @@ def working_directory(source: Source) -> Iterator[Finding]:
     """
     adapter = Adapter.of(source)
     given = _given(adapter)
-    for function in adapter.reach(*LOADING):
+    is_there = any(
+        _goes_home(node) for file in source.python_files if source.parses(file) for node in source.nodes(file)
+    )
+    for function in () if is_there else adapter.reach(*LOADING):
         resolved = list(_resolved(function, given.get(id(function.node), set()), adapter))
         if resolved:
             paths = " and ".join(dict.fromkeys(path for _, path in resolved))
@@ -63,6 +66,14 @@ def _finding(source: Source, function: Function, node: ast.AST, path: str) -> Fi
         expected="a path that starts at the adapter's folder",
         got=ast.unparse(node),
         fix=Fix("advice", "join it to self.policy_dir, or to Path(__file__).parent"),
+    )
+
+
+def _goes_home(node: ast.AST) -> bool:
+    """Tell whether a call makes a folder that is found by the file's own place the working directory."""
+    return called(node) == "os.chdir" and any(
+        isinstance(child, ast.Name) and (child.id == "__file__" or child.id.isupper() or child.id.startswith("_"))
+        for child in ast.walk(node)
     )
 
 
