@@ -6,9 +6,12 @@ import ast
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.loops.functions import EXECUTES, does, hands_on, loops, updates
+from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.loops.functions import EXECUTES, asked, does, hands_on, loops, updates
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import enclosing
+from xpl_cli.audit.static.syntax import enclosing, names, targets
+
+_OBSERVES = ("get_obs", "get_obs_batch")
 
 
 @rule(code="XPL136", requirement="XPL-LOOP-4")
@@ -16,7 +19,8 @@ def between_actions(source: Source) -> Iterator[Finding]:
     """The policy sees no observation between the actions of a chunk.
 
     ## What it does
-    Takes the innermost loop around each `take_action` and asks whether the policy is shown an observation in it.
+    Takes the innermost loop around each `take_action` and asks whether the policy is shown an observation in it, by an
+    update or with any other call that is given one which the loop takes.
 
     ## Why it matters
     Policies that keep a history, or blend overlapping chunks, count observations: one per control step. Shown one per
@@ -36,7 +40,8 @@ def between_actions(source: Source) -> Iterator[Finding]:
             loop = next(
                 (entry for entry in enclosing(call, function.up) if isinstance(entry, (ast.For, ast.While))), None
             )
-            if loop is not None and not updates(loop, function) and not hands_on(loop, function, source, 1):
+            is_shown = loop is not None and (updates(loop, function) or _hands_fresh(loop, function))
+            if loop is not None and not is_shown and not hands_on(loop, function, source, 1):
                 yield Finding(
                     f"{function.name} shows the policy one observation per chunk: a history misses all between",
                     **source.at(function.file, call),
@@ -45,3 +50,22 @@ def between_actions(source: Source) -> Iterator[Finding]:
                     fix=Fix("advice", "call update_obs with TASK_ENV.get_obs() after each action"),
                 )
                 break
+
+
+def _hands_fresh(loop: ast.For | ast.While, function: Function) -> bool:
+    """Tell whether a call to the policy in a loop is given an observation that the same loop takes."""
+    inside = set(map(id, ast.walk(loop)))
+    taken = {
+        target.id
+        for node in ast.walk(loop)
+        if isinstance(node, (ast.Assign, ast.AnnAssign, ast.NamedExpr)) and node.value is not None
+        if any(does(node.value, function, _OBSERVES))
+        for target in targets(node)
+        if isinstance(target, ast.Name)
+    }
+    return any(
+        names(value) & taken or any(does(value, function, _OBSERVES))
+        for call, _ in asked(function)
+        if id(call) in inside
+        for value in (*call.args, *(keyword.value for keyword in call.keywords))
+    )

@@ -40,6 +40,9 @@ _DECISIVE: Final = {
 
 _EXPANSION: Final = re.compile(r"\$(?:\{[#!]?(\w+|[@*])|(\d|[A-Za-z_]\w*|[@*]))")
 
+_SAYS = frozenset(("", ":", "[", "[[", "cat", "echo", "exit", "printf", "return", "set", "true"))
+"""What a stub is made of; assignments have no name."""
+
 
 @rule(code="XPL160", requirement="XPL-PKG-2")
 def ignored_argument(source: Source) -> Iterator[Finding]:
@@ -48,7 +51,7 @@ def ignored_argument(source: Source) -> Iterator[Finding]:
     ## What it does
     Follows each argument of the standard through its script: into the variable that takes it, and from there into
     commands. One that is never taken, or only printed and tested, has no effect. Scripts that hand on all arguments
-    (`"$@"`) or move through them (`shift`) are left alone.
+    (`"$@"`) or move through them (`shift`) are left alone, and so are stubs that only say that there is nothing to do.
 
     ## Why it matters
     The launcher's label says one thing and the run does another: ten seeds give one result ten times, two policies
@@ -77,7 +80,8 @@ def _ignored(source: Source, name: str, order: list[str], decisive: frozenset[st
     # Counted in the text: what a here-document holds is handed on too.
     mentions = _expanded(line for line in source.text(name).split("\n") if not line.lstrip().startswith("#"))
     commands = script(source, name)
-    if mentions["@"] or mentions["*"] or any(command.name == "shift" for command in commands):
+    is_stub = all(command.name in _SAYS for command in commands)
+    if is_stub or mentions["@"] or mentions["*"] or any(command.name == "shift" for command in commands):
         return
     spoken = _expanded(word.raw for command in commands if talks(command) for word in command.words)
     taken: dict[str, list[tuple[str, Word]]] = {}

@@ -22,7 +22,8 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     ## What it does
     Collects the attributes that the observing and acting methods change and use, and compares them with those that
     `reset` touches, in the class itself and in objects of the adapter's own classes that it holds. Caches (filled only
-    where an entry is missing) and values that are set anew before each use do not count.
+    where an entry is missing) and values that are set anew before each use do not count, nor does what is emptied
+    before its method ends.
 
     ## Why it matters
     The first action of an episode is then computed from the last observation of the episode before, often of another
@@ -74,7 +75,9 @@ def _left(acting: list[Function], forgotten: set[str]) -> dict[str, Write]:
     return {
         name: write
         for name, write in found.items()
-        if not _is_temporary(name, acting) and not _is_guarded(write, used & forgotten)
+        if not _is_temporary(name, acting)
+        and not _is_guarded(write, used & forgotten)
+        and not _is_drained(name, acting)
     }
 
 
@@ -87,6 +90,39 @@ def _is_guarded(write: Write, cleared: set[str]) -> bool:
     together = {other.attribute for other in writes([function]) if other.kind != "grown"}
     always = write.kind == "assigned" and not is_conditional(write.node, function.node, function.up)
     return always and bool(together & cleared)
+
+
+def _is_drained(attribute: str, functions: list[Function]) -> bool:
+    """Tell whether whatever fills an attribute empties it again before it ends, so that nothing is left in it."""
+    filling = {id(write.function.node): write.function for write in writes(functions) if write.attribute == attribute}
+    return bool(filling) and all(_empties(attribute, function) for function in filling.values())
+
+
+def _empties(attribute: str, function: Function) -> bool:
+    filled = [write.line for write in writes([function]) if write.attribute == attribute and not _is_empty(write.node)]
+    emptied = [0]
+    for node in function.of(ast.Assign, ast.Call, ast.While):
+        if isinstance(node, ast.While):
+            is_emptying = self_attribute(node.test) == attribute
+        elif is_conditional(node, function.node, function.up):
+            is_emptying = False
+        elif isinstance(node, ast.Assign):
+            is_emptying = _is_empty(node) and attribute in map(self_attribute, targets(node))
+        else:
+            is_emptying = called(node) == f"self.{attribute}.clear"
+        emptied += [node.lineno] if is_emptying else []
+    return max(emptied) > max(filled, default=0)
+
+
+def _is_empty(node: ast.AST) -> bool:
+    """Tell whether a statement puts nothing into what it sets: None, or a container without entries."""
+    value = getattr(node, "value", None)
+    if not isinstance(node, (ast.Assign, ast.AnnAssign)):
+        return False
+    if isinstance(value, (ast.List, ast.Dict, ast.Tuple)):
+        return not any(isinstance(child, ast.expr) for child in ast.iter_child_nodes(value))
+    made = isinstance(value, ast.Call) and called(value) in {"list", "dict", "set", "deque", "collections.deque"}
+    return (isinstance(value, ast.Constant) and value.value is None) or (made and not getattr(value, "args", None))
 
 
 def _left_in(adapter: Adapter, attribute: str, component: Adapter) -> dict[str, Write]:
