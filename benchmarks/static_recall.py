@@ -2,9 +2,10 @@
 
     python benchmarks/static_recall.py CHECKOUT DEFECTS [ADAPTER...] [--json FILE]
 
-CHECKOUT is a clone of the ecosystem's repository, DEFECTS a JSON file with `defects`: adapter, file, line, defect_class.
-A defect counts as found where a finding of a rule that is about its class lies in the same file, at most 40 lines away, or
-anywhere in it where the rule is about what is missing. `benchmarks/field.py` asks for nearness only, and for both gates. Nothing of the adapters is run.
+CHECKOUT is a clone of the ecosystem's repository. DEFECTS is a JSON file with `defects`: adapter, file, line and
+defect_class of each. A defect counts as found where a finding of a rule that is about its class lies in the same file,
+at most 40 lines away, or anywhere in it where the rule is about what is missing. `benchmarks/field.py` asks for
+nearness only, and for both gates. Nothing of the adapters is run.
 """
 
 from __future__ import annotations
