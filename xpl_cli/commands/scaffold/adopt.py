@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from xpl_cli.commands.scaffold.from_checkpoint import CAMERA, GRIPPER, STATISTICS
+
 if TYPE_CHECKING:
     from xpl_cli.adopt.package import Adoption
 
@@ -26,15 +28,9 @@ def adopt(
         metavar="FOLDER",
         help="Folder of the checkpoint that it runs, which fills the native block; once more for its data set.",
     ),
-    gripper: str | None = typer.Option(
-        None, metavar="CLOSED,OPEN", help="With --from: the model's values of a closed and of an open gripper."
-    ),
-    camera: list[str] = typer.Option(
-        [], metavar="NAME=CAMERA", help="With --from: which of the standard's cameras one of the checkpoint's is."
-    ),
-    statistics: str | None = typer.Option(
-        None, metavar="NAME", help="With --from: whose statistics count, where a file holds those of several data sets."
-    ),
+    gripper: str | None = GRIPPER,
+    camera: list[str] = CAMERA,
+    statistics: str | None = STATISTICS,
     dry_run: bool = typer.Option(False, "--dry-run", help="Print what would be written, and write nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:

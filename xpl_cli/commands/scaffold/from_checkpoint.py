@@ -1,9 +1,11 @@
-"""`xpl new-policy --from`: an adapter from what training left behind."""
+"""`xpl new-policy --from`: an adapter from what training left behind; `xpl adopt` shares its options."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import typer
 
 from xpl import _spec as sdk
 from xpl_cli.commands.scaffold import new_package
@@ -13,6 +15,16 @@ if TYPE_CHECKING:
 
     from xpl_cli.adopt.checkpoints.block import Choices
     from xpl_cli.adopt.checkpoints.start import Start
+
+GRIPPER = typer.Option(
+    None, metavar="CLOSED,OPEN", help="With --from: the model's values of a closed and of an open gripper."
+)
+CAMERA = typer.Option(
+    [], metavar="NAME=CAMERA", help="With --from: which of the standard's cameras one of the checkpoint's is."
+)
+STATISTICS = typer.Option(
+    None, metavar="NAME", help="With --from: whose statistics count, where a file holds those of several data sets."
+)
 
 _SCHEMA = "xpl.new-policy/1"
 _TAKEN = "the checkpoint says it"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.commands.scaffold import from_checkpoint, new_package
+from xpl_cli.commands.scaffold.from_checkpoint import CAMERA, GRIPPER, STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,15 +49,9 @@ def new_policy(
         metavar="FOLDER",
         help="Folder of a checkpoint whose facts fill policy.yml; once more for the data set it was trained on.",
     ),
-    gripper: str | None = typer.Option(
-        None, metavar="CLOSED,OPEN", help="With --from: the model's values of a closed and of an open gripper."
-    ),
-    camera: list[str] = typer.Option(
-        [], metavar="NAME=CAMERA", help="With --from: which of the standard's cameras one of the checkpoint's is."
-    ),
-    statistics: str | None = typer.Option(
-        None, metavar="NAME", help="With --from: whose statistics count, where a file holds those of several data sets."
-    ),
+    gripper: str | None = GRIPPER,
+    camera: list[str] = CAMERA,
+    statistics: str | None = STATISTICS,
     version: str | None = typer.Option(
         None, "--spec", metavar="VERSION", help="Version of the standard; the newest by default."
     ),
