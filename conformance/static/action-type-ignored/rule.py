@@ -45,7 +45,7 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     functions = adapter.reach(*adapter.methods)
     for function in functions:
         for node in function.of(ast.If):
-            if _only_reports(adapter, function, node) and _compares(node.test):
+            if _only_reports(adapter, function, node) and _compares(node.test, _named(function)):
                 yield Finding(
                     f"an {_KEY} that the adapter cannot serve is only warned about: "
                     "the run is labelled with one type of action and made with the other",
@@ -69,9 +69,23 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
             )
 
 
-def _compares(test: ast.expr) -> bool:
+def _named(function: Function) -> set[str]:
+    """Return the local names that hold the type of action."""
+    return {
+        target.id
+        for node in function.of(ast.Assign)
+        if any(_KEY in (last(dotted(part)), *texts(part)) for part in ast.walk(node.value))
+        for target in targets(node)
+        if isinstance(target, ast.Name)
+    }
+
+
+def _compares(test: ast.expr, named: set[str]) -> bool:
     return any(
-        isinstance(node, ast.Compare) and any(_KEY in (last(dotted(part)), *texts(part)) for part in ast.walk(node))
+        isinstance(node, ast.Compare)
+        and any(
+            _KEY in (last(dotted(part)), *texts(part)) or getattr(part, "id", "") in named for part in ast.walk(node)
+        )
         for node in ast.walk(test)
     )
 

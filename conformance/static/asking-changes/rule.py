@@ -99,7 +99,15 @@ def _is_replaced(change: Change) -> bool:
         if node is not change.node and (before in ast.unparse(node.value) or names(node.value) & made):
             made |= {entry.id for entry in targets(node) if isinstance(entry, ast.Name)}
     is_made = before in ast.unparse(change.value) or bool(names(change.value) & made)
-    return is_made and last(called(change.value)) not in _SAME_AGAIN and not isinstance(change.value, ast.Name)
+    values: list[ast.expr] = [change.value]
+    if isinstance(change.value, ast.Name):
+        values = [node.value for node in change.function.of(ast.Assign) if names(change.value) & set(_bound(node))]
+    is_other = any(isinstance(one, (ast.BinOp, ast.Call)) and last(called(one)) not in _SAME_AGAIN for one in values)
+    return is_made and is_other
+
+
+def _bound(node: ast.Assign) -> list[str]:
+    return [entry.id for entry in targets(node) if isinstance(entry, ast.Name)]
 
 
 def _is_guarded(change: Change) -> bool:

@@ -70,9 +70,20 @@ def _in_helpers(source: Source, adapter: Adapter, function: Function) -> Iterato
     """Yield what a helper that is given one observation of the batch after another does without the key."""
     seen: set[int] = set()
     for caller, helper, parameter in _handed(adapter, function, 2):
-        if id(helper.node) in seen or _asks_first(helper):
+        if id(helper.node) in seen:
             continue
         seen.add(id(helper.node))
+        for choice in _chosen(helper):
+            yield Finding(
+                f"{caller.name} hands a batch to {helper.name} one by one: without {_KEY} all count as "
+                f"environment {constant(choice.orelse)}, and overwrite each other or share one history",
+                **source.at(helper.file, choice),
+                expected="position in the batch where the key is missing",
+                got=ast.unparse(choice),
+                fix=_FIX,
+            )
+        if _asks_first(helper):
+            continue
         for node in helper.nodes:
             read = key_read(node)
             if read is None or read.key != _KEY or getattr(read.owner, "id", "") != parameter:
@@ -91,6 +102,18 @@ def _in_helpers(source: Source, adapter: Adapter, function: Function) -> Iterato
                 yield _finding(
                     source, helper, read, f"a batch without {_KEY} raises KeyError, although the key is optional"
                 )
+
+
+def _chosen(function: Function) -> list[ast.IfExp]:
+    """Return where a constant stands for a key that is missing: `obs["env_idx"] if "env_idx" in obs else 0`."""
+    return [
+        node
+        for node in function.of(ast.IfExp)
+        if isinstance(node.test, ast.Compare)
+        and isinstance(node.test.ops[0], ast.In)
+        and constant(node.test.left) == _KEY
+        and isinstance(constant(node.orelse), int)
+    ]
 
 
 def _handed(adapter: Adapter, function: Function, depth: int) -> Iterator[tuple[Function, Function, str]]:

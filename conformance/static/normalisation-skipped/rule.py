@@ -174,6 +174,10 @@ def _branched(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
             body, other = list(node.body), not node.orelse and not isinstance(node.body[-1], ast.Return)
         else:
             continue
+        if isinstance(node, ast.IfExp) and isinstance(node.body, ast.Name):
+            for name, why in _missing(node.test):
+                if _applies(node.orelse, name):
+                    yield node, name, why
         for name in _present(node.test) if other else ():
             if any(_applies(entry, name) for entry in body):
                 yield node, name, "is missing"

@@ -150,6 +150,11 @@ def _otherwise(function: Function, steps: set[str], entries: set[str]) -> Iterat
         block = node.body if is_missing else node.orelse
         if wanted and any(_chosen(ast.walk(entry), entries) for entry in block):
             yield node, f"if {ast.unparse(node.test)}: ..., and otherwise another entry", wanted
+    yield from _nearest(function, steps, entries)
+    for node in function.of(ast.If):
+        wanted = _found_by(function, node.test, steps)
+        if wanted and not node.orelse and leaves(node.body) and _falls_to(function, node, entries):
+            yield node, f"if {ast.unparse(node.test)}: ..., and then another entry", wanted
     for loop in function.of(ast.For):
         compared = [child for child in ast.walk(loop) if isinstance(child, ast.Compare)]
         found = {name for child in compared for name in names(child)} & steps
@@ -160,6 +165,46 @@ def _otherwise(function: Function, steps: set[str], entries: set[str]) -> Iterat
             found = _sifted_by(call.args[0]) & steps
             if found and any(_picks(child) and names(child) & entries for child in ast.walk(call.args[1])):
                 yield call, ast.unparse(call), min(found)
+
+
+def _nearest(function: Function, steps: set[str], entries: set[str]) -> Iterator[tuple[ast.AST, str, str]]:
+    """Yield where the entry that is nearest to the step is taken."""
+    for call in function.of(ast.Call):
+        nearest = {name for one in call.keywords if one.arg == "key" for name in names(one.value)} & steps
+        if called(call) in {"min", "max"} and nearest and names(call) & entries:
+            yield call, ast.unparse(call), min(nearest)
+
+
+def _found_by(function: Function, test: ast.expr, steps: set[str]) -> str | None:
+    """Return the step whose entry a test finds: `path.is_file()` of a path that it makes, `step in found`."""
+    made = {target.id: names(node.value) & steps for node in function.of(ast.Assign) for target in targets(node)
+            if isinstance(target, ast.Name)}  # fmt: skip
+    for node in ast.walk(test):
+        asked: set[str] = set()
+        if isinstance(node, ast.Call) and last(called(node)) in _EXISTS:
+            asked = names(node)
+        elif isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.In):
+            asked = names(node.left)
+        wanted = (asked & steps) | {step for name in asked for step in made.get(name, ())}
+        if wanted:
+            return min(wanted)
+    return None
+
+
+def _falls_to(function: Function, node: ast.stmt, entries: set[str]) -> bool:
+    """Tell whether what comes after a statement, before anything raises or returns, is another entry's choice."""
+    inner: ast.AST = node
+    for outer in enclosing(node, function.up):
+        for block in (getattr(outer, name, None) for name in ("body", "orelse")):
+            for statement in block[block.index(inner) + 1 :] if isinstance(block, list) and inner in block else ():
+                if _chosen(ast.walk(statement), entries):
+                    return True
+                if isinstance(statement, (ast.Raise, ast.Return)):
+                    return False
+        if outer is function.node:
+            break
+        inner = outer
+    return False
 
 
 def _given_steps(function: Function) -> set[str]:
