@@ -149,6 +149,8 @@ EMBEDS = _pattern(
     r"|hidden_states?|pooler_output|.*_embeds?"
 )
 """What gives features of an image or a text."""
+ENCODERS = _pattern(r"tokeni[sz]|processor")
+"""What gives a map of what a model reads, from texts and images."""
 TOKENS = _pattern(r".*(token|input_ids|_ids|ids|attn_mask|attention_mask|lang_mask|img_mask|.*_masks?)")
 
 

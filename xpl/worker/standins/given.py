@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from xpl.worker.standins.facts import ANSWERS, TRANSFORMS
+from xpl.worker.standins.facts import ANSWERS, ENCODERS, TRANSFORMS
 
 _MOST = 64
 """Environments of a batch; a longer first axis is something else."""
@@ -121,6 +121,14 @@ class Given:
             if found is not None:
                 return found
         return None
+
+    def encoded(self) -> list[str] | None:
+        """Return the keys of what a tokenizer or a processor of texts and images gives; None for any other call."""
+        if not ENCODERS.search(f"{self.verb} {self.owner}".lower()):
+            return None
+        kinds = _kinds(self.values)
+        texts = ["input_ids", "attention_mask"] if kinds & {"text", "word"} else []
+        return [*texts, *(["pixel_values"] if "image" in kinds else [])] or None
 
     def is_of_image(self) -> bool:
         """Tell whether a transformation was given an image as libraries of images have them."""

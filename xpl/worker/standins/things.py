@@ -167,6 +167,8 @@ class Thing(Worth):
         """Return the keys of the map that went in, if one did."""
         told = origin(self)
         found = told.given.keys(told.keys) if told.given is not None else None
+        if found is None and told.given is not None and not told.keys:
+            found = told.given.encoded()
         if found is None:
             found = list(self.__dict__.get("_xpl_parts", {}))
             if not found and WORLD.facts is not None and known.STATISTICS.search(f"{told.name}.{told.keys}".lower()):
