@@ -58,7 +58,8 @@ RUN = """
     import numpy as np
     from pathlib import Path
     from xpl.worker.standins.kit import Kit
-    kit = Kit(Path(sys.argv[1]), {"env_cfg_type": "arx_x5", "action_type": "joint", "ckpt_name": "run", "chunk_size": 8})
+    config = {"env_cfg_type": "arx_x5", "action_type": "joint", "ckpt_name": "run", "chunk_size": 8}
+    kit = Kit(Path(sys.argv[1]), config)
     model = kit.built()
     def act(state, text):
         model.update_obs({"state": np.full(14, state, np.float32), "instruction": text})

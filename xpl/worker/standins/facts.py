@@ -145,7 +145,7 @@ ANSWERS = _pattern(
 )
 """Functions that answer with actions."""
 EMBEDS = _pattern(
-    r"(?i).*(encoder|embed(der|ding|s)?|tower|backbone|tokenizer_vae|vae|encode_.*|.*features?|encode)|last_hidden_state"
+    r"(?i).*(encoder(model)?|embed(der|ding|s)?|tower|backbone|tokenizer_vae|vae|encode_.*|.*features?|encode)|last_hidden_state"
     r"|hidden_states?|pooler_output|.*_embeds?"
 )
 """What gives features of an image or a text."""

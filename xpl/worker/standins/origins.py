@@ -67,6 +67,11 @@ class Origin:
         self.is_text = is_text
 
     @property
+    def owner(self) -> str:
+        """The class that an object was made of, also by `from_pretrained`; the last part of any other name."""
+        return self.name.rpartition(".from_pretrained")[0].rpartition(".")[2] or self.last
+
+    @property
     def last(self) -> str:
         """The last part of the name, without calls and elements."""
         if self.keys and isinstance(self.keys[-1], str):

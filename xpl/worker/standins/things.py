@@ -335,7 +335,7 @@ def called(thing: Any, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> 
     is_class = (last[:1].isupper() and not told.name.endswith(")")) or last == "from_pretrained"
     shown = WORLD.serving or bool(known.TRANSFORMS.fullmatch(last.lower()))
     if shown and is_data((arguments, dict(named)), texts=WORLD.serving):
-        given = Given(last, arguments, dict(named), told.memory, before=told.given, owner=told.last)
+        given = Given(last, arguments, dict(named), told.memory, before=told.given, owner=told.owner)
         if not is_class and WORLD.serving:
             told.memory.remember(given)
         return Thing(Origin(f"{told.name}()", Memory() if is_class else told.memory, given))
