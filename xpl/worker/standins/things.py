@@ -332,6 +332,9 @@ def called(thing: Any, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> 
     if told.name.endswith(")"):
         speaks = known.TRANSFORMS.fullmatch(last.lower()) or known.EMBEDS.fullmatch(last)
         last = "__call__" if (last[:1].isupper() and not speaks) or last == "from_pretrained" else last
+    if last in ("forward", "apply", "__call__"):  # of a normaliser, a processor ...
+        whose = told.name.rpartition(".")[0].rpartition(".")[2].partition("(")[0]
+        last = whose if known.TRANSFORMS.fullmatch(whose.lower()) else last
     is_class = (last[:1].isupper() and not told.name.endswith(")")) or last == "from_pretrained"
     shown = WORLD.serving or bool(known.TRANSFORMS.fullmatch(last.lower()))
     if shown and is_data((arguments, dict(named)), texts=WORLD.serving):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ class Values:
     def __init__(self, facts: Facts) -> None:
         self._facts = facts
         self._guess = 0
+        self._shown: dict[str, set[str]] = {}
         self._encoders: dict[str, Answers] = {}
         self._answers: dict[int, Answers] = {}
         self._made: dict[tuple[int, tuple[Any, ...]], tuple[Given, Any]] = {}
@@ -91,6 +92,7 @@ class Values:
         width = self._width(given, keys)
         count = given.count
         label = [str(key) for key in keys]
+        self._look_for_nothing(given)
         try:
             rows = [self._answer(width).of([given.shown(row if count else None), label]) for row in range(count or 1)]
         except ShadowError:
@@ -100,6 +102,15 @@ class Values:
                 for row in rows:
                     row[:, start : start + 4] /= np.linalg.norm(row[:, start : start + 4], axis=1, keepdims=True)
         return _typed(np.stack(rows) if count else rows[0])
+
+    def _look_for_nothing(self, given: Given) -> None:
+        """Refuse to answer where something is none that was shown before: nobody knows what the real one does then."""
+        seen = self._shown.setdefault(given.verb, set())
+        for path, item in _entries(given.values, ""):
+            if item is None and path in seen:
+                refuse(given.verb, f"answer to nothing under {path.strip('/')}")
+            if item is not None and not isinstance(item, (bool, int, float)):
+                seen.add(path)
 
     def _answer(self, width: int) -> Answers:
         if width not in self._answers:
@@ -118,6 +129,17 @@ class Values:
             if found is not None and tail not in ("action", "actions", "state"):
                 return found
         return self._facts.widths[self._guess]
+
+
+def _entries(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _entries(item, f"{path}/{key}")
+    elif isinstance(value, (list, tuple)) and len(value) <= _TOKENS:
+        for place, item in enumerate(value):
+            yield from _entries(item, f"{path}/{place}")
+    else:
+        yield path, value
 
 
 def _typed(array: np.ndarray) -> Any:
