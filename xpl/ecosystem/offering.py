@@ -1,4 +1,4 @@
-"""A finder that stands last in line: it gives the ecosystem's modules where no real ones were found before it."""
+"""A finder behind those of files: it gives the ecosystem's modules where no real ones were found before it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import importlib.machinery
 import importlib.util
 import sys
 from collections.abc import Mapping
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 
@@ -47,9 +48,13 @@ class Offering:
         self._root = root
 
     def install(self) -> None:
-        """Be asked from now on, by imports that nobody else can serve, and in place of any that was there before."""
-        sys.meta_path[:] = [finder for finder in sys.meta_path if not isinstance(finder, Offering)]
-        sys.meta_path.append(self)
+        """Be asked from now on, by imports that no file serves, in place of any that was there before.
+
+        What stands in for modules that are nowhere comes after it.
+        """
+        others = [finder for finder in sys.meta_path if not isinstance(finder, Offering)]
+        place = others.index(PathFinder) + 1 if PathFinder in others else len(others)
+        sys.meta_path[:] = [*others[:place], self, *others[place:]]
 
     def find_spec(
         self,
