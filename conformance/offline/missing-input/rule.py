@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
@@ -23,7 +24,8 @@ def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     ## What it does
     Leaves out each input that the manifest requires, one at a time: the whole of it, the share of one arm, the picture
     of a camera that is listed, everything of its group. The answer must be an error that names what is missing. Without
-    a manifest, the cameras and states on which the action depends count as required.
+    a manifest, the cameras and states on which the action depends count as required; as nobody said so, that is a
+    warning.
 
     ## Why it matters
     A black image in place of a camera that is unplugged or named otherwise gives plausible motion and a low score;
@@ -45,15 +47,14 @@ def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     unseen = semantics.evidently_unseen()
     with probe.session() as policy:
         for name in names:
-            yield from judge(
+            for finding in judge(
                 policy,
                 missing(obs, name) if name in there else (),
                 goes_on=_UNREAD if name in unseen else _MADE_UP,
                 unclear="{faults}, the policy stops, but its error does not say that {name} is missing",
-                fix=Fix(
-                    "advice", "read required fields with xpl.observation, which raises, and never default to zeros"
-                ),
-            )
+                fix=_FIX,
+            ):
+                yield finding if probe.required else replace(finding, must=False)
 
 
 def _used(semantics: Semantics) -> list[str]:
