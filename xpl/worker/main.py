@@ -215,9 +215,10 @@ class Worker:
             found = found or self._kit.lacks(error)
         if self._stubs is not None or self._kit is not None:
             from xpl.worker import stubs
+            from xpl.worker.standins.origins import StubError
 
             asked = stubs.asked()
-            found = found if asked is None else {"kind": stubs.StubError.kind, "name": asked}
+            found = found if asked is None else {"kind": StubError.kind, "name": asked}
         return {} if found is None else {"lacks": found}
 
     def _disturbed(self, error: BaseException) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from xpl.worker.standins.origins import WORLD
 from xpl.worker.standins.things import _named
 
 _VERSION = "0.0.0"
+_STANDARD: frozenset[str] = getattr(sys, "stdlib_module_names", frozenset())  # Python 3.10
 _SERVER = re.compile(r"^\s*(?:import|from)\s+(?:websockets|requests|httpx|aiohttp|zmq|grpc)\b", re.MULTILINE)
 """What asks a server of actions, which is not here either."""
 _LIGHT, _HEAVY = "light", "heavy"
@@ -86,8 +87,8 @@ class Finder:
                 return self.spec(name)
 
             importlib.util.spec_from_file_location = located
-            sys.meta_path.insert(0, _Before(self))  # type: ignore[arg-type]
-        sys.meta_path.append(self)  # type: ignore[arg-type]
+            sys.meta_path.insert(0, _Before(self))
+        sys.meta_path.append(self)
 
     def find_spec(self, name: str, path: Any = None, target: object = None) -> importlib.machinery.ModuleSpec | None:  # noqa: ARG002
         """Return the stand-in of a module that nobody else has; the finders before this one were asked already."""
@@ -153,7 +154,8 @@ class Finder:
             return None
         weight = self._weight(found, name)
         if weight == _LIGHT and found.loader is not None:
-            found.loader = _Trying(found.loader, self)
+            trying: Any = _Trying(found.loader, self)
+            found.loader = trying
             return found
         if weight != _HEAVY:
             return None
@@ -220,7 +222,7 @@ class Finder:
         missing: set[str] = set()
         for name in _imports(file, package):
             top = name.partition(".")[0]
-            if top in sys.builtin_module_names or top in sys.stdlib_module_names:
+            if top in sys.builtin_module_names or top in _STANDARD:
                 continue
             if top in self.names or isinstance(sys.modules.get(top), StandInModule):
                 missing.add(top)

@@ -43,6 +43,7 @@ class Text(str):
     """The text of a file that is not here."""
 
     __slots__ = ("name",)
+    name: str
 
     def __new__(cls, name: str) -> Text:
         made = super().__new__(cls, "")
@@ -128,7 +129,7 @@ class Folders:
                     return self._stat(place / "file" if self.is_file(path) else place)
                 raise
 
-        os.stat = stat  # type: ignore[assignment]
+        os.stat = stat
         self._patch(os.path, "exists", lambda real, path: _safely(ours, path) or real(path))
         self._patch(
             os.path, "isfile", lambda real, path: (_safely(ours, path) and self._may_be_file(path)) or real(path)

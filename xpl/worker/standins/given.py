@@ -144,7 +144,8 @@ class Given:
                 return list(found)
             inner = _origin(found)
             if inner is not None and inner.given is not None:
-                return inner.given.keys(inner.keys)
+                below: list[Any] | None = inner.given.keys(inner.keys)
+                return below
         return None
 
 

@@ -190,7 +190,7 @@ def _in_kit(error: BaseException) -> bool:
     trace, file = error.__traceback__, ""
     while trace is not None:
         file, trace = trace.tb_frame.f_code.co_filename, trace.tb_next
-    return Path(file).is_relative_to(Path(__file__).parent)
+    return file != __file__ and Path(file).is_relative_to(Path(__file__).parent)
 
 
 def wants(policy_dir: Path) -> bool:

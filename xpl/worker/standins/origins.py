@@ -92,7 +92,7 @@ def refuse(name: str, what: str) -> NoReturn:
 
 def origin(thing: Any) -> Origin:
     """Return where a thing comes from; what derives from one gets an origin when it is asked first."""
-    found = thing.__dict__.get("_xpl_origin")
+    found: Origin | None = thing.__dict__.get("_xpl_origin")
     if found is None:
         found = Origin(type(thing).__name__, Memory())
         thing.__dict__["_xpl_origin"] = found

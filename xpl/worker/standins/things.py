@@ -74,7 +74,7 @@ class Thing(Worth):
     def __instancecheck__(self, instance: Any) -> bool:
         if type(instance) is Thing:
             return origin(instance).name.endswith(f"{origin(self).name}()") or origin(instance).last[:1].islower()
-        return issubclass(type(instance), self)
+        return self.__subclasscheck__(type(instance))
 
     def __subclasscheck__(self, cls: type) -> bool:
         bases = [base for kind in getattr(cls, "__mro__", ()) for base in kind.__dict__.get("__orig_bases__", ())]

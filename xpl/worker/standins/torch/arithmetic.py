@@ -73,7 +73,7 @@ def equip(tensor: Any) -> None:
     for name in ("add", "sub", "mul", "pow", "matmul"):
         setattr(tensor, name, _binary(_FUNCTIONS[name]))
         setattr(tensor, f"{name}_", _binary(_FUNCTIONS[name], in_place=True))
-    tensor.div, tensor.div_ = _binary(np.true_divide), _binary(np.true_divide, in_place=True)  # type: ignore[attr-defined]
+    tensor.div, tensor.div_ = _binary(np.true_divide), _binary(np.true_divide, in_place=True)
     for name in ("lt", "le", "gt", "ge", "eq", "ne"):
         function = {
             "lt": np.less,
@@ -103,13 +103,13 @@ def equip(tensor: Any) -> None:
         "isinf",
     ):
         setattr(tensor, name, _unary(getattr(np, name)))
-    tensor.round = lambda self, decimals=0: self.like(np.round(self.array, decimals))  # type: ignore[attr-defined]
-    tensor.__neg__ = _unary(np.negative)  # type: ignore[attr-defined]
-    tensor.__abs__ = _unary(np.abs)  # type: ignore[attr-defined]
-    tensor.__invert__ = _unary(np.logical_not)  # type: ignore[attr-defined]
+    tensor.round = lambda self, decimals=0: self.like(np.round(self.array, decimals))
+    tensor.__neg__ = _unary(np.negative)
+    tensor.__abs__ = _unary(np.abs)
+    tensor.__invert__ = _unary(np.logical_not)
 
     for name in ("mean", "sum", "prod", "any", "all"):
         setattr(tensor, name, _reduction(getattr(np, name)))
-    tensor.cumsum = lambda self, dim, **_: self.like(self.array.cumsum(dim))  # type: ignore[attr-defined]
+    tensor.cumsum = lambda self, dim, **_: self.like(self.array.cumsum(dim))
     for name, kind in {**kinds.ALIASES, "bfloat16": "bfloat16", "bool": "bool"}.items():
         setattr(tensor, name, lambda self, kind=kind: self.to(DTYPES[kind]))

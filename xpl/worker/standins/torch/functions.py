@@ -9,8 +9,9 @@ from typing import Any, Callable
 
 import numpy as np
 
+from xpl.worker.standins.torch.arithmetic import raw
 from xpl.worker.standins.torch.kinds import ALIASES, DTYPES, device, dtype
-from xpl.worker.standins.torch.tensor import Tensor, _sizes, raw
+from xpl.worker.standins.torch.tensor import Tensor, _sizes
 
 _FLOAT = DTYPES["float32"]
 _RANDOM = {"generator": np.random.default_rng(0)}
@@ -137,7 +138,7 @@ def where(condition: Any, first: Any = None, second: Any = None) -> Any:
     return owner.like(np.where(raw(condition), raw(first), raw(second)).astype(owner.array.dtype))
 
 
-def interpolate(input: Any, size: Any = None, scale_factor: Any = None, mode: str = "nearest", **_: Any) -> Tensor:
+def interpolate(input: Any, size: Any = None, scale_factor: Any = None, mode: str = "nearest", **_: Any) -> Any:
     """Return an image (B, C, H, W) in another size."""
     array = input.array
     if size is None:
@@ -151,7 +152,7 @@ def interpolate(input: Any, size: Any = None, scale_factor: Any = None, mode: st
     if mode in ("nearest", "nearest-exact"):
         return input.like(array[:, :, np.round(rows).astype(int)][:, :, :, np.round(columns).astype(int)])
 
-    def blend(values: np.ndarray, where: np.ndarray, axis: int) -> np.ndarray:
+    def blend(values: np.ndarray, where: np.ndarray, axis: int) -> Any:
         low = np.floor(where).astype(int)
         share = (where - low).reshape([-1 if place == axis else 1 for place in range(values.ndim)])
         high = np.minimum(low + 1, values.shape[axis] - 1)
@@ -160,17 +161,18 @@ def interpolate(input: Any, size: Any = None, scale_factor: Any = None, mode: st
     return input.like(blend(blend(array.astype(np.float32), rows, 2), columns, 3).astype(np.float32), None)
 
 
-def pad(input: Any, pad: Sequence[int], mode: str = "constant", value: Any = 0) -> Tensor:
+def pad(input: Any, pad: Sequence[int], mode: str = "constant", value: Any = 0) -> Any:
     """Return a tensor with margins, the last axis first."""
     margins = [(0, 0)] * input.ndim
     for place in range(len(pad) // 2):
         margins[-1 - place] = (pad[2 * place], pad[2 * place + 1])
     if mode == "constant":
         return input.like(np.pad(input.array, margins, constant_values=value or 0))
-    return input.like(np.pad(input.array, margins, mode={"replicate": "edge", "circular": "wrap"}.get(mode, mode)))
+    edges: Any = {"replicate": "edge", "circular": "wrap"}.get(mode, mode)
+    return input.like(np.pad(input.array, margins, mode=edges))
 
 
-def normalize(input: Any, p: float = 2.0, dim: int = 1, eps: float = 1e-12, **_: Any) -> Tensor:
+def normalize(input: Any, p: float = 2.0, dim: int = 1, eps: float = 1e-12, **_: Any) -> Any:
     """Return a tensor whose rows have length 1."""
     return input / np.maximum(np.linalg.norm(input.array, p, dim, keepdims=True), eps)
 
@@ -256,9 +258,7 @@ def of_things(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return either
 
 
-FUNCTIONS: dict[str, Callable[..., Any]] = {
-    name: of_things(name, function)
-    for name, function in {
+_PLAIN: dict[str, Any] = {
         **{
             name: _method(name)
             for name in (
@@ -275,6 +275,6 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
         "bmm": _method("matmul"), "mm": _method("matmul"), "minimum": _method("min"), "maximum": _method("max"),
         "zeros": zeros, "ones": ones, "empty": empty, "randn": randn, "rand": rand, "full": full, "arange": arange,
         "linspace": linspace, "eye": eye,
-    }.items()
 }  # fmt: skip
+FUNCTIONS: dict[str, Callable[..., Any]] = {name: of_things(name, function) for name, function in _PLAIN.items()}
 KINDS = {**DTYPES, **{alias: DTYPES[name] for alias, name in ALIASES.items()}}

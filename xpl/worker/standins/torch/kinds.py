@@ -21,12 +21,12 @@ class dtype:  # noqa: N801 - torch's name
     @property
     def is_floating_point(self) -> bool:
         """Whether it has fractions."""
-        return self.kept.kind == "f"
+        return str(self.kept.kind) == "f"
 
     @property
     def is_complex(self) -> bool:
         """Whether it is complex."""
-        return self.kept.kind == "c"
+        return str(self.kept.kind) == "c"
 
     @property
     def itemsize(self) -> int:
@@ -83,6 +83,9 @@ def of_array(array: np.ndarray) -> dtype:
 class device:  # noqa: N801 - torch's name
     """Where a tensor is said to be."""
 
+    type: str
+    index: int | None
+
     def __init__(self, name: Any = "cpu", index: int | None = None) -> None:
         if isinstance(name, device):
             self.type, self.index = name.type, name.index
@@ -114,7 +117,7 @@ class device:  # noqa: N801 - torch's name
         pass
 
 
-class Size(tuple):
+class Size(tuple):  # type: ignore[type-arg]
     """The lengths of a tensor's axes."""
 
     __slots__ = ()

@@ -184,11 +184,11 @@ class Tensor(metaclass=_TensorType):
         return self.to(other)
 
     def is_floating_point(self) -> bool:
-        return self.dtype.is_floating_point
+        return bool(self.dtype.is_floating_point)
 
     @property
     def is_cuda(self) -> bool:
-        return self.device.type == "cuda"
+        return str(self.device.type) == "cuda"
 
     def numpy(self, **_: Any) -> np.ndarray:
         if self.dtype.name == "bfloat16":
