@@ -1,7 +1,7 @@
 """Checkpoints that are not here: files and folders that are there as soon as an adapter looks for them.
 
 Below the places where weights belong, what does not exist is taken to exist: with a suffix as a file, without one as a
-folder. What is read from such a file is a thing; what is written goes to a temporary folder. Nothing outside of these
+folder. What is read from such a file is a thing; what is written is gone when it is closed. Nothing outside of these
 places changes, and nothing that exists is hidden.
 """
 
@@ -73,12 +73,10 @@ class Folders:
     def __init__(self, roots: list[Path]) -> None:
         self._roots = [os.path.realpath(root) for root in roots]
         self.files: set[str] = set()
-        self._temporary = tempfile.TemporaryDirectory(prefix="xpl-stand-in-")
         self._added: set[str] = set()
         self._stat = os.stat
         self._exists = os.path.lexists
         self.root = os.path.join(self._roots[0], ROOT)
-        (Path(self._temporary.name) / "file").touch()
 
     def is_ours(self, path: Any) -> bool:
         """Tell whether a path is one of those that are taken to exist."""
@@ -119,14 +117,14 @@ class Folders:
 
     def install(self) -> None:
         """Let the paths exist from now on."""
-        ours, place = self.is_ours, Path(self._temporary.name)
+        ours = self.is_ours
 
         def stat(path: Any, *arguments: Any, **named: Any) -> Any:
             try:
                 return self._stat(path, *arguments, **named)
             except (FileNotFoundError, NotADirectoryError):
                 if named.get("dir_fd") is None and ours(path):
-                    return self._stat(place / "file" if self.is_file(path) else place)
+                    return self._stat(__file__ if self.is_file(path) else os.path.dirname(__file__))
                 raise
 
         os.stat = stat
@@ -213,7 +211,7 @@ class Folders:
     def _open(self, path: Any, mode: str) -> Any:
         if "r" in mode and "+" not in mode:
             return _File(os.fspath(path), binary="b" in mode)
-        return tempfile.TemporaryFile(mode, dir=self._temporary.name)
+        return tempfile.TemporaryFile(mode)  # gone when it is closed
 
     def _glob(self, path: Any, pattern: str) -> list[Path]:
         last = pattern.rpartition("/")[2]
