@@ -151,10 +151,7 @@ def _otherwise(function: Function, steps: set[str], entries: set[str]) -> Iterat
         if wanted and any(_chosen(ast.walk(entry), entries) for entry in block):
             yield node, f"if {ast.unparse(node.test)}: ..., and otherwise another entry", wanted
     yield from _nearest(function, steps, entries)
-    for node in function.of(ast.If):
-        wanted = _found_by(function, node.test, steps)
-        if wanted and not node.orelse and leaves(node.body) and _falls_to(function, node, entries):
-            yield node, f"if {ast.unparse(node.test)}: ..., and then another entry", wanted
+    yield from _tried(function, steps, entries)
     for loop in function.of(ast.For):
         compared = [child for child in ast.walk(loop) if isinstance(child, ast.Compare)]
         found = {name for child in compared for name in names(child)} & steps
@@ -167,6 +164,16 @@ def _otherwise(function: Function, steps: set[str], entries: set[str]) -> Iterat
                 yield call, ast.unparse(call), min(found)
 
 
+def _tried(function: Function, steps: set[str], entries: set[str]) -> Iterator[tuple[ast.AST, str, str]]:
+    """Yield where a test finds the entry of a step, or finds it missing, and another one takes its place."""
+    for node in function.of(ast.If):
+        wanted, missed = _found_by(function, node.test, steps), _missed_by(function, node.test, steps)
+        if missed and not leaves(node.body) and any(_chosen(ast.walk(entry), entries) for entry in node.body):
+            yield node, f"if {ast.unparse(node.test)}: another entry", missed
+        elif wanted and not missed and not node.orelse and leaves(node.body) and _falls_to(function, node, entries):
+            yield node, f"if {ast.unparse(node.test)}: ..., and then another entry", wanted
+
+
 def _nearest(function: Function, steps: set[str], entries: set[str]) -> Iterator[tuple[ast.AST, str, str]]:
     """Yield where the entry that is nearest to the step is taken."""
     for call in function.of(ast.Call):
@@ -177,8 +184,11 @@ def _nearest(function: Function, steps: set[str], entries: set[str]) -> Iterator
 
 def _found_by(function: Function, test: ast.expr, steps: set[str]) -> str | None:
     """Return the step whose entry a test finds: `path.is_file()` of a path that it makes, `step in found`."""
-    made = {target.id: names(node.value) & steps for node in function.of(ast.Assign) for target in targets(node)
-            if isinstance(target, ast.Name)}  # fmt: skip
+    made: dict[str, set[str]] = {}
+    for setting in function.of(ast.Assign):
+        for target in targets(setting):
+            if isinstance(target, ast.Name):
+                made.setdefault(target.id, set()).update(names(setting.value) & steps)
     for node in ast.walk(test):
         asked: set[str] = set()
         if isinstance(node, ast.Call) and last(called(node)) in _EXISTS:
@@ -188,6 +198,15 @@ def _found_by(function: Function, test: ast.expr, steps: set[str]) -> str | None
         wanted = (asked & steps) | {step for name in asked for step in made.get(name, ())}
         if wanted:
             return min(wanted)
+    return None
+
+
+def _missed_by(function: Function, test: ast.expr, steps: set[str]) -> str | None:
+    """Return the step whose entry a test finds missing: `name not in names`, `not path.exists()`."""
+    if isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
+        return _found_by(function, test.operand, steps)
+    if isinstance(test, ast.Compare) and isinstance(test.ops[0], ast.NotIn):
+        return _found_by(function, ast.Compare(test.left, [ast.In()], test.comparators), steps)
     return None
 
 
@@ -351,9 +370,10 @@ def _siblings(function: Function) -> Iterator[tuple[ast.AST, str]]:
             asked = {last(called(call)) for call in ast.walk(node.test)} if isinstance(node, ast.If) else set()
             if not isinstance(node, ast.If) or not asked & _EXISTS or not names(node.test) & bound:
                 continue
-            taken = [child for child in node.body if isinstance(child, ast.Return) and child.value is not None]
+            leaving = isinstance(node.body[-1], (ast.Return, ast.Break))
+            taken = [child.value for child in node.body if isinstance(child, (ast.Return, ast.Assign)) and child.value]
             wanted = [text for text in texts(loop) if "." in text]
-            if taken and names(taken[0]) & bound and not any(_selects(outer, entry) for outer in loop.body):
+            if leaving and taken and names(taken[0]) & bound and not any(_selects(outer, entry) for outer in loop.body):
                 yield loop, wanted[0] if wanted else "what it looks for"
 
 

@@ -128,7 +128,9 @@ def _bounded(functions: list[Function], adapter: Adapter) -> set[str]:
         for node in function.of(ast.Assign, ast.AnnAssign, ast.Delete, ast.Call):
             found |= _shortened(node, known)
             if isinstance(node, (ast.Assign, ast.AnnAssign)):
-                found.update(self_attribute(target) for target in targets(node))
+                found.update(
+                    one for target in targets(node) if not _is_first(one := self_attribute(target), node, function)
+                )
             elif isinstance(node, ast.Delete):
                 found.update(self_attribute(target) for target in node.targets)
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _REMOVES:
@@ -140,6 +142,17 @@ def _bounded(functions: list[Function], adapter: Adapter) -> set[str]:
             if isinstance(write.node, (ast.Assign, ast.AnnAssign)) and value is not None and _has_bound(value):
                 found.add(write.attribute)
     return {attribute for attribute in found if attribute is not None}
+
+
+def _is_first(attribute: str | None, node: ast.AST, function: Function) -> bool:
+    """Tell whether a statement only makes the entry that is lacking: it stands under `if env not in self.frames`."""
+    return any(
+        isinstance(outer, ast.If)
+        and isinstance(outer.test, ast.Compare)
+        and isinstance(outer.test.ops[0], ast.NotIn)
+        and self_attribute(outer.test.comparators[0]) == attribute
+        for outer in enclosing(node, function.up)
+    )
 
 
 def _has_bound(value: ast.expr) -> bool:
