@@ -118,9 +118,11 @@ def _idle(functions: list[Function]) -> set[int]:
             stored = [target.attr for target in targets(node) if isinstance(target, ast.Attribute)]
             if stored and not read.intersection(stored) and _KEY in texts(node) | set(stored):
                 found |= {id(child) for child in ast.walk(node)}
-        for node in function.of(ast.Attribute):
-            if node.attr == _KEY and is_reported(node, function):
-                found.add(id(node))
+        found |= {
+            id(mention)
+            for mention in function.of(ast.Attribute)
+            if mention.attr == _KEY and is_reported(mention, function)
+        }
     return found
 
 

@@ -71,13 +71,13 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
     elif not known & {_ONE, _MANY}:
         spoken = next(_spoken(adapter), None)
         if spoken is not None:
-            function, node, name = spoken
+            function, given, name = spoken
             yield Finding(
                 f"the policy takes {name}, and no instruction of an observation is ever read: every wording gets one "
                 "answer; whether its weights know one task only cannot be told",
-                **source.at(function.file, node),
+                **source.at(function.file, given),
                 expected=f"`{_ONE}` of the observation",
-                got=ast.unparse(node).split("\n")[0][:80],
+                got=ast.unparse(given).split("\n")[0][:80],
                 fix=Fix("advice", "read it with xpl.observation.get_instruction"),
                 must=False,
             )
@@ -89,7 +89,8 @@ def _reads(function: Function) -> Iterator[ast.expr]:
         found = key_read(node)
         if found is not None and found.key in {_ONE, _MANY}:
             yield found.node
-    for loop in function.of(ast.For, ast.comprehension):
+    loops: list[ast.For | ast.comprehension] = [*function.of(ast.For), *function.of(ast.comprehension)]
+    for loop in loops:
         if {_ONE, _MANY} & texts(loop.iter):
             yield loop.iter
 
@@ -104,7 +105,7 @@ def _constants(function: Function) -> set[str]:
     }
 
 
-def _spoken(adapter: Adapter) -> Iterator[tuple[Function, ast.AST, str]]:
+def _spoken(adapter: Adapter) -> Iterator[tuple[Function, ast.expr, str]]:
     """Yield what the model is given that is called language."""
     for function in adapter.reach(*ACTING):
         for call in function.of(ast.Call):
@@ -116,7 +117,8 @@ def _spoken(adapter: Adapter) -> Iterator[tuple[Function, ast.AST, str]]:
 def _sentences(source: Source, adapter: Adapter) -> Iterator[Finding]:
     """Yield a sentence in the code that a policy acts by where nobody gave an instruction."""
     for function in adapter.reach(*LOADING, *OBSERVING, *ACTING):
-        for node in function.of(ast.Assign, ast.AnnAssign, ast.Call):
+        nodes: list[ast.Assign | ast.AnnAssign | ast.Call] = [*function.of(ast.Assign), *function.of(ast.AnnAssign)]
+        for node in [*nodes, *function.of(ast.Call)]:
             names = [ast.unparse(target) for target in targets(node)]
             read = key_read(node)
             value = node.value if not isinstance(node, ast.Call) else read.default if read is not None else None

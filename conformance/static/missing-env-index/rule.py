@@ -120,9 +120,10 @@ def _handed(adapter: Adapter, function: Function, depth: int) -> Iterator[tuple[
     """Yield the functions that a loop over the batch gives an observation, with the parameter that takes it."""
     batch = set(parameters(function.node)[:1])
     entries: set[str] = set()
-    for node in function.of(ast.For, ast.comprehension):
-        if names(node.iter) & batch:
-            entries |= names(node.target)
+    loops: list[ast.For | ast.comprehension] = [*function.of(ast.For), *function.of(ast.comprehension)]
+    for loop in loops:
+        if names(loop.iter) & batch:
+            entries |= names(loop.target)
     yield from _given(adapter, function, entries, depth)
 
 

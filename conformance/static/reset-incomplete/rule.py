@@ -101,7 +101,8 @@ def _is_drained(attribute: str, functions: list[Function]) -> bool:
 def _empties(attribute: str, function: Function) -> bool:
     filled = [write.line for write in writes([function]) if write.attribute == attribute and not _is_empty(write.node)]
     emptied = [0]
-    for node in function.of(ast.Assign, ast.Call, ast.While):
+    nodes: list[ast.Assign | ast.Call | ast.While] = [*function.of(ast.Assign), *function.of(ast.Call)]
+    for node in [*nodes, *function.of(ast.While)]:
         if isinstance(node, ast.While):
             is_emptying = self_attribute(node.test) == attribute
         elif is_conditional(node, function.node, function.up):

@@ -92,9 +92,9 @@ def _aliases(function: Function) -> dict[str, str]:
 def _by_alias(function: Function) -> Iterator[Write]:
     """Yield what is added to an entry by a local name of it."""
     known = _aliases(function)
-    for node in function.of(ast.AugAssign) if known else ():
-        if isinstance(node.target, ast.Name) and node.target.id in known and _adds(node):
-            yield Write(known[node.target.id], "keyed", function, node)
+    for more in function.of(ast.AugAssign) if known else ():
+        if isinstance(more.target, ast.Name) and more.target.id in known and _adds(more):
+            yield Write(known[more.target.id], "keyed", function, more)
     for node in function.of(ast.Call) if known else ():
         if isinstance(node.func, ast.Attribute) and node.func.attr in _ADDS and isinstance(node.func.value, ast.Name):
             attribute = known.get(node.func.value.id)

@@ -64,9 +64,9 @@ def unknown_name(source: Source) -> Iterator[Finding]:
 
 def _robots(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
     """Yield where a robot that nobody named becomes a certain one."""
-    for node in function.of(ast.If):
-        asked = _lacks(node.test)
-        for entry in node.body if _ROBOTS.search(last(asked)) else ():
+    for branch in function.of(ast.If):
+        asked = _lacks(branch.test)
+        for entry in branch.body if _ROBOTS.search(last(asked)) else ():
             value = constant(entry.value) if isinstance(entry, ast.Assign) else None
             if isinstance(value, str) and _is_robot(value) and any(dotted(one) == asked for one in targets(entry)):
                 yield entry, last(asked), value

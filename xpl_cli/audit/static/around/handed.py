@@ -57,7 +57,8 @@ class _Trail:
     def spread(self, function: Function) -> None:
         """Note where a function puts observations: names, attributes, parameters of functions that it calls."""
         local = self.local[id(function.node)]
-        for node in function.of(ast.Assign, ast.AnnAssign):
+        settings: list[ast.Assign | ast.AnnAssign] = [*function.of(ast.Assign), *function.of(ast.AnnAssign)]
+        for node in settings:
             if node.value is not None and _holds(node.value, local, self.stored):
                 for target in targets(node):
                     attribute = self_attribute(target)
@@ -65,7 +66,8 @@ class _Trail:
                         local.add(target.id)
                     elif attribute is not None:
                         self.stored.add(attribute)
-        for loop in function.of(ast.For, ast.comprehension):
+        loops: list[ast.For | ast.comprehension] = [*function.of(ast.For), *function.of(ast.comprehension)]
+        for loop in loops:
             if _holds(loop.iter, local, self.stored):
                 local |= names(loop.target)
         for call in function.of(ast.Call):
