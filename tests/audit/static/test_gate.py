@@ -227,8 +227,8 @@ def test_rules_share_the_functions_of_a_file(adapter: Path) -> None:
     """What a function computes of itself is computed once, whether a rule comes by the class or by the file."""
     source = Source(adapter)
     by_file = {function.name: function for function in source.functions("model.py")}
-    assert by_file["encode"] is Adapter.of(source).methods["encode"]
-    assert by_file["encode"].owner is Adapter.of(source).node
+    assert by_file["load"] is Adapter.of(source).methods["load"]
+    assert by_file["load"].owner is Adapter.of(source).node
     (adapter / "broken.py").write_text("def f(:\n")
     assert source.functions("broken.py") == ()
 
