@@ -44,6 +44,12 @@ def test_a_state_that_outlives_a_reset() -> None:
     assert _seen(_off(np.s_[1:], np.s_[0, 1]), Kind(keeps_state=True)) == ["recurrent"]
 
 
+def test_what_is_remembered_outlives_a_reset() -> None:
+    """Also a history, and what is right by chance later does not count."""
+    assert _seen(_off(np.s_[1:, 0]), Kind(history=3)) == ["history"]
+    assert _seen(_off(np.s_[1:, 0])) == []
+
+
 def test_a_chunk_that_stands_still() -> None:
     """While the model's moves."""
     assert _seen(np.repeat(NATIVE[:, :, :1], 5, axis=2)) == ["chunk", "action_reference"]

@@ -109,7 +109,7 @@ def _line(rows: Rows, part: str, spread: float) -> _Line | None:
     if key.endswith(spec.State.EE_JOINT_STATE):  # what is quite closed or open may have been clipped
         inside = (found > spec.GRIPPER_CLOSED) & (found < spec.GRIPPER_OPEN)
         inside &= (wanted > spec.GRIPPER_CLOSED) & (wanted < spec.GRIPPER_OPEN)
-    if inside.sum() < max(_LEAST, len(found) // 4):
+    if inside.sum() < max(_LEAST, len(found) // 16):
         return None
     still = np.zeros_like(start)
     bases = [

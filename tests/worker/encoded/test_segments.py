@@ -25,6 +25,7 @@ def _encoded(obs: Mapping[str, Any], *, half: bool, turned: bool) -> np.ndarray:
     place = (np.asarray(state["ee_pose"], np.float64)[:3] - LOW) / (HIGH - LOW + 1e-6)
     mean, std = (MEAN[::-1], STD[::-1]) if turned else (MEAN, STD)
     joints = (np.asarray(state["arm_joint_state"], np.float64) - mean) / std
+    place = np.clip(place, 0, 1)  # some lie outside
     return np.concatenate((place if half else 2 * place - 1, [0.5], joints[::-1], joints[::-1]))
 
 

@@ -19,6 +19,8 @@ _WIDTHS = range(3, 10)
 """Of a position, and of an arm's joints."""
 _MOST_ARRAYS = 10
 _NEAR = 1e-4
+_ENDS = (-1.0, 0.0, 1.0)
+"""Where numbers are clipped."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,8 @@ class Segments:
             for start in range(rows.shape[1] - width + 1):
                 part = rows[:, start : start + width]
                 for number, (_, _, back) in enumerate(self._lines[width]):
-                    if any(_are_near(back(part), held) for held in _held(fields, width)):
+                    free = ~np.isin(part, _ENDS)
+                    if any(_are_near(back(part), held, free) for held in _held(fields, width)):
                         yield _Segment(start, width, number)
                         break
 
@@ -107,8 +110,10 @@ def _held(fields: Sequence[Mapping[str, np.ndarray]], width: int) -> Iterator[np
             yield rows[:, ::-1]
 
 
-def _are_near(one: np.ndarray, other: np.ndarray) -> bool:
-    return bool((np.abs(one - other) < _NEAR * (1 + np.abs(other))).all())
+def _are_near(one: np.ndarray, other: np.ndarray, free: np.ndarray) -> bool:
+    """Tell whether numbers are the same, but for those that may have been clipped."""
+    near = np.abs(one - other) < _NEAR * (1 + np.abs(other))
+    return bool(near[free].all() and 2 * free.sum() >= free.size)
 
 
 def _fields(obs: Mapping[str, Any]) -> dict[str, np.ndarray]:

@@ -68,21 +68,20 @@ def _is_sum(node: ast.AST) -> bool:
 
 def _template(node: ast.AST) -> str | None:
     """Return the text of a node with a hole where something is put in, None if it has no such text."""
-    if isinstance(node, ast.JoinedStr):
-        pieces = ["" if piece is None else piece for piece in map(_constant, node.values)]
-        holes = [_constant(piece) is None for piece in node.values]
-        return "".join(HOLE if hole else piece for hole, piece in zip(holes, pieces, strict=True))
-    if isinstance(node, ast.BinOp) and _is_sum(node):
-        texts = [_constant(piece) for piece in _added(node)]
+    if isinstance(node, ast.JoinedStr) or _is_sum(node):
+        texts = [_constant(piece) for piece in _pieces(node)]
         return "".join(HOLE if text is None else text for text in texts) if any(texts) else None
     text = _constant(node)
     return _FIELD.sub(lambda _: HOLE, text) if text and len(_FIELD.findall(text)) == 1 else None
 
 
-def _added(node: ast.AST) -> Iterator[ast.AST]:
+def _pieces(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield what a text is put together of."""
     if isinstance(node, ast.BinOp) and _is_sum(node):
-        yield from _added(node.left)
-        yield from _added(node.right)
+        yield from _pieces(node.left)
+        yield from _pieces(node.right)
+    elif isinstance(node, ast.JoinedStr):
+        yield from node.values
     else:
         yield node
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.support.native import fields
 from xpl.embodiment import get_embodiment
 from xpl.wire import packed
-from xpl_cli.native.alternatives.signals import Signal, arms, pictures, poses, signals
+from xpl_cli.native.alternatives.signals import Signal, arms, deltas, pictures, poses, signals
 from xpl_cli.native.difference import differences, spreads
 from xpl_cli.native.script import Scene
 from xpl_cli.standard import spec
@@ -247,6 +247,43 @@ def _said(joints: Any) -> dict[str, Any]:
 def test_a_mistake_of_hand_is_undone(state: Any, command: Any, right: Any, words: str) -> None:
     """On the way in, on the way out, both ways; of what is commanded and of deltas."""
     assert words in _undone(state, command, right)
+
+
+def test_numbers_that_were_added_up_are_steps_that_were() -> None:
+    """Over the numbers of each step, where the model's changes add up over the steps."""
+    (signal, *_) = [one for one in _signals() if "not over the numbers" in one.words]
+    episode, changes = _episode(), np.random.default_rng(1).normal(size=(5, 7)) * 0.1
+    start = _joints(episode[2]["state"])
+    rest = _answers("franka", "joint", 1)[0]
+
+    def told(axis: int) -> list[dict[str, Any]]:
+        rows = start + np.cumsum(changes, axis=axis)
+        return [{**step, "left_arm_joint_state": row} for step, row in zip(rest, rows, strict=True)]
+
+    assert signal.commanded is not None
+    ((*made,),) = signal.commanded([told(1)], episode, [2])
+    for step, wanted in zip(made, told(0), strict=True):
+        assert step is not None
+        assert np.allclose(step["left_arm_joint_state"], wanted["left_arm_joint_state"])
+
+
+@pytest.mark.parametrize("action_type", ["joint", "ee"])
+def test_the_other_arms_state_is_exchanged_for_the_own(action_type: str) -> None:
+    """Changes of one arm alone, whatever they are of."""
+    signals = [one for one in _signals(action_type=action_type) if "the left arm's own state" in one.words]
+    episode = _episode()
+    state = episode[1]["state"]
+    key = "left_arm_joint_state" if action_type == "joint" else "left_ee_pose"
+    (answers,) = _answers("franka", action_type, 1)
+    for signal, mode in zip(signals, deltas.MODES, strict=False):
+        wrong = {key: state[key.replace("left", "right")]}
+        given = [
+            {**step, **deltas.together(deltas.apart({key: step[key]}, state, mode), wrong, mode)} for step in answers
+        ]
+        assert signal.commanded is not None
+        (made,) = signal.commanded([given], episode, [1])
+        span = spreads([answers])
+        assert max(differences([answers], [made], span).values()) < 1e-6
 
 
 def test_a_dark_camera_is_dark() -> None:
