@@ -140,7 +140,7 @@ class Shown:
         return answers is not None and self._are_same({one: self._judgement.given[one] for one in numbers}, answers)
 
     def _are_same(self, one: Answers, other: Answers) -> bool:
-        found = differences([one[number] for number in other], list(other.values()), self._judgement.spread)  # type: ignore[misc]
+        found = differences([one[number] for number in other], list(other.values()), self._judgement.spread)
         return all(share <= self._judgement.allowed[part] for part, share in found.items())
 
 
