@@ -23,11 +23,13 @@ from xpl.worker.encoded import pictures, texts, turns, vectors
 from xpl.worker.encoded.draws import Drawn
 from xpl.worker.encoded.rebuilt import Rebuilt
 from xpl.worker.encoded.segments import Segments
-from xpl.worker.encoded.walk import UnfitError, leaves
+from xpl.worker.encoded.walk import UnfitError, changed, leaves
 from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.inprocess import on_model
 from xpl.worker.variants import renewed
 
+_MOST_KEPT = 64
+"""Observations whose inputs are kept."""
 _SAMPLES = 6
 """Observations by which it is seen what numbers are."""
 
@@ -55,7 +57,7 @@ def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Mapping[s
     until = time.monotonic() + order["seconds"]
     samples = [obs for call in order["calls"] for _, obs in call.get("show", ())][:_SAMPLES]
     own, predicts = model.encode, model.predict
-    known: dict[str, Any] = {}
+    known: dict[str, Any] = {"kept": _remembering(own)}
     for how in wanted:
         if time.monotonic() > until:
             return
@@ -76,6 +78,22 @@ def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Mapping[s
             yield failed(error)
         finally:
             model.encode, model.predict = own, predicts  # type: ignore[method-assign]
+
+
+def _remembering(encode: Encode) -> Encode:
+    """Return an `encode` that makes the inputs of an observation once; what it returns may be written to."""
+    known: dict[tuple[int, int], tuple[Any, Any]] = {}
+
+    def remembered(obs: Mapping[str, Any], env: int) -> Any:
+        key = (id(obs), env)
+        if key not in known or known[key][0] is not obs:
+            made = encode(obs, env)
+            if len(known) >= _MOST_KEPT:
+                return made
+            known[key] = obs, made
+        return changed(known[key][1], lambda leaf: None if isinstance(leaf, str) else leaf.copy())
+
+    return remembered
 
 
 def _drawn(model: Policy, how: Mapping[str, Any], calls: Sequence[Mapping[str, Any]]) -> bytes:
@@ -106,29 +124,30 @@ def _wrapped(
     sample = samples[0]
 
     def encode(obs: Mapping[str, Any]) -> Any:
-        return own(obs, sample.get(spec.Obs.ENV_IDX) or 0)
+        made = known["kept"] if any(obs is one for one in samples) else own
+        return made(obs, obs.get(spec.Obs.ENV_IDX) or 0)
 
-    kind = how["kind"]
+    kind, kept = how["kind"], known["kept"]
     if kind == "resized":
         return _resized(own, encode, how, sample, known)
     if kind == "text":
         texts.text(encode(sample), how, sample)
-        return (lambda obs, env: texts.text(own(obs, env), how, obs)), {}
+        return (lambda obs, env: texts.text(kept(obs, env), how, obs)), {}
     if kind in ("normalized", "segmented"):
         if kind not in known:
             several = kind == "segmented"
             known[kind] = Segments(model, encode, samples) if several else vectors.Normalized(model, encode, sample)
         numbers = known[kind]
         words = numbers.change(encode(sample), how)[1]
-        return (lambda obs, env: numbers.change(own(obs, env), how)[0]), {"words": words}
+        return (lambda obs, env: numbers.change(kept(obs, env), how)[0]), {"words": words}
     if kind == "rotation":
         turn = turns.Turned([encode(one) for one in samples], how)
-        return (lambda obs, env: turn(own(obs, env))), {}
+        return (lambda obs, env: turn(kept(obs, env))), {}
     change = _CHANGES[kind]
     before = encode(sample)
     if _equal(change(before, how), before):
         raise UnfitError("it changes nothing")
-    return (lambda obs, env: change(own(obs, env), how)), {}
+    return (lambda obs, env: change(kept(obs, env), how)), {}
 
 
 def _resized(
@@ -149,7 +168,7 @@ def _resized(
     if isinstance(rebuilt, UnfitError):
         raise rebuilt
     far = pictures.apart(rebuilt(before, sample, steps, exchanged=exchanged), before)
-    return (lambda obs, env: rebuilt(own(obs, env), obs, steps, exchanged=exchanged)), {"apart": far}
+    return (lambda obs, env: rebuilt(known["kept"](obs, env), obs, steps, exchanged=exchanged)), {"apart": far}
 
 
 def _tried(make: Callable[..., Any], *arguments: Any) -> Any:

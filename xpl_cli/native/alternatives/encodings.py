@@ -79,7 +79,7 @@ def encodings(
     text: bool = True,
     templates: Sequence[str] = (),
 ) -> Iterator[Encoding]:
-    """Yield changes of encoded inputs, the likeliest first.
+    """Yield changes of encoded inputs, the likeliest first; of those that are as likely, the cheapest.
 
     Of pictures of another size a process tells how far they are from those before: the geometry of those that are
     nearest is that of the adapter, and where a change leaves it, the filter is the mistake (`convention_of`).
@@ -96,7 +96,7 @@ def encodings(
         found = [*_ranges(), *_axes(), *_sizes(), *found]
     if text:
         found += _texts(templates)
-    yield from sorted(found, key=lambda one: one.rank)
+    yield from sorted(found, key=lambda one: (one.rank, bool(one.geometry)))  # those last that make pictures again
 
 
 def convention_of(change: Encoding, nearest: Collection[str]) -> str:

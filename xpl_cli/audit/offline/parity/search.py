@@ -49,6 +49,9 @@ if TYPE_CHECKING:
 
 SEARCH_S: Final = 60.0
 """Longest search, s."""
+_MANY: Final = 0.45
+_FEW: Final = 0.9
+"""Shares of the time that is left for changes of encoded inputs: of all, and of those that lower the difference."""
 
 
 @dataclass(frozen=True)
@@ -197,8 +200,9 @@ class Search:
         contest = Contest(self._course, self._judgement, self._course.everything)
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
-            # No more than half of the time: the last family needs some, too.
-            answered = encoded.answers([changes[number] for number in chosen], wanted, self._left / 2)
+            # The last family needs time, too; but those that are left of many are near the mistake.
+            share = _MANY if len(chosen) == len(changes) else _FEW
+            answered = encoded.answers([changes[number] for number in chosen], wanted, share * self._left)
             for one in answered:
                 tried = Tried(one.words, one.convention, contest.remaining(one.given))
                 yield self._both_ways(tried, one.given) if len(wanted) == len(self._course.everything) else tried
