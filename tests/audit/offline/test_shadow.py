@@ -19,12 +19,13 @@ from xpl_cli.audit.formats import as_json, render
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, exit_code
 from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.rules.profiles import Profile
+from xpl_cli.audit.rules.profiles import Choice, Profile
 from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
 from xpl_cli.serving.launch import ServerStartError, serving
+from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
@@ -427,6 +428,16 @@ def test_own_modules_are_not_stubbed(package: Path) -> None:
     (package / "helpers.py").write_text("x = 1\n", encoding="utf-8")
     gate = _gate(_offline(package, "import helpes\n" + BARE, stub_missing=True))
     assert _outcomes(gate)["serves"] == "fail"
+
+
+def test_a_report_names_what_stood_in() -> None:
+    """In words that tell stand-ins, which answer, from stubs, which do not."""
+    stood_in = Choice(Profile.SHADOW, StandIn(shadow=True), stubbed=("torch", "upstream"))
+    assert stood_in.sentence.endswith("stand-ins for torch, upstream")
+    assert stood_in.briefly == "without the model, stand-ins for torch, upstream"
+    assert not stood_in.is_made_of_stubs
+    stubbed = Choice(Profile.SHADOW, StandIn(shadow=True, stub_missing=True), stubbed=("torch",))
+    assert stubbed.sentence.endswith("stubbed: torch")
 
 
 # -- the server --------------------------------------------------------------------------------------------------------
