@@ -306,8 +306,9 @@ async def _until_ended(
         **({"also": urls} if urls else {}),
         **run.options.stand_in.message,
     }
-    if run.options.stand_in.message:
-        ready["stubbed"] = sorted({name for worker in front_end.workers.values() for name in worker.stubbed})
+    stubbed = sorted({name for worker in front_end.workers.values() for name in worker.stubbed})
+    if stubbed or run.options.stand_in.stub_missing:
+        ready["stubbed"] = stubbed
     _announce(ready, shlex.join(["xpl", "eval", str(run.package.path), "--connect", str(ready["url"])]))
     await _first(asked, front_end.failed)
     if front_end.failed.done():
