@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ def load_yaml(path: Any) -> Any:
 
 def load_hdf5(path: Any) -> dict[str, Any]:
     """Return what an HDF5 file holds, groups as maps and its attributes under `_attrs`; needs h5py."""
-    import h5py
+    h5py = importlib.import_module("h5py")
 
     with h5py.File(path, "r") as file:
         found = _group(file, h5py)
