@@ -73,7 +73,7 @@ class Offering:
             return _package(name, None)
         if name in _MODULES:
             file = _OFFERED / f"{_MODULES[name]}.py"
-            below = [] if name in {parent.rpartition(".")[0] for parent in _MODULES} else None
+            below: list[str] | None = [] if name in {parent.rpartition(".")[0] for parent in _MODULES} else None
             return importlib.util.spec_from_file_location(name, file, submodule_search_locations=below)
         return None
 
