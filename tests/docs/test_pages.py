@@ -29,7 +29,7 @@ from xpl_cli.standard import answers, spec
 from xpl_cli.standard.validate import validate
 
 SHELL = ("bash", "console")
-LANGUAGES = {*SHELL, "python", "yaml", "json", "diff", "dockerfile", "text"}
+LANGUAGES = {*SHELL, "python", "yaml", "json", "diff", "toml", "dockerfile", "text"}
 """Languages of blocks. What stands in `text` is output, and no command."""
 
 PROGRAMS = {"cd", "curl", "docker", "find", "git", "pip", "python", "sha256sum", "sort", "ssh-keygen", "tr", "xargs"}
