@@ -107,7 +107,7 @@ class Bridge:
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Begin an episode in the simulator and in the authors' client."""
         self._env.reset(seed, options)
-        if hasattr(self._client, "reset"):
+        if hasattr(self._client, spec.Method.RESET):
             self._client.reset()
         self._steps = 0
 

@@ -26,7 +26,8 @@ LAZY = {
     "msgpack": {"xpl.openpi.codec", "xpl.wire.codec"},
     "websockets": {"xpl.client.aio", "xpl.client.connection"},
     "PIL": {"xpl.images"},
-    "yaml": {"xpl.environment"},
+    "pydantic_core": {"xpl.worker.standins.things"},
+    "yaml": {"xpl.ecosystem.offered.load_file", "xpl.environment", "xpl.worker.standins.folders"},
 }
 """Third-party imports allowed inside functions, and the SDK modules that may hold them."""
 

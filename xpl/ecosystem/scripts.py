@@ -149,7 +149,7 @@ class _Reader:
         if "$" in word or not any((folder / mark).is_file() for mark in _MARKS):
             return
         sources = folder / _SOURCES
-        yield (sources if sources.is_dir() and not (sources / "__init__.py").is_file() else folder), True
+        yield (sources if sources.is_dir() and not (sources / spec.File.INIT_PY).is_file() else folder), True
 
     def _enter(self, folder: str) -> None:
         there = self._placed(folder)

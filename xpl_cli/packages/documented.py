@@ -7,6 +7,7 @@ scripts, as an audit does, has to know what the scripts would have said.
 from __future__ import annotations
 
 import re
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Final
 
 import yaml
@@ -19,15 +20,16 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-# Sources: the ecosystem's eval.sh and train.sh, which take these in this order.
-_ARGUMENTS: Final = {
-    "eval": ("bench_name", "task_name", "ckpt_name", "env_cfg_type", "action_type", "seed"),
-    "setup_eval_policy_server": ("bench_name", "task_name", "ckpt_name", "env_cfg_type", "action_type", "seed"),
-    "train": ("bench_name", "ckpt_name", "env_cfg_type", "action_type", "seed"),
-    "process_data": ("bench_name", "ckpt_name", "env_cfg_type", "action_type"),
-}
-_CALL: Final = re.compile(r"\b(?P<script>eval|setup_eval_policy_server|train|process_data)\.sh\s+(?P<words>[^\n]+)")
-_DOCUMENTS: Final = ("README.md", "INSTALLATION.md", "eval.sh")
+# The call that says most comes first.
+_SCRIPTS: Final = (
+    sdk.File.EVAL_SH,
+    sdk.File.SETUP_EVAL_POLICY_SERVER_SH,
+    sdk.File.TRAIN_SH,
+    sdk.File.PROCESS_DATA_SH,
+)
+_OF_A_RUN: Final = frozenset((sdk.Deploy.TASK_NAME, *sdk.CHECKPOINT_RUN_NAME))
+_CALL: Final = re.compile(rf"\b(?P<script>{'|'.join(map(re.escape, _SCRIPTS))})\s+(?P<words>[^\n]+)")
+_DOCUMENTS: Final = (sdk.File.README_MD, "INSTALLATION.md", sdk.File.EVAL_SH)
 _LARGEST: Final = 1 << 20
 _OF_THE_SERVER: Final = frozenset((sdk.Deploy.HOST, sdk.Deploy.PORT, sdk.Deploy.POLICY_NAME, sdk.Deploy.PROTOCOL))
 _ROBOTS: Final = frozenset(name for key, entry in sdk.EMBODIMENTS.items() for name in (key, *entry.get("aliases", ())))
@@ -41,18 +43,23 @@ def run(folder: Path) -> dict[str, Any]:
     """
     text = "\n".join(_read(folder / name) for name in _DOCUMENTS).replace("\\\n", " ")
     calls = [(found["script"], found["words"].split()) for found in _CALL.finditer(text)]
-    for script, names in _ARGUMENTS.items():
+    for script in _SCRIPTS:
         for called, words in calls:
-            given = dict(zip(names, words, strict=False))
+            given = dict(zip(_arguments(script), words, strict=False))
             if called == script and given.get(sdk.Deploy.ENV_CFG_TYPE) in _ROBOTS:
                 told = {key: word for key, word in given.items() if re.fullmatch(r"[\w./-]+", word)}
                 return {key: _value(word) for key, word in {**_by_script(folder, told), **told}.items()}
     return {}
 
 
+def _arguments(script: str) -> tuple[str, ...]:
+    """Return the keys of deploy.yml that a script takes first, in its order."""
+    return tuple(takewhile(_OF_A_RUN.__contains__, spec.data("package")["scripts"][script]))
+
+
 def _by_script(folder: Path, told: Mapping[str, str]) -> dict[str, str]:
     """Return what the server's script makes of what it is called with; not where the server runs, nor who it is."""
-    arguments = [told.get(name, "") for name in _ARGUMENTS["setup_eval_policy_server"]]
+    arguments = [told.get(name, "") for name in _arguments(sdk.File.SETUP_EVAL_POLICY_SERVER_SH)]
     found = scripts.settings(folder, [*arguments, "0"])
     return {key: value for key, value in found.items() if key not in _OF_THE_SERVER}
 

@@ -10,6 +10,8 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+from tests.support.peer import DEADLINE_S
+
 REPO = Path(__file__).parents[3]
 
 ADAPTER = """
@@ -72,7 +74,7 @@ RUN = """
 def _ran(code: str, folder: Path, *path: Path) -> Any:
     command = [sys.executable, "-c", textwrap.dedent(code), str(folder)]
     environment = {"PYTHONPATH": ":".join(map(str, (REPO, *path))), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, timeout=DEADLINE_S)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 

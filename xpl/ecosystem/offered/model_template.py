@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from xpl import _spec as spec
+
 
 class ModelTemplate:
     """An adapter: shown observations and asked for actions. Adapters override what they offer.
@@ -17,19 +19,19 @@ class ModelTemplate:
 
     def update_obs(self, obs: Any) -> Any:  # noqa: ARG002 - of the interface
         """Take in one observation."""
-        raise self._unwritten("update_obs")
+        raise self._unwritten(spec.Method.UPDATE_OBS)
 
     def update_obs_batch(self, obs_list: Any) -> Any:  # noqa: ARG002 - of the interface
         """Take in one observation of each of several environments."""
-        raise self._unwritten("update_obs_batch")
+        raise self._unwritten(spec.Method.UPDATE_OBS_BATCH)
 
     def get_action(self) -> Any:
         """Return a chunk of actions."""
-        raise self._unwritten("get_action")
+        raise self._unwritten(spec.Method.GET_ACTION)
 
     def get_action_batch(self, env_idx_list: Any = None) -> Any:  # noqa: ARG002 - as above
         """Return a chunk of actions for each of the environments asked for."""
-        raise self._unwritten("get_action_batch")
+        raise self._unwritten(spec.Method.GET_ACTION_BATCH)
 
     def reset(self) -> Any:
         """Forget the episode."""

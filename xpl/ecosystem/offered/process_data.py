@@ -15,7 +15,8 @@ from xpl import _spec as spec
 from xpl import images
 from xpl.embodiment import get_embodiment
 
-_SOURCES = ("obs", "dataset")
+_OBS = spec.Payload.OBS
+_SOURCES = (_OBS, "dataset")
 
 
 def get_robot_action_dim_info(env_cfg_type: str) -> dict[str, list[int]]:
@@ -44,7 +45,7 @@ def pack_robot_state(
     obs: Mapping[str, Any],
     action_type: str,
     robot_action_dim_info: Mapping[str, Any],
-    source_type: str = "obs",
+    source_type: str = _OBS,
     state_type: str = "state",
 ) -> np.ndarray:
     """Return the state as one vector, (..., D).
@@ -74,7 +75,7 @@ def pack_robot_state(
 
 
 def unpack_robot_state(
-    packed_state: Any, action_type: str, robot_action_dim_info: Mapping[str, Any], source_type: str = "obs"
+    packed_state: Any, action_type: str, robot_action_dim_info: Mapping[str, Any], source_type: str = _OBS
 ) -> Any:
     """Return named values of a vector (D,), of a chunk (H, D) as a list, or of a trajectory (..., D) as one map.
 
@@ -86,9 +87,9 @@ def unpack_robot_state(
     width = sum(size for _, size in layout)
     if packed.shape[-1:] != (width,):
         raise ValueError(f"packed_state must have {width} values for {action_type!r}, got shape {packed.shape}")
-    if source_type == "obs" and packed.ndim > 2:
+    if source_type == _OBS and packed.ndim > 2:
         raise ValueError(f"packed_state must be one action or one chunk, got shape {packed.shape}")
-    if source_type == "obs" and packed.ndim > 1:
+    if source_type == _OBS and packed.ndim > 1:
         return [_named(step, layout) for step in packed]
     return _named(packed, layout)
 
@@ -116,7 +117,7 @@ def _layout(action_type: str, robot: Mapping[str, Any], source_type: str) -> Ite
     arm_dims, ee_dims = list(robot["arm_dim"]), list(robot["ee_dim"])
     if len(arm_dims) != len(ee_dims) or len(arm_dims) not in spec.ARM_PREFIXES:
         raise ValueError(f"arm_dim and ee_dim must have one entry per arm, of one or two; got {arm_dims} and {ee_dims}")
-    plural = "" if source_type == "obs" else "s"
+    plural = "" if source_type == _OBS else "s"
     arm_key, ee_key = spec.ACTION_KEYS[action_type]
     for prefix, arm_dim, ee_dim in zip(spec.ARM_PREFIXES[len(arm_dims)], arm_dims, ee_dims):
         yield f"{prefix}{arm_key}{plural}", spec.POSE_DIM if arm_key == spec.State.EE_POSE else arm_dim

@@ -11,6 +11,8 @@ from typing import Any, Callable
 
 import numpy as np
 
+from xpl import _spec as spec
+
 
 class Facts:
     """Sizes that a stand-in needs.
@@ -76,7 +78,7 @@ _WORTH: list[tuple[re.Pattern[str], Callable[[Facts], Any]]] = [
     for words, value in (
         (
             r"(image|img|cam|camera|obs_cam|vision|video)_(keys|names|features)",
-            lambda _: [f"observation.images.{name}" for name in ("cam_high", "cam_left_wrist", "cam_right_wrist")],
+            lambda _: [f"observation.images.{name}" for name in ("cam_high", *spec.CAMERAS[2][1:])],
         ),
         (r"(.*_)?(action_)?chunk_size|n_action_steps", lambda facts: facts.numbers.get("replan_steps", facts.steps)),
         # statistics that change little

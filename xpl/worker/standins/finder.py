@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from xpl import _spec as spec
 from xpl.worker.standins.given import Memory
 from xpl.worker.standins.origins import WORLD
 from xpl.worker.standins.things import _named
@@ -231,7 +232,7 @@ class Finder:
             if place is None:
                 missing.add(top)
             elif self._in_adapter(str(place)) and len(seen) <= _SMALL:
-                package = name if place.name == "__init__.py" else name.rpartition(".")[0]
+                package = name if place.name == spec.File.INIT_PY else name.rpartition(".")[0]
                 missing |= self._missing(place, package, seen)
         self._needs[key] = frozenset(missing)
         return self._needs[key]
@@ -259,9 +260,9 @@ class Finder:
             file = next(
                 (Path(root) / f"{part}.py" for root in locations if (Path(root) / f"{part}.py").is_file()), None
             )
-            if step is not None and ((step / "__init__.py").is_file() or file is None):
+            if step is not None and ((step / spec.File.INIT_PY).is_file() or file is None):
                 locations = [str(step)]
-                place = step / "__init__.py" if (step / "__init__.py").is_file() else place
+                place = step / spec.File.INIT_PY if (step / spec.File.INIT_PY).is_file() else place
             elif file is not None:
                 return file
             else:

@@ -173,11 +173,11 @@ class Kit:
 
     def _configs(self) -> list[dict[str, Any]]:
         first = dict(self._config)
-        for key in (spec.Deploy.CKPT_NAME, "bench_name", "task_name"):
+        for key in (spec.Deploy.CKPT_NAME, spec.Deploy.BENCH_NAME, spec.Deploy.TASK_NAME):
             if first.get(key) in (None, ""):
                 first[key] = "stand_in"
-        if first.get("seed") is None:
-            first["seed"] = 0
+        if first.get(spec.Deploy.SEED) is None:
+            first[spec.Deploy.SEED] = 0
         second = {**dict.fromkeys(_asked(self._policy_dir)), **first}
         for name, value in list(second.items()):
             if value in (None, "") and _PATHS.fullmatch(name) and not _NOT.fullmatch(name):

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any, Callable
 
+from xpl import _spec as spec
 from xpl.worker.standins.facts import Facts
 from xpl.worker.standins.given import Given
 from xpl.worker.standins.origins import Origin, origin
@@ -81,7 +82,7 @@ class _Client(Thing):
 
     def infer(self, obs: Any, *_: Any, **__: Any) -> Any:
         """Return a chunk under any key."""
-        return self._answer("infer", obs)
+        return self._answer(spec.Method.INFER, obs)
 
     def predict_action(self, request: Any, *_: Any, **__: Any) -> Any:
         """Return a chunk as servers of vision-language-action frameworks wrap it."""
@@ -94,7 +95,7 @@ class _Client(Thing):
     def _answer(self, verb: str, shown: Any) -> Any:
         memory = origin(self).memory
         given = Given(verb, (shown,), {}, memory)
-        given.alone = verb == "infer"
+        given.alone = verb == spec.Method.INFER
         memory.remember(given)
         return Thing(Origin(f"client.{verb}()", memory, given))
 
@@ -103,4 +104,4 @@ class _Map(dict):  # type: ignore[type-arg]
     """A map that has an answer under each key that speaks of actions."""
 
     def __init__(self, answer: Thing) -> None:
-        super().__init__({name: answer[name] for name in ("normalized_actions", "actions")})
+        super().__init__({name: answer[name] for name in ("normalized_actions", spec.Payload.ACTIONS)})

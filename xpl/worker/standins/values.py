@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from xpl import _spec as spec
 from xpl.worker.answers import Answers, ShadowError
 from xpl.worker.standins import facts as known
 from xpl.worker.standins.facts import Facts
@@ -126,7 +127,7 @@ class Values:
         if name is not None:
             tail = name.replace("/", ".").rpartition(".")[2]
             found = _by_tail(given.values, tail)
-            if found is not None and tail not in ("action", "actions", "state"):
+            if found is not None and tail not in ("action", spec.Payload.ACTIONS, "state"):
                 return found
         return self._facts.widths[self._guess]
 

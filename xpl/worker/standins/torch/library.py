@@ -33,10 +33,15 @@ def _same(function: Any = None, *_: Any, **__: Any) -> Any:
     return function if function is not None else _same
 
 
+def seed(*_: Any, **__: Any) -> int:
+    """Return the number that torch would have drawn."""
+    return 0
+
+
 def parts() -> dict[str, dict[str, Any]]:
     """Return what each module offers, by its name."""
     activation = {name: FUNCTIONS[name] for name in ("interpolate", "pad", "normalize", "softmax", "sigmoid", "tanh")}
-    seeds = {"manual_seed": manual_seed, "manual_seed_all": _nothing, "seed": _nothing}
+    seeds = {"manual_seed": manual_seed, "manual_seed_all": _nothing, seed.__name__: seed}
     return {
         "torch": {
             **FUNCTIONS, **KINDS, **seeds,
