@@ -138,7 +138,7 @@ class Policy:
             raise NotImplementedError(f"{type(self).__name__} must define encode(obs, env), or have a native block")
         return self.interface.encode(obs, self._environments[env].signs)
 
-    def predict(self, inputs: list[Any], envs: list[int]) -> Any:
+    def predict(self, inputs: Any, envs: list[int]) -> Any:
         """Run the model on a batch (pi), in one forward pass where it can.
 
         Args:

@@ -185,7 +185,7 @@ def test_what_a_shell_had_started_before_it_became_the_server_is_spared(
         def reader() -> list[family.Member]:
             return [one for one in family.descendants(server.pid) if "sys.stdin.read()" in one.command]
 
-        wait_until(lambda: len(family.descendants(server.pid)) == 3, "reader, keeper and worker run")
+        wait_until(lambda: len(family.descendants(server.pid)) == 3 and reader(), "reader, keeper and worker run")
         (spared,) = reader()
         server.send_signal(signal.SIGTERM)
         server.send_signal(signal.SIGTERM)

@@ -64,7 +64,7 @@ def test_a_fresh_scaffold_passes_three_gates_and_is_open(
     report = _green(workspace, *rules) if rules else request.getfixturevalue("green")
     (target,) = report["targets"]
     assert (target["verdict"], target["proven"]) == ("open", [])
-    assert target["statement"].startswith("OPEN 10 places to fill in (README.md:3 and 9 more)")
+    assert target["statement"].startswith("OPEN 11 places to fill in (README.md:3 and 10 more)")
     assert [(gate["name"], gate["outcome"]) for gate in target["gates"]] == [(name, "pass") for name in Gate]
     assert report["summary"]["fail"] == report["summary"]["error"] == report["summary"]["not_run"] == 0
     assert validate(report, "audit", spec.NEWEST) == []

@@ -213,7 +213,8 @@ def test_runs_at_the_same_time_leave_a_whole_record(adapter: Path, tmp_path: Pat
     passes = json.loads(record.read_text())["passes"]
     results = reports[0]["targets"][0]["gates"][0]["results"]
     kept = {Outcome.PASS, Outcome.NOT_APPLICABLE}
-    assert set(passes) == {result["code"] for result in results if result["outcome"] in kept} - {"XPL501"}
+    plain = [result for result in results if not result.get("proof")]  # numbers are found anew
+    assert set(passes) == {result["code"] for result in plain if result["outcome"] in kept} - {"XPL501"}
 
 
 def test_the_cache_lies_where_the_user_keeps_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,7 @@ COUNTS = """
 
 
 def _counting(folder: Path, shelf: str) -> Path:
-    adapter = made_adapter(folder)
+    adapter = made_adapter(folder, block=False)
     (adapter / "shelf.py").touch()
     model = adapter / "model.py"
     head, _, _ = model.read_text().partition("    def load(")

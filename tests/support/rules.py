@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.rules import registry
 from xpl_cli.scaffold import adapter
@@ -61,7 +61,7 @@ def made_room(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Room:
     return room
 
 
-def made_adapter(folder: Path) -> Path:
+def made_adapter(folder: Path, **answers: Any) -> Path:
     """Write a fresh scaffold and return its folder."""
-    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": folder.name})), folder)
+    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": folder.name, **answers})), folder)
     return folder

@@ -199,7 +199,7 @@ def test_policies_that_draw_random_numbers_are_not_blamed(
 ) -> None:
     """Both episodes of a pair draw the same numbers; of a policy that does not repeat itself only errors count."""
     folder = tmp_path / "Subject"
-    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": "Subject"})), folder)
+    adapter.write(adapter.render(Answers(**{**adapter.defaults(), "name": "Subject", "block": False})), folder)
     manifest = folder / "policy.yml"
     told = f"deterministic: {str(deterministic).lower()}"
     manifest.write_text(manifest.read_text().replace("deterministic: true", told))

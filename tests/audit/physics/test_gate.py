@@ -51,7 +51,7 @@ def package(tmp_path: Path) -> Callable[..., Path]:
 
     def write(edits: dict[str, str] | None = None, end: str = "", **answers: Any) -> Path:
         folder = tmp_path / "Subject"
-        filled = Answers(**{**adapter.defaults(), "name": folder.name, **answers})
+        filled = Answers(**{**adapter.defaults(), "block": False, "name": folder.name, **answers})
         adapter.write(adapter.render(filled), folder)
         manifest = folder / sdk.File.POLICY_YML
         text = manifest.read_text()
