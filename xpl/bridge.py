@@ -107,8 +107,9 @@ class Bridge:
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Begin an episode in the simulator and in the authors' client."""
         self._env.reset(seed, options)
-        if hasattr(self._client, spec.Method.RESET):
-            self._client.reset()
+        reset = getattr(self._client, spec.Method.RESET, None)
+        if reset is not None:
+            reset()
         self._steps = 0
 
     def get_obs(self) -> dict[str, Any]:

@@ -22,14 +22,15 @@ def offer(policy_dir: Path) -> None:
     Args:
         policy_dir: folder of the adapter. One that never speaks of the ecosystem is left as it is.
     """
-    if not checkout.is_asked(policy_dir):
+    names = checkout.names(policy_dir)
+    if not names:
         return
     from xpl.ecosystem import offering, robots, scripts
 
     root = checkout.found(policy_dir)
     places = [*([] if root is None else [root]), *scripts.python_path(policy_dir)]
     sys.path[:0] = [str(place) for place in places if str(place) not in sys.path]
-    offering.Offering(policy_dir, root).install()
+    offering.Offering(policy_dir, root, names).install()
     robots.offer(policy_dir)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from xpl import _spec as spec
@@ -24,13 +25,29 @@ def found(policy_dir: Path) -> Path | None:
     return root if policy_dir.parent.name == _POLICIES and (root / _MARK).is_file() else None
 
 
-def is_asked(policy_dir: Path) -> bool:
-    """Tell whether a module of an adapter, other than vendored ones, mentions the ecosystem's package."""
-    for path in sorted(policy_dir.glob("*.py")):
-        try:
-            text = path.read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            continue
-        if PACKAGE in text and (path.name == spec.File.MODEL_PY or "import" in text):
-            return True
-    return False
+def names(policy_dir: Path) -> frozenset[str]:
+    """Return what an adapter calls the ecosystem's package; empty if it never speaks of it.
+
+    That is its name or, in a checkout of another name, that of the folder. Vendored modules do not count.
+    """
+    texts = {path.name: _text(path) for path in policy_dir.glob("*.py")}
+    called = {
+        PACKAGE for name, text in texts.items() if PACKAGE in text and (name == spec.File.MODEL_PY or "import" in text)
+    }
+    root = found(policy_dir)
+    if root is not None and root.name.isidentifier():
+        called |= {root.name for text in texts.values() if _is_imported(root, text)}
+    return frozenset(called)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def _is_imported(root: Path, text: str) -> bool:
+    """Tell whether code imports a part of a checkout by the name of its folder."""
+    wanted = re.compile(rf"^\s*(?:from|import)\s+{root.name}(?:\.|\s+import\s+)(\w+)", re.MULTILINE)
+    return any((root / part).is_dir() or (root / f"{part}.py").is_file() for part in wanted.findall(text))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.machinery
 import importlib.util
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
@@ -41,11 +41,13 @@ class Offering:
     Args:
         policy_dir: folder of the adapter, which is importable below `XPolicyLab.policy`.
         root: the real checkout that it lies in, None if in none.
+        names: what it calls the checkout, besides `XPolicyLab`.
     """
 
-    def __init__(self, policy_dir: Path, root: Path | None) -> None:
+    def __init__(self, policy_dir: Path, root: Path | None, names: Collection[str] = ()) -> None:
         self._policy_dir = policy_dir
         self._root = root
+        self._names = frozenset((checkout.PACKAGE, *names))
 
     def install(self) -> None:
         """Be asked from now on, by imports that no file serves, in place of any that was there before.
@@ -63,7 +65,7 @@ class Offering:
         target: object = None,  # noqa: ARG002
     ) -> importlib.machinery.ModuleSpec | None:
         """Return a module of ours, or the checkout as a package where its folder is called otherwise."""
-        if name == checkout.PACKAGE and self._root is not None:
+        if name in self._names and self._root is not None:
             return _package(name, self._root)
         if self._root is not None:  # what a real checkout lacks is not made up
             return None
