@@ -2,7 +2,8 @@
 
 A mutant is a subject of this folder, or one of its rewritten variants, with some text replaced, as a file of mistakes
 says. The files differ by who planted: `known.yml` by somebody who knew how the parity rule explains, `strangers.yml` by
-somebody who did not. The rates are told apart.
+somebody who did not, and the search was then bettered by what it had missed; `fresh.yml` by somebody else who did not,
+when that was done. The rates are told apart: only those of `fresh.yml` are out of sample.
 """
 
 from __future__ import annotations
