@@ -24,7 +24,8 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks at how `action_type` decides: a comparison that only reports it, by `print`, a logger or a function that only
     reports, and adapters that write the keys of one type into their actions and never use `action_type`, though they
-    may keep it. Adapters that hand the configuration on as a whole, or that raise, are left alone.
+    may keep it. Adapters that hand the configuration on as a whole, or that raise, are left alone; so are those of the
+    SDK whose manifest declares one type, since the base class refuses the other.
 
     ## Why it matters
     A run that is labelled `ee` was a run with joint commands, or an environment that expects a pose gets none. A
@@ -54,6 +55,8 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
                     got=ast.unparse(node.body[0]).split("\n")[0],
                     fix=Fix("advice", f"raise where {_KEY} is one that the policy cannot serve"),
                 )
+    if adapter.is_sdk and len(source.manifest.get("action_types") or ()) == 1:
+        return  # the base class refuses the other type
     idle = _idle(functions)
     if not adapter.config_escapes and not any(_mentions(function, idle) for function in functions):
         written = _written(adapter)
