@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -186,12 +186,23 @@ def test_a_process_that_left_the_group_ends_with_the_server(write_adapter: Write
     assert any(f"ended process {pid}" in line for line in server.log)
 
 
+def _hangs_in(adapter: Path, function: str, options: Sequence[str] = ()) -> bool:
+    """Tell whether the log of a server that is given up shows where it hangs; a busy machine gets more time."""
+    for seconds in (1, 10, 60):
+        overrides = {"hang": True, "max_connect_seconds": seconds}
+        with (
+            pytest.raises(ServerStartError, match=f"within {seconds} s") as raised,
+            serving(adapter, overrides, options=options),
+        ):
+            pass
+        if any(function in line for line in raised.value.log):
+            return True
+    return False
+
+
 def test_a_load_that_hangs_has_a_deadline(write_adapter: Write) -> None:
     """And the log shows where it hangs."""
-    overrides = {"hang": True, "max_connect_seconds": 1}
-    with pytest.raises(ServerStartError, match="within 1 s") as raised, serving(write_adapter(SUBJECT), overrides):
-        pass
-    assert any("__init__" in line for line in raised.value.log)
+    assert _hangs_in(write_adapter(SUBJECT), "__init__")
 
 
 @pytest.mark.usefixtures("isolation")
@@ -234,13 +245,7 @@ def test_isolation_cannot_be_undone_from_within(write_adapter: Write, serve: Ser
 @pytest.mark.usefixtures("isolation")
 def test_an_isolated_adapter_that_hangs_shows_where(write_adapter: Write) -> None:
     """The signal for that reaches it, and its end is the end of all."""
-    overrides = {"hang": True, "max_connect_seconds": 1}
-    with (
-        pytest.raises(ServerStartError, match="within 1 s") as raised,
-        serving(write_adapter(SUBJECT), overrides, options=("--isolate",)),
-    ):
-        pass
-    assert any("__init__" in line for line in raised.value.log)
+    assert _hangs_in(write_adapter(SUBJECT), "__init__", options=("--isolate",))
 
 
 def test_isolation_that_cannot_be_had_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
