@@ -81,7 +81,8 @@ def _nothing_kept(probe: Probe, history: int) -> Iterator[Finding]:
     closed, opened = (_with_grippers(probe, scenes[0], value) for value in (spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN))
     short = [[scenes[2]], [scenes[3]]]
     long = [[scenes[2], closed, scenes[3], scenes[1]], [scenes[3], opened, *scenes[:2]]]
-    ended = [[_last_answer(probe, [*past, *now]) for past in pasts] for pasts in (short, long, [[]])]
+    groups: list[list[list[Any]]] = [short, long, [[]]]
+    ended = [[_last_answer(probe, [*past, *now]) for past in pasts] for pasts in groups]
     if not all(same(answer, group[0]) for group in ended for answer in group):
         return
     if not all(same(group[0], ended[0][0]) for group in ended):

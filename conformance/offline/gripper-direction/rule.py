@@ -57,7 +57,7 @@ def gripper_direction(probe: Probe) -> Iterator[Finding]:
     undecided, is_sound = [], True
     for key in keys:
         lines = [line for answered in chunks for line in _lines(answered, keys, key)]
-        if any(line is None for line in lines) or np.ptp(np.array(lines), axis=0).max() > _EXACT:
+        if lines[0] is None or None in lines or np.ptp(np.array(lines), axis=0).max() > _EXACT:
             undecided.append(key)
             continue
         *slopes, offset = lines[0]

@@ -113,6 +113,10 @@ def _named_by(function: Function, source: Source) -> str | None:
     here = source.at(function.file, function.node)
     for other in map(find, _OTHERS):
         for finding in other.check(source):
-            if finding.path == function.file and here["line"] <= (finding.line or 0) <= here["end_line"]:
+            if (
+                isinstance(finding, Finding)
+                and finding.path == function.file
+                and here["line"] <= (finding.line or 0) <= here["end_line"]
+            ):
                 return other.code
     return None

@@ -82,7 +82,7 @@ def _convert(interface: Interface, cameras: Mapping[str, Any], block: Mapping[st
     """
     for image, entry in zip(interface.images, block.get("images", ()), strict=True):
         targets = [how["to"] for step in entry.get("steps", ()) for how in step.values() if "to" in _map(how)]
-        sizes = [
+        sizes: list[Any] = [
             (_map(cameras.get(name)).get("height"), _map(cameras.get(name)).get("width")) for name in image.cameras
         ]
         numbers = [number for size in (*sizes, *targets) for number in size]
