@@ -262,6 +262,7 @@ def test_a_trace_that_cannot_be_written_ends_and_nothing_else(
     with Client(server.url) as client:
         assert client.infer({}) == [1]
         assert client.infer({}) == [1]
+        wait_until(lambda: any("the trace ends here" in line for line in server.log), "it is said")
     assert sum("the trace ends here" in line for line in server.log) == 1
 
 
