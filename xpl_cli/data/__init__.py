@@ -1,0 +1,1 @@
+"""Demonstrations: sets of recorded episodes in the field's formats, read lazily, converted, checked and measured."""

@@ -1,0 +1,125 @@
+"""What every reader of demonstrations offers, in the words and conventions of the file that it reads.
+
+Nothing is converted here: a column is what the file has, under the file's own name. Which column is which part of the
+standard, and under which conventions, is said by a mapping, or measured by a probe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of numbers: one row for each step.
+
+    Attributes:
+        shape: the shape of a row, `(7,)` for seven joints, `()` for a number.
+        dtype: numpy's name of its type, as stored.
+        names: what the file calls each entry of a row, if it does; else empty.
+    """
+
+    shape: tuple[int, ...]
+    dtype: str
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera: one image for each step.
+
+    Attributes:
+        height: in pixels.
+        width: in pixels.
+        kind: `color`, (H, W, 3) uint8 in the file's own order of channels, or `depth`, (H, W) in the file's unit.
+        encoding: how images lie in the file: `raw`, `jpeg`, `png`, or a video's codec (`av1`, `h264`).
+        intrinsics: (3, 3) or (T, 3, 3) float, in pixels, if the file has them.
+        extrinsics: (4, 4) or (T, 4, 4) float, as the file has them.
+    """
+
+    height: int
+    width: int
+    kind: Literal["color", "depth"] = "color"
+    encoding: str = "raw"
+    intrinsics: NDArray[Any] | None = field(default=None, compare=False)
+    extrinsics: NDArray[Any] | None = field(default=None, compare=False)
+
+
+class Episode(Protocol):
+    """One recorded episode. Opening it reads no images and no columns."""
+
+    @property
+    def key(self) -> str:
+        """Its name in the set, unique there: `episode_000003`, `demo_12`."""
+
+    @property
+    def length(self) -> int:
+        """How many steps it has."""
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told; several where the file has several wordings; empty where it has none."""
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns of numbers, by the file's names; groups are joined by `/`."""
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras, by the file's names."""
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else the file says of this episode, plain data under the file's names."""
+
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return rows `start` to `stop` of a column, (steps, *shape) of its dtype.
+
+        Raises:
+            KeyError: there is no such column.
+            DataError: the file cannot be read there.
+        """
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Yield images `start` to `stop` of a camera, decoded one after the other.
+
+        Raises:
+            KeyError: there is no such camera.
+            DataError: an image cannot be decoded; it says which.
+        """
+
+
+class Demonstrations(Protocol):
+    """A set of episodes. Opening it lists them and reads none."""
+
+    @property
+    def path(self) -> str:
+        """The file or folder."""
+
+    @property
+    def format(self) -> str:
+        """The name of its format: `xpl`, `lerobot-v2.1`, `lerobot-v3.0`, `robomimic`, `aloha`, `robotwin`, ..."""
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Steps per second, if the set says so."""
+
+    @property
+    def robot(self) -> str | None:
+        """What the set calls its robot, if it does."""
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else the set says of itself, plain data under its own names."""
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+
+    def __getitem__(self, index: int) -> Episode:
+        """Return an episode, by its place."""
