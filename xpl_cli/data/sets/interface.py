@@ -72,7 +72,7 @@ class Episode(Protocol):
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
-        """The cameras, by the file's names."""
+        """The cameras, by the file's names; groups are joined by `/`, as of columns."""
 
     @property
     def extras(self) -> Mapping[str, Any]:

@@ -1,0 +1,109 @@
+"""Sets that are one HDF5 file an episode: ACT / ALOHA, RoboTwin, and the standard's own form."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from xpl_cli.data.formats.hdf5 import Hdf5Episode
+
+_TOLD = ("instruction", "instructions", "language_instruction", "language_raw", "task_description")
+"""Names under which files of this kind keep a sentence."""
+
+
+class FolderSet:
+    """A folder of files, or one file.
+
+    Args:
+        path: what was opened.
+        name: the format.
+        files: one for each episode.
+        opens: makes an episode of a file and a key.
+    """
+
+    def __init__(self, path: Path, name: str, files: list[Path], opens: Callable[[Path, str], Hdf5Episode]) -> None:
+        self._path, self._name, self._files, self._opens = path, name, files, opens
+
+    @property
+    def path(self) -> str:
+        """The file or folder."""
+        return str(self._path)
+
+    @property
+    def format(self) -> str:
+        """The name of its format."""
+        return self._name
+
+    @functools.cached_property
+    def rate_hz(self) -> float | None:
+        """Steps per second, if the first episode says so."""
+        extras = self[0].extras if self._files else {}
+        for name in ("additional_info/frequency", "frequency", "fps", "control_freq"):
+            told = extras.get(name)
+            if isinstance(told, (int, float)) and told > 0:
+                return float(told)
+        return None
+
+    @property
+    def robot(self) -> str | None:
+        """What the first episode calls its robot, if it does."""
+        extras = self[0].extras if self._files else {}
+        told = next((extras[name] for name in ("robot", "embodiment", "robot_type") if name in extras), None)
+        return told if isinstance(told, str) else None
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """Nothing: each file speaks for itself."""
+        return {}
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return len(self._files)
+
+    def __getitem__(self, index: int) -> Hdf5Episode:
+        """Return an episode, by its place."""
+        return self._episodes[index]
+
+    @functools.cached_property
+    def _episodes(self) -> list[Hdf5Episode]:
+        names = [path.stem for path in self._files]
+        is_unique = len(set(names)) == len(names)
+        keys = names if is_unique else [path.relative_to(self._path).with_suffix("").as_posix() for path in self._files]
+        return [self._opens(path, key) for path, key in zip(self._files, keys, strict=True)]
+
+
+class ToldEpisode(Hdf5Episode):
+    """An episode whose file has its sentence itself."""
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told: an attribute or a dataset of one of the usual names."""
+        for name in _TOLD:
+            told = sentences(self.extras.get(name))
+            if told:
+                return told
+        return ()
+
+
+def sentences(value: Any) -> tuple[str, ...]:
+    """Return the sentences in a value: one, several, or none."""
+    if isinstance(value, str):
+        import json
+
+        if value[:1] == "[":
+            try:
+                return sentences(json.loads(value))
+            except ValueError:
+                pass
+        return (value,) if value.strip() else ()
+    if isinstance(value, list):
+        return tuple(item for item in value if isinstance(item, str) and item.strip())
+    return ()
+
+
+def natural(name: str) -> tuple[tuple[int, str], ...]:
+    """Return what sorts `episode2` before `episode10`."""
+    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name))

@@ -1,0 +1,240 @@
+"""Where the files of a LeRobot dataset lie, and what its `meta/` says.
+
+Source: LeRobot 0.3 (v2.1) and 0.4 (v3.0), lerobot/datasets/utils.py and lerobot_dataset.py.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from xpl_cli.basics import files
+from xpl_cli.data.formats import libraries
+from xpl_cli.data.sets.errors import DataError
+
+INFO: Final = "meta/info.json"
+V21: Final = "v2.1"
+V30: Final = "v3.0"
+DEFAULTS: Final = {
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+"""Columns that every dataset has; each is one number."""
+DATA_PATH: Final = {
+    V21: "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+    V30: "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+}
+VIDEO_PATH: Final = {
+    V21: "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
+    V30: "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+}
+EPISODES: Final = "meta/episodes"
+EPISODES_PATH: Final = EPISODES + "/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+CHUNKS_SIZE: Final = 1000
+"""Most files of a folder."""
+_PLACE: Final = re.compile(r"\{([a-z_]+)(?::0?([0-9])d)?\}")
+_MOST_META: Final = 512 << 20
+_POINTERS: Final = ("data/", "meta/", "videos/", "stats/")
+_KNOWN: Final = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What `meta/` says of one episode.
+
+    Attributes:
+        index: its number.
+        length: steps.
+        tasks: sentences.
+        data: file of its numbers, from the root.
+        first: its first row in that file.
+        videos: by camera, the file from the root and when the episode begins in it, seconds.
+        extras: what else it says.
+    """
+
+    index: int
+    length: int
+    tasks: tuple[str, ...]
+    data: str
+    first: int
+    videos: Mapping[str, tuple[str, float]]
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+
+def information(root: Path) -> dict[str, Any]:
+    """Return what `meta/info.json` says, its features and rate judged.
+
+    Raises:
+        DataError: it cannot be read, or says something that cannot be.
+    """
+    info = _json(root / INFO)
+    if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
+        raise DataError(f"{root / INFO} has no map `features`")
+    for name, feature in info["features"].items():
+        shape = feature.get("shape") if isinstance(feature, dict) else None
+        if not isinstance(shape, list) or not all(isinstance(size, int) and size >= 0 for size in shape):
+            raise DataError(f"{root / INFO}: the feature {name} has no shape of whole numbers")
+    if not isinstance(info.get("fps"), (int, float)) or not info["fps"] > 0:
+        raise DataError(f"{root / INFO} has no fps above 0, got {info.get('fps')!r}")
+    return info
+
+
+def version_of(root: Path, info: Mapping[str, Any]) -> str:
+    """Return v2.1 or v3.0, by which the files lie.
+
+    Raises:
+        DataError: it is another version.
+    """
+    told = str(info.get("codebase_version"))
+    if told.startswith("v3."):
+        return V30
+    if told.startswith("v2."):
+        return V21
+    raise DataError(f"{root / INFO} says version {told[:40]}; v2.0, v2.1 and v3.0 are read")
+
+
+def entries(root: Path, info: Mapping[str, Any], version: str) -> list[Entry]:
+    """Return what there is of each episode, in the order of their numbers.
+
+    Raises:
+        DataError: the files below `meta/` cannot be read, or lack something.
+    """
+    try:
+        found = list(_of_lines(root, info) if version == V21 else _of_tables(root, info))
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(f"{root}: the lists of episodes below meta/ are damaged: {error!r:.200}") from None
+    return sorted(found, key=lambda entry: entry.index)
+
+
+def filled(template: Any, values: Mapping[str, Any]) -> str:
+    """Return a path with values in the places of a template; it never leads out of the dataset.
+
+    Raises:
+        DataError: it does, or has a place that there is no value for.
+    """
+
+    def put(match: re.Match[str]) -> str:
+        value = values[match[1]]
+        return str(value) if match[2] is None else f"{int(value):0{match[2]}d}"
+
+    try:
+        path = _PLACE.sub(put, str(template))
+    except KeyError as error:
+        raise DataError(f"{INFO}: the path {str(template)[:200]!r} has a place {error} that is not known") from None
+    if "{" in path or path.startswith("/") or ".." in Path(path).parts or "\0" in path:
+        raise DataError(f"{INFO}: the path {str(template)[:200]!r} leads out of the dataset, or is damaged")
+    return path
+
+
+def cameras(info: Mapping[str, Any], dtype: str) -> list[str]:
+    """Return the names of the features that are videos, or images."""
+    return [name for name, feature in info["features"].items() if feature.get("dtype") == dtype]
+
+
+def lines(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the objects of a file of JSON lines.
+
+    Raises:
+        DataError: it cannot be read, or a line is no object.
+    """
+    for number, line in enumerate(_text(path).splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            value = json.loads(line)
+        except ValueError:
+            value = None
+        if not isinstance(value, dict):
+            raise DataError(f"{path}, line {number}: expected an object of JSON")
+        yield value
+
+
+def _of_lines(root: Path, info: Mapping[str, Any]) -> Iterator[Entry]:
+    size = int(info.get("chunks_size") or CHUNKS_SIZE)
+    videos = cameras(info, "video")
+    for line in lines(root / "meta/episodes.jsonl"):
+        index = int(line["episode_index"])
+        places = {"episode_index": index, "episode_chunk": index // size}
+        yield Entry(
+            index,
+            int(line["length"]),
+            tuple(map(str, line.get("tasks") or ())),
+            filled(info["data_path"], places),
+            0,
+            {name: (filled(info["video_path"], {**places, "video_key": name}), 0.0) for name in videos},
+            {key: value for key, value in line.items() if key not in _KNOWN},
+        )
+
+
+def _of_tables(root: Path, info: Mapping[str, Any]) -> Iterator[Entry]:
+    videos = cameras(info, "video")
+    rows = sorted(_rows(root), key=lambda row: int(row["episode_index"]))
+    begins: dict[str, int] = {}
+    for row in rows:
+        path = filled(info["data_path"], _pointer(row, "data"))
+        begins.setdefault(path, int(row["dataset_from_index"]))
+        begins[path] = min(begins[path], int(row["dataset_from_index"]))
+    for row in rows:
+        path = filled(info["data_path"], _pointer(row, "data"))
+        yield Entry(
+            int(row["episode_index"]),
+            int(row["length"]),
+            tuple(map(str, row.get("tasks") or ())),
+            path,
+            int(row["dataset_from_index"]) - begins[path],
+            {
+                name: (
+                    filled(info["video_path"], {**_pointer(row, f"videos/{name}"), "video_key": name}),
+                    float(row[f"videos/{name}/from_timestamp"]),
+                )
+                for name in videos
+            },
+            {key: value for key, value in row.items() if key not in _KNOWN and not key.startswith(_POINTERS)},
+        )
+
+
+def _pointer(row: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    return {name: int(row[f"{prefix}/{name}"]) for name in ("chunk_index", "file_index")}
+
+
+def _rows(root: Path) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the tables of episodes, without their statistics."""
+    parquet = libraries.parquet()
+    paths = sorted((root / EPISODES).glob("*/*.parquet"))
+    if not paths:
+        raise DataError(f"{root / EPISODES} has no table of episodes")
+    for path in paths:
+        try:
+            with parquet.ParquetFile(path) as file:
+                names = [name for name in file.schema_arrow.names if not name.startswith("stats/")]
+                for batch in file.iter_batches(columns=names):
+                    yield from batch.to_pylist()
+        except (OSError, libraries.arrow().ArrowException) as error:
+            raise DataError(f"{path} cannot be read: {str(error)[:200]}") from None
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(_text(path))
+    except ValueError as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(f"{path} is no JSON: {error}") from None
+
+
+def _text(path: Path) -> str:
+    try:
+        return files.content(path, _MOST_META).decode()
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise DataError(f"{path} is no text") from None

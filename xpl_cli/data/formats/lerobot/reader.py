@@ -1,0 +1,278 @@
+"""Episodes of LeRobot's datasets: rows of parquet files, frames of videos or of images in the tables."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl.images import PIXELS
+from xpl_cli.data.formats import libraries, pictures, video
+from xpl_cli.data.formats.lerobot import layout
+from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.interface import Camera, Column
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_MOST_ROW: Final = 64 << 20
+"""Bytes of one row of a column."""
+_TYPES: Final = ("bool", *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)))
+_NUMBERS: Final = (*_TYPES, "float16", "float32", "float64")
+_KNOWN: Final = ("codebase_version", "features", "fps", "robot_type", "data_path", "video_path")
+_COUNTS: Final = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb", "splits")
+
+
+class LeRobotSet:
+    """A folder with `meta/info.json`."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.info = layout.information(root)
+        self.version = layout.version_of(root, self.info)
+
+    @property
+    def path(self) -> str:
+        """The folder."""
+        return str(self.root)
+
+    @property
+    def format(self) -> str:
+        """The name of its format."""
+        return f"lerobot-{self.version}"
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Steps per second."""
+        return float(self.info["fps"])
+
+    @property
+    def robot(self) -> str | None:
+        """What the set calls its robot."""
+        told = self.info.get("robot_type")
+        return str(told) if told else None
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else `meta/info.json` says, without its counts."""
+        return {
+            key: value
+            for key, value in self.info.items()
+            if key not in (*_KNOWN, *_COUNTS) and not key.startswith("total_")
+        }
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return len(self._entries)
+
+    def __getitem__(self, index: int) -> LeRobotEpisode:
+        """Return an episode, by its place."""
+        return LeRobotEpisode(self, self._entries[index])
+
+    @functools.cached_property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns of every episode."""
+        return {
+            name: _column(name, feature)
+            for name, feature in self.info["features"].items()
+            if feature.get("dtype") not in ("video", "image")
+        }
+
+    @functools.lru_cache(maxsize=8)  # noqa: B019 - a set lives as long as what reads it
+    def group(self, path: str, number: int, column: str) -> NDArray[Any]:
+        """Return a column of one group of rows: episodes share groups, which are unpacked as a whole."""
+        with _opened(self.root / path) as file:
+            return self._numbers(file.read_row_group(number, columns=[column]), column, path)
+
+    def rows(self, entry: layout.Entry, column: str, start: int, stop: int) -> NDArray[Any]:
+        """Return rows of an episode."""
+        pieces = []
+        with _opened(self.root / entry.data) as file:
+            groups = list(_groups(file, entry.first + start, entry.first + stop))
+        for number, first, last in groups:
+            pieces.append(self.group(entry.data, number, column)[first:last])
+        found = sum(map(len, pieces))
+        if found != stop - start:
+            raise DataError(
+                f"{self.root / entry.data} ends before the episode {entry.index} does: {column} has {found} of "
+                f"{stop - start} rows"
+            )
+        return np.concatenate(pieces) if pieces else self._empty(column)
+
+    def pictures(self, entry: layout.Entry, camera: str, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
+        """Yield the encoded images of a camera that lie in the table, with their places."""
+        where = f"{self.root / entry.data}, {camera}"
+        due = start
+        with _opened(self.root / entry.data) as file:
+            for number, first, last in _groups(file, entry.first + start, entry.first + stop):
+                seen = 0
+                for batch in file.iter_batches(batch_size=16, row_groups=[number], columns=[camera]):
+                    for value in batch.column(0).to_pylist():
+                        if first <= seen < last:
+                            yield due, self._image(value, f"{where}, image {due}")
+                            due += 1
+                        seen += 1
+        if due != stop:
+            raise DataError(f"{where} has {due} images, and {stop} are expected")
+
+    @functools.cached_property
+    def _entries(self) -> list[layout.Entry]:
+        return layout.entries(self.root, self.info, self.version)
+
+    def _empty(self, column: str) -> NDArray[Any]:
+        known = self.columns[column]
+        return np.empty((0, *known.shape), known.dtype)
+
+    def _numbers(self, table: Any, column: str, path: str) -> NDArray[Any]:
+        """Return a column of a table as (rows, *shape)."""
+        known = self.columns[column]
+        values = table.column(0).combine_chunks()
+        if known.dtype == "str":
+            return np.array([str(value) for value in values.to_pylist()], dtype=str)
+        arrow = libraries.arrow()
+        values = getattr(values, "storage", values)  # an array of a type of `datasets`, where that is loaded
+        while arrow.types.is_list(values.type) or arrow.types.is_fixed_size_list(values.type):
+            values = values.flatten()
+        flat = values.to_numpy(zero_copy_only=False)
+        shape = (table.num_rows, *known.shape)
+        if flat.size != math.prod(shape) or flat.dtype.kind not in "biuf":
+            raise DataError(
+                f"{self.root / path}: {column} holds {flat.size} {flat.dtype} in {table.num_rows} rows, "
+                f"and {layout.INFO} says {known.shape} {known.dtype}"
+            )
+        return flat.reshape(shape).astype(known.dtype, copy=False)
+
+    def _image(self, value: Any, where: str) -> bytes:
+        data = value.get("bytes") if isinstance(value, dict) else value
+        if isinstance(data, bytes):
+            return data
+        raise DataError(f"{where} is not in the table; sets that keep images in files of their own are not read")
+
+
+class LeRobotEpisode:
+    """An episode of a LeRobot dataset."""
+
+    def __init__(self, owner: LeRobotSet, entry: layout.Entry) -> None:
+        self._owner, self.entry = owner, entry
+
+    @property
+    def key(self) -> str:
+        """Its name in the set."""
+        return f"episode_{self.entry.index:06d}"
+
+    @property
+    def length(self) -> int:
+        """How many steps it has."""
+        return self.entry.length
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told."""
+        return self.entry.tasks
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns of numbers."""
+        return self._owner.columns
+
+    @functools.cached_property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras, in the order of the features."""
+        return {name: self._camera(name, feature) for name, feature in self._features()}
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else `meta/` says of it."""
+        return self.entry.extras
+
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return rows of a column."""
+        if column not in self.columns:
+            raise KeyError(column)
+        first, last, _ = slice(start, stop).indices(self.length)
+        return self._owner.rows(self.entry, column, first, max(first, last))
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Yield images of a camera."""
+        feature = dict(self._features())[camera]
+        first, last, _ = slice(start, stop).indices(self.length)
+        if feature["dtype"] == "video":
+            path, begins = self.entry.videos[camera]
+            yield from video.frames(self._owner.root / path, begins, float(self._owner.info["fps"]), first, last)
+            return
+        for index, data in self._owner.pictures(self.entry, camera, first, last):
+            yield pictures.pixels(data, f"{self._owner.root / self.entry.data}, {camera}, image {index}")
+
+    def _features(self) -> list[tuple[str, dict[str, Any]]]:
+        return [
+            (name, feature)
+            for name, feature in self._owner.info["features"].items()
+            if feature.get("dtype") in ("video", "image")
+        ]
+
+    def _camera(self, name: str, feature: Mapping[str, Any]) -> Camera:
+        if len(feature["shape"]) != 3:
+            raise DataError(f"{layout.INFO}: the camera {name} has the shape {feature['shape']}, expected three sizes")
+        height, width = _sizes(feature)
+        if height * width > PIXELS:
+            raise DataError(f"{layout.INFO}: images of {name} have {height} x {width} pixels, more than {PIXELS}")
+        if feature["dtype"] == "image":
+            return Camera(height, width, encoding="png")
+        told = feature.get("info") or feature.get("video_info") or {}
+        return Camera(height, width, encoding=str(told.get("video.codec", "video")))
+
+
+def _sizes(feature: Mapping[str, Any]) -> tuple[int, int]:
+    """Return height and width; sets of 2024 have the channels first, and say so in their names."""
+    names = feature.get("names")
+    is_first = isinstance(names, list) and names and str(names[0]).startswith("channel")
+    is_first = is_first or (not names and feature["shape"][0] == 3 and feature["shape"][2] != 3)
+    height, width = feature["shape"][1:] if is_first else feature["shape"][:2]
+    return height, width
+
+
+def _column(name: str, feature: Mapping[str, Any]) -> Column:
+    dtype = str(feature.get("dtype"))
+    if dtype in ("string", "large_string"):
+        return Column((), "str")
+    if dtype not in _NUMBERS:
+        raise DataError(f"{layout.INFO}: the feature {name} has the type {dtype[:40]}, which is not read")
+    shape = () if name in layout.DEFAULTS else tuple(feature["shape"])
+    if math.prod(shape) * 8 > _MOST_ROW:
+        raise DataError(f"{layout.INFO}: the feature {name} has the shape {shape}, too large for a row")
+    return Column(shape, dtype, _names(feature.get("names"), shape))
+
+
+def _names(told: Any, shape: tuple[int, ...]) -> tuple[str, ...]:
+    """Return the names of the entries of a row: a list, or a list in a map such as `motors`."""
+    if isinstance(told, dict):
+        lists = [value for value in told.values() if isinstance(value, list)]
+        told = [name for value in lists for name in value]
+    names = tuple(map(str, told)) if isinstance(told, list) else ()
+    return names if len(shape) == 1 and len(names) == shape[0] else ()
+
+
+def _groups(file: Any, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
+    """Yield the groups of rows that hold rows `start` to `stop`, with the first and the one after the last in each."""
+    begins = 0
+    for number in range(file.metadata.num_row_groups):
+        count = file.metadata.row_group(number).num_rows
+        first, last = max(start - begins, 0), min(stop - begins, count)
+        if first < last:
+            yield number, first, last
+        begins += count
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a parquet file; what goes wrong with it is said in one sentence."""
+    try:
+        with libraries.parquet().ParquetFile(path) as file:
+            yield file
+    except (OSError, libraries.arrow().ArrowException) as error:
+        raise DataError(f"{path} cannot be read as parquet: {str(error)[:200]}") from None

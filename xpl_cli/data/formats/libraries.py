@@ -1,0 +1,46 @@
+"""Libraries that only demonstrations need: imported when something is read, and one sentence where they are missing."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Final
+
+from xpl_cli.basics.extras import how_to_install
+from xpl_cli.data.sets.errors import DataError
+
+_EXTRA: Final = "data"
+
+
+def h5py() -> Any:
+    """Return the module `h5py`."""
+    return _imported("h5py", "HDF5 files")
+
+
+def parquet() -> Any:
+    """Return the module `pyarrow.parquet`."""
+    return _imported("pyarrow.parquet", "parquet files")
+
+
+def arrow() -> Any:
+    """Return the module `pyarrow`."""
+    return _imported("pyarrow", "parquet files")
+
+
+def av() -> Any:
+    """Return the module `av`."""
+    return _imported("av", "videos")
+
+
+def zarr() -> Any:
+    """Return the module `zarr`."""
+    return _imported("zarr", "zarr stores")
+
+
+def _imported(name: str, what: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise DataError(
+            f"{what} need the library {name.partition('.')[0]}, which cannot be imported here: {error}",
+            hint=how_to_install(_EXTRA),
+        ) from None

@@ -1,0 +1,55 @@
+"""Encoded images of one step, as they lie in files: what they are, how large, and their pixels.
+
+Nothing is exchanged: a JPEG's pixels are what its own standard says. Files of the field hold JPEGs whose red and blue
+were exchanged when they were written; that is a convention, which a mapping says and a probe measures.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import images
+from xpl.observation import ObservationError
+from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_JPEG: Final = b"\xff\xd8\xff"
+_PNG: Final = b"\x89PNG\r\n\x1a\n"
+
+
+def encoding_of(data: bytes) -> str | None:
+    """Return `jpeg` or `png`, None if the bytes begin like neither."""
+    if data.startswith(_JPEG):
+        return "jpeg"
+    return "png" if data.startswith(_PNG) else None
+
+
+def size_of(data: bytes, where: str) -> tuple[int, int]:
+    """Return height and width.
+
+    Raises:
+        DataError: it is no image, or a larger one than is decoded.
+    """
+    try:
+        width, height = images.size_of(data)
+    except ObservationError as error:
+        raise DataError(f"{where}: {error}") from None
+    return height, width
+
+
+def pixels(data: bytes, where: str) -> NDArray[np.uint8]:
+    """Return the pixels (H, W, 3) uint8 in the file's own order of channels.
+
+    Raises:
+        DataError: it cannot be decoded.
+    """
+    try:
+        image: NDArray[Any] = images.decode(data)
+    except ObservationError as error:
+        raise DataError(f"{where}: {error}") from None
+    is_exchanged = data.startswith(_JPEG) and not images.has_marker(data)
+    return np.ascontiguousarray(image[:, :, ::-1]) if is_exchanged else image

@@ -1,0 +1,120 @@
+"""robomimic's HDF5, and LIBERO's, which is the same with a sentence: `data/demo_0/{actions,obs/...}`.
+
+Source: robomimic's documentation of its datasets; LIBERO's scripts/create_dataset.py.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from xpl_cli.data.formats import hdf5
+from xpl_cli.data.formats.folders import natural
+from xpl_cli.data.formats.hdf5 import Hdf5Episode
+from xpl_cli.data.sets.errors import DataError
+
+NAME: Final = "robomimic"
+_STEPS: Final = ("actions", "states")
+_MOST_EPISODES: Final = 1_000_000
+
+
+def recognises(file: Any) -> bool:
+    """Tell whether an open HDF5 file is one."""
+    group = file.get("data")
+    return hasattr(group, "keys") and any(
+        hasattr(group.get(name), "keys") and name.startswith("demo") for name in group
+    )
+
+
+class RobomimicSet:
+    """One file, or a folder of files, one a task.
+
+    Args:
+        path: what was opened.
+        files: the files in it.
+    """
+
+    def __init__(self, path: Path, files: list[Path]) -> None:
+        self._path, self._files = path, files
+
+    @property
+    def path(self) -> str:
+        """The file or folder."""
+        return str(self._path)
+
+    @property
+    def format(self) -> str:
+        """The name of its format."""
+        return NAME
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Steps per second, where the arguments of its environment say so."""
+        rate = self._kwargs.get("control_freq")
+        return float(rate) if isinstance(rate, (int, float)) and rate > 0 else None
+
+    @property
+    def robot(self) -> str | None:
+        """What robosuite calls the robot."""
+        robots = self._kwargs.get("robots")
+        first = robots[0] if isinstance(robots, list) and robots else robots
+        return first if isinstance(first, str) else None
+
+    @functools.cached_property
+    def extras(self) -> Mapping[str, Any]:
+        """The attributes of the first file's `data`, texts of JSON read."""
+        with hdf5.opened(self._files[0]) as file:
+            return {name: _json(value) for name, value in hdf5.attributes(file["data"]).items()}
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return len(self._episodes)
+
+    def __getitem__(self, index: int) -> Hdf5Episode:
+        """Return an episode, by its place."""
+        return self._episodes[index]
+
+    @property
+    def _kwargs(self) -> Mapping[str, Any]:
+        """Return what the environment was made with."""
+        arguments = self.extras.get("env_args")
+        found = arguments.get("env_kwargs") if isinstance(arguments, dict) else None
+        return found if isinstance(found, dict) else {}
+
+    @functools.cached_property
+    def _episodes(self) -> list[Hdf5Episode]:
+        found = []
+        for path in self._files:
+            with hdf5.opened(path) as file:
+                group = file["data"]
+                told = _language(_json(hdf5.plain(group.attrs.get("problem_info"))))
+                for name in sorted(group, key=natural):
+                    meta = _json(hdf5.plain(group[name].attrs.get("ep_meta")))
+                    key = name if len(self._files) == 1 else f"{path.stem}/{name}"
+                    found.append(Hdf5Episode(path, f"data/{name}", key, _STEPS, _language(meta) or told))
+            if len(found) > _MOST_EPISODES:
+                raise DataError(f"{self._path} has more than {_MOST_EPISODES} episodes")
+        return found
+
+
+def _language(meta: Any) -> tuple[str, ...]:
+    """Return the sentence in LIBERO's `problem_info`, or in RoboCasa's `ep_meta`."""
+    if not isinstance(meta, dict):
+        return ()
+    told = meta.get("language_instruction", meta.get("lang"))
+    if isinstance(told, list):
+        told = " ".join(map(str, told))  # LIBERO's parser gives words
+    return (told.strip(),) if isinstance(told, str) and told.strip() else ()
+
+
+def _json(value: Any) -> Any:
+    """Return what a text of JSON says; any other value as it is."""
+    if isinstance(value, str) and value[:1] in "{[":
+        try:
+            return json.loads(value)
+        except ValueError:
+            return value
+    return value

@@ -1,0 +1,53 @@
+"""RoboTwin 2.0's HDF5: `joint_action`, `endpose`, `observation/<camera>/rgb`, and sentences in files beside it.
+
+Source: RoboTwin's pkl2hdf5.py and its description of the data. Its JPEGs have red and blue exchanged, because RGB was
+given to an encoder that expects BGR.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from typing import Any, Final
+
+from xpl_cli.basics import files as bounded
+from xpl_cli.data.formats.folders import FolderSet, sentences
+from xpl_cli.data.formats.hdf5 import Hdf5Episode
+from xpl_cli.data.sets.errors import DataError
+
+NAME: Final = "robotwin"
+_STEPS: Final = ("joint_action/vector", "joint_action/left_gripper", "endpose/left_endpose")
+_MOST: Final = 16 << 20
+
+
+def recognises(file: Any) -> bool:
+    """Tell whether an open HDF5 file is one."""
+    return "joint_action" in file and "observation" in file
+
+
+def opened(path: Path, files: list[Path]) -> FolderSet:
+    """Return the set in these files."""
+    return FolderSet(path, NAME, files, lambda file, key: _Episode(file, "", key, _STEPS))
+
+
+class _Episode(Hdf5Episode):
+    """An episode, whose sentences lie in `../instructions/<the same name>.json`."""
+
+    @functools.cached_property
+    def _told(self) -> tuple[str, ...]:
+        path = self._path.parent.parent / "instructions" / f"{self._path.stem}.json"
+        try:
+            told = json.loads(bounded.content(path, _MOST))
+        except FileNotFoundError:
+            return ()
+        except (OSError, ValueError) as error:
+            raise DataError(f"{path} cannot be read as JSON: {error}") from None
+        if isinstance(told, dict):  # by whether training sees them
+            told = [sentence for key in ("seen", "unseen") for sentence in told.get(key) or []]
+        return sentences(told)
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told, in several wordings."""
+        return self._told

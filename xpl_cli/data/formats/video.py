@@ -1,0 +1,86 @@
+"""Frames of videos by their place in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl.images import PIXELS
+from xpl_cli.data.formats import libraries
+from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+_CODECS: Final = {"libdav1d": "av1", "libsvtav1": "av1", "libaom-av1": "av1", "libx264": "h264"}
+
+
+def described(path: Path) -> tuple[int, int, str]:
+    """Return height, width and codec of a video.
+
+    Raises:
+        DataError: it is none, or larger than is decoded.
+    """
+    with _opened(path) as (_, stream):
+        name = stream.codec_context.name
+        return stream.height, stream.width, _CODECS.get(name, name)
+
+
+def frames(path: Path, begins_s: float, rate_hz: float, start: int, stop: int) -> Iterator[NDArray[np.uint8]]:
+    """Yield frames `start` to `stop` of an episode, (H, W, 3) uint8.
+
+    Args:
+        path: the video, which may hold other episodes too.
+        begins_s: when the episode begins in it.
+        rate_hz: steps per second.
+        start: first frame, counted from there.
+        stop: the frame after the last.
+
+    Raises:
+        DataError: a frame is not there, or cannot be decoded.
+    """
+    if start >= stop:
+        return
+    with _opened(path) as (container, stream):
+        due = start
+        try:
+            container.seek(max(0, int((begins_s + start / rate_hz) / stream.time_base) - 1), stream=stream)
+            for frame in container.decode(stream):
+                place = round((frame.time - begins_s) * rate_hz)
+                if place < due:
+                    continue
+                if place > due:
+                    break
+                yield frame.to_ndarray(format="rgb24")
+                due += 1
+                if due == stop:
+                    return
+        except libraries.av().error.FFmpegError as error:
+            raise DataError(f"{path}: frame {due} cannot be decoded: {error.strerror}") from None
+    raise DataError(
+        f"{path} has no frame {due} of the episode at {begins_s:g} s, at {rate_hz:g} Hz; expected are {stop}",
+        hint="the video is shorter than the episode, or frames were lost",
+    )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """Open a video by the one reader that is meant: others would follow what a file names."""
+    av = libraries.av()
+    try:
+        container = av.open(str(path), format="mp4")
+    except FileNotFoundError:
+        raise DataError(f"there is no video {path}") from None
+    except (av.error.FFmpegError, OSError) as error:
+        raise DataError(f"{path} cannot be read as an MP4 video: {error.strerror}") from None
+    with container:
+        if not container.streams.video:
+            raise DataError(f"{path} holds no video")
+        stream = container.streams.video[0]
+        if stream.height * stream.width > PIXELS:
+            raise DataError(f"{path} has frames of {stream.height} x {stream.width} pixels, more than {PIXELS} in all")
+        stream.thread_type = "AUTO"
+        yield container, stream
