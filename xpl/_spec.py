@@ -45,6 +45,24 @@ class State:
     BASE_TWIST = "base_twist"
 
 
+class Trajectory:
+    """Names of the standard."""
+
+    DATA_FORMAT_VERSION = "data_format_version"
+    INSTRUCTION = "instruction"
+    INSTRUCTIONS = "instructions"
+    SUBTASKS = "subtasks"
+    ADDITIONAL_INFO = "additional_info"
+    VISION = "vision"
+    STATE = "state"
+    ACTION = "action"
+    COLORS = "colors"
+    DEPTHS = "depths"
+    INTRINSIC_MATRIX = "intrinsic_matrix"
+    EXTRINSIC_MATRIX = "extrinsic_matrix"
+    SHAPE = "shape"
+
+
 class Deploy:
     """Names of the standard."""
 
@@ -229,6 +247,19 @@ GRIPPER_OPEN: float = 1.0
 CAMERAS: dict[int, tuple[str, ...]] = {1: ('cam_head', 'cam_wrist'), 2: ('cam_head', 'cam_left_wrist', 'cam_right_wrist')}
 OPTIONAL_CAMERAS: tuple[str, ...] = ('cam_third_view',)
 READ_ALIASES: dict[str, tuple[str, ...]] = {'color': ('colors', 'rgb', 'image'), 'extrinsics_matrix': ('extrinsic_matrix',), 'instruction': ('instructions',)}
+TRAJECTORY_STATE: dict[str, str] = {'arm_joint_state': 'arm_joint_states',
+ 'ee_joint_state': 'ee_joint_states',
+ 'ee_pose': 'ee_poses',
+ 'tcp_pose': 'tcp_poses',
+ 'delta_ee_pose': 'delta_ee_poses',
+ 'mobile': 'mobile',
+ 'base_pose': 'base_poses',
+ 'base_twist': 'base_twists'}
+TRAJECTORY_CAMERA: dict[str, str] = {'color': 'colors',
+ 'depth': 'depths',
+ 'intrinsic_matrix': 'intrinsic_matrix',
+ 'extrinsics_matrix': 'extrinsic_matrix',
+ 'shape': 'shape'}
 JPEG_MARKER: bytes = b'XPL-RGB1'
 JOINT_TOLERANCE: float = 0.001
 POSITION_TOLERANCE: float = 0.001

@@ -263,7 +263,7 @@ def test_the_sdk_wheel_holds_the_sdk_and_its_licence_only(tmp_path: Path) -> Non
     assert ("Requires-Python", ">=3.9") in fields
     requirements = [Requirement(value) for name, value in fields if name == "Requires-Dist"]
     assert [str(needed) for needed in requirements if not needed.marker] == ["numpy"]
-    assert {value for name, value in fields if name == "Provides-Extra"} == {"client", "images"}
+    assert {value for name, value in fields if name == "Provides-Extra"} == {"client", "data", "images"}
 
 
 def test_the_sdk_wheel_takes_its_time_stamps_from_the_environment(

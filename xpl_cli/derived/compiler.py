@@ -9,9 +9,12 @@ from __future__ import annotations
 import pprint
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl_cli.standard import robots, spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 _HEADER = '''"""Constants of the standard, generated from version {version} of spec/ by `xpl spec compile`. Do not edit.
 
@@ -71,11 +74,16 @@ def compile_source(version: str = spec.CURRENT) -> str:
     paired = tuple(prefix for prefix in prefixes[2] if prefix)
     leaves = [name for name in state if not name.startswith(paired)]
     additional = observation["properties"]["additional_info"]["properties"]
+    trajectory = spec.schema("trajectory", version)
+    series = trajectory["$defs"]["series"]["properties"]
+    stored = {**series, **series["mobile"]["properties"]}
+    pictures = trajectory["properties"]["vision"]["additionalProperties"]["properties"]
 
     classes = {
         "Obs": [*observation["properties"], *additional],
         "Camera": list(camera),
         "State": [*leaves, *mobile],
+        "Trajectory": [*trajectory["properties"], *pictures],
         "Deploy": list(deploy["properties"]),
         "File": [*package["files"]["required"], *package["files"]["training"], package["files"]["manifest"]],
         "Frame": list(spec.schema("frame", version)["properties"]),
@@ -113,6 +121,8 @@ def compile_source(version: str = spec.CURRENT) -> str:
         "CAMERAS": {int(count): tuple(names) for count, names in conventions["cameras"]["by_arms"].items()},
         "OPTIONAL_CAMERAS": tuple(conventions["cameras"]["optional"]),
         "READ_ALIASES": {name: tuple(others) for name, others in conventions["readers"].items()},
+        "TRAJECTORY_STATE": {name: _stored(name, stored, {}) for name in (*leaves, *mobile)},
+        "TRAJECTORY_CAMERA": {name: _stored(name, pictures, conventions["readers"]) for name in camera},
         "JPEG_MARKER": conventions["images"]["jpeg_marker"].encode(),
         "JOINT_TOLERANCE": float(conventions["continuity"]["joint_tolerance"]),
         "POSITION_TOLERANCE": float(conventions["continuity"]["position_tolerance"]),
@@ -141,6 +151,19 @@ def compile_source(version: str = spec.CURRENT) -> str:
     parts += [_class(name, keys) for name, keys in classes.items()]
     parts.append("\n".join(_assignment(name, value) for name, value in values.items()) + "\n")
     return "\n\n".join(parts)
+
+
+def _stored(name: str, known: Mapping[str, Any], readers: Mapping[str, list[str]]) -> str:
+    """Return the name under which a trajectory has a leaf of the observation: its own, its plural, or another spelling.
+
+    Raises:
+        ValueError: it has none of them.
+    """
+    candidates = (name, f"{name}s", *readers.get(name, ()))
+    found = next((candidate for candidate in candidates if candidate in known), None)
+    if found is None:
+        raise ValueError(f"the trajectory has no {name!r}: none of {', '.join(candidates)}")
+    return found
 
 
 def _class(name: str, keys: list[str]) -> str:

@@ -26,7 +26,8 @@ _README = """\
 
 What robot policies and environment clients import: `import xpl`. Python 3.9 or newer; only numpy at import time.
 
-Extras: `client` (the connection to a policy server: msgpack, websockets), `images` (the image codec: pillow).
+Extras: `client` (the connection to a policy server: msgpack, websockets), `images` (the image codec: pillow), `data`
+(recorded episodes: h5py, pillow).
 
 Do not install it beside `xpl-cli`, which contains the same import package.
 """
@@ -102,7 +103,11 @@ def _project() -> dict[str, Any]:
             "requires-python": ">=3.9",
             # No lower bound: simulators pin their numpy, and the SDK keeps to its oldest functions.
             "dependencies": ["numpy"],
-            "optional-dependencies": {"client": ["msgpack", "websockets>=12"], "images": ["pillow"]},
+            "optional-dependencies": {
+                "client": ["msgpack", "websockets>=12"],
+                "images": ["pillow"],
+                "data": ["h5py", "pillow"],
+            },
         },
         "tool": {
             "hatch": {

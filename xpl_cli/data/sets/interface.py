@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -86,8 +85,8 @@ class Episode(Protocol):
             DataError: the file cannot be read there.
         """
 
-    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        """Yield images `start` to `stop` of a camera, decoded one after the other.
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
+        """Yield images `start` to `stop` of a camera, decoded one after the other: uint8, or depth as it is stored.
 
         Raises:
             KeyError: there is no such camera.

@@ -1,0 +1,101 @@
+"""A folder of trajectories: listed at once, opened one by one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, overload
+
+from xpl.trajectory import index
+from xpl.trajectory.errors import TrajectoryError
+from xpl.trajectory.reading import Trajectory
+
+ENDINGS = (".hdf5", ".h5")
+_MOST_FILES = 1 << 20
+
+
+def open_folder(path: str | os.PathLike[str]) -> Folder:
+    """Return the trajectories below a folder, sorted by their names; none is opened.
+
+    Args:
+        path: the folder, or one file.
+
+    Raises:
+        TrajectoryError: it is not there, or holds none.
+    """
+    return Folder(Path(path))
+
+
+class Folder(Sequence[Trajectory]):
+    """The trajectories below a folder; see `open_folder`.
+
+    Attributes:
+        path: the folder.
+        keys: the name of each, relative to the folder and without its ending.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+        self._root = path if path.is_dir() else path.parent
+        self._files = list(_files(path))
+        if not self._files:
+            told = f"holds no file that ends in {' or '.join(ENDINGS)}" if path.is_dir() else "is not there"
+            raise TrajectoryError(f"{path} {told}")
+        self.keys = tuple(name.with_suffix("").as_posix() for name in self._files)
+        self._indices: dict[Path, dict[str, dict[str, Any]]] = {}
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._files)
+
+    @overload
+    def __getitem__(self, place: int) -> Trajectory: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[Trajectory]: ...
+
+    def __getitem__(self, place: int | slice) -> Trajectory | list[Trajectory]:
+        """Return a trajectory by its place; it is opened when something of it is asked for."""
+        if isinstance(place, slice):
+            return [self[number] for number in range(len(self))[place]]
+        facts = self.facts(place)
+        return Trajectory(
+            str(self._root / self._files[place]),
+            key=self.keys[place],
+            steps=None if facts is None else facts["steps"],
+        )
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        """Yield one after the other."""
+        return (self[number] for number in range(len(self)))
+
+    def facts(self, place: int) -> dict[str, Any] | None:
+        """Return what the folder's index says of a trajectory: `steps`, `frequency`, `episode`; None where nothing."""
+        file = self._root / self._files[place]
+        if file.parent not in self._indices:
+            self._indices[file.parent] = index.entries(file.parent)
+        entry = self._indices[file.parent].get(file.name)
+        return entry if entry is not None and entry.get("bytes") == file.stat().st_size else None
+
+    @property
+    def steps(self) -> int:
+        """Control steps of all of them together; opens those of which the index says nothing."""
+        return sum(map(len, self))
+
+
+def _files(path: Path) -> Iterator[Path]:
+    """Yield the files below a folder, sorted; hidden ones are being written, or are somebody else's."""
+    if not path.is_dir():
+        if path.is_file():
+            yield Path(path.name)
+        return
+    count = 0
+    for place, folders, found in os.walk(path):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(found):
+            if name.endswith(ENDINGS) and not name.startswith("."):
+                count += 1
+                if count > _MOST_FILES:
+                    raise TrajectoryError(f"{path} holds more than {_MOST_FILES} files: name a folder of fewer")
+                yield Path(place, name).relative_to(path)

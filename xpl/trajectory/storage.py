@@ -1,0 +1,162 @@
+"""HDF5 files, opened with care: what a file says of itself is believed only within limits.
+
+A file may come from anywhere. It is read as numbers and text: no link out of the file is followed, and nothing is read
+whose size its header puts beyond what an episode has.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl.trajectory.errors import TrajectoryError
+
+if TYPE_CHECKING:
+    from xpl.trajectory.names import Place
+
+MOST_DATASETS = 4096
+DEEPEST = 8
+MOST_STEPS = 1 << 24
+"""A week at 25 Hz."""
+MOST_BYTES = 1 << 28
+"""Of one row of a dataset, and of one of its chunks."""
+MOST_TEXT = 1 << 24
+"""Characters of one text."""
+
+PER_STEP = "per_step"
+"""Attribute of a dataset with one row for each step, where neither its name nor its form tells."""
+LIST = "list"
+"""Attribute of a JSON text that stands for a list of texts, where its name does not tell."""
+
+
+def hdf5() -> Any:
+    """Return h5py.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise ImportError(
+            f"trajectories are HDF5 files, and {sys.executable} has no h5py to read and write them: `pip install h5py`"
+        ) from None
+    return h5py
+
+
+def opened(path: str) -> Any:
+    """Return an HDF5 file, open for reading.
+
+    Raises:
+        TrajectoryError: there is no file, or it is none of HDF5.
+        ImportError: h5py is not installed.
+    """
+    library = hdf5()
+    try:
+        if not Path(path).is_file():  # whoever opens a pipe waits for its other end
+            raise TrajectoryError(f"{path} is no file, or is not there")
+        return library.File(path, "r", locking=False)  # who writes puts whole files in place
+    except OSError as error:
+        raise TrajectoryError(f"{path} cannot be read as HDF5: {error.strerror or error}") from None
+
+
+def datasets(file: Any) -> dict[Place, Any]:
+    """Return every dataset of a file by its path.
+
+    Raises:
+        TrajectoryError: there are too many, too deep, or one lies in another file.
+    """
+    found: dict[Place, Any] = {}
+    for path, dataset in _below(file, file, ()):
+        found[path] = dataset
+        if len(found) > MOST_DATASETS:
+            raise TrajectoryError(f"{file.filename} has more than {MOST_DATASETS} datasets, no episode has that many")
+    return found
+
+
+def _below(file: Any, group: Any, path: Place) -> Iterator[tuple[Place, Any]]:
+    library = hdf5()
+    if len(path) > DEEPEST:
+        raise TrajectoryError(f"{file.filename}: {'/'.join(path)} lies deeper than {DEEPEST} groups")
+    for name in group:
+        place = (*path, str(name))
+        where = f"{file.filename}: {'/'.join(place)}"
+        if not isinstance(group.get(name, getlink=True), library.HardLink):
+            raise TrajectoryError(f"{where} is a link; links are not followed, an episode is one file by itself")
+        entry = group[name]
+        if isinstance(entry, library.Group):
+            yield from _below(file, entry, place)
+        elif isinstance(entry, library.Dataset):
+            _check(entry, where)
+            yield place, entry
+
+
+def _check(dataset: Any, where: str) -> None:
+    if dataset.external or dataset.is_virtual:
+        raise TrajectoryError(f"{where} has its data in other files; an episode is one file by itself")
+    shape = dataset.shape or ()
+    sizes = [math.prod(shape[1:]), math.prod(dataset.chunks or ())]
+    if max(sizes) * dataset.dtype.itemsize > MOST_BYTES:
+        raise TrajectoryError(f"{where} has rows of shape {shape[1:]}, more than {MOST_BYTES} bytes each")
+
+
+def is_text(dataset: Any) -> bool:
+    """Tell whether a dataset holds text of variable length."""
+    return hdf5().check_string_dtype(dataset.dtype) is not None and dataset.dtype.kind == "O"
+
+
+def is_encoded(dataset: Any) -> bool:
+    """Tell whether the rows of a dataset are encoded images: padded, of fixed length, or of variable length."""
+    if dataset.dtype.kind in "SO":
+        return dataset.ndim == 1
+    return bool(dataset.dtype == np.uint8) and dataset.ndim == 2
+
+
+def text(dataset: Any, index: Any = ()) -> Any:
+    """Return a text, or a list of them.
+
+    Raises:
+        TrajectoryError: it is no text, or too long.
+    """
+    where = f"{dataset.file.filename}: {dataset.name.lstrip('/')}"
+    if hdf5().check_string_dtype(dataset.dtype) is None:
+        raise TrajectoryError(f"{where}: expected text, got {dataset.shape} {dataset.dtype}")
+    value = dataset[index]
+    values = [value] if isinstance(value, (bytes, str)) else list(np.ravel(value))
+    texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in values]
+    if sum(map(len, texts)) > MOST_TEXT:
+        raise TrajectoryError(f"{where} has more than {MOST_TEXT} characters of text")
+    return texts[0] if isinstance(value, (bytes, str)) else texts
+
+
+def document(dataset: Any) -> Any:
+    """Return what a dataset of JSON text holds; a list of texts that are none as it is.
+
+    Raises:
+        TrajectoryError: it is neither.
+    """
+    told = text(dataset)
+    if isinstance(told, list):
+        return told
+    try:
+        return json.loads(told)
+    except (ValueError, RecursionError):
+        where = f"{dataset.file.filename}: {dataset.name.lstrip('/')}"
+        raise TrajectoryError(f"{where}: expected a JSON text, got {told[:60]!r}") from None
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: arrays as lists, numpy's numbers as Python's."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    return [plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value

@@ -1,0 +1,297 @@
+"""Writes one episode as a file that appears whole, under its name, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import images as codec
+from xpl.observation import is_encoded
+from xpl.trajectory import index, names, storage
+from xpl.trajectory.columns import Blobs, Column, Listed, Rows, Steady, numbers
+from xpl.trajectory.errors import TrajectoryError
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+JPEG, PADDED, PNG, RAW = "jpeg", "jpeg-padded", "png", "raw"
+FORMS = (JPEG, PADDED, PNG, RAW)
+"""How colour images lie in a file: JPEG, as (T,) of variable length or as (T, N) padded with NUL; PNG; or pixels.
+
+Every JPEG is a standard one, stamped with the marker of `xpl.images`.
+"""
+
+_NO_PART = (spec.Obs.DATA_FORMAT_VERSION, spec.Obs.ENV_IDX, spec.Obs.PRIVILEGED, spec.Trajectory.ACTION)
+"""What an observation may hold beside what a trajectory keeps of it: its place in a batch, and what no robot sees."""
+_STEADY = (spec.Camera.INTRINSIC_MATRIX, spec.Camera.EXTRINSICS_MATRIX, spec.Camera.SHAPE)
+_SMALL = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+
+class Writer:
+    """Writes one episode, step by step, in bounded memory.
+
+    The file appears under its name when the block ends without an exception; until then it is a hidden one beside it.
+
+        with Writer("demos/episode_0000000.hdf5", episode={"robot": "arx_x5"}) as writer:
+            writer.add(obs, action)
+
+    Args:
+        path: the file; its folder is made where it is missing, and a file that is there is replaced.
+        images: one of `FORMS`. Images that come encoded are kept as they are, but for `raw`.
+        quality: of JPEGs, 1 to 95.
+        frequency: control steps per second, where observations do not tell.
+        episode: facts of the episode, plain values; may be changed until the end, as `episode`.
+        subtasks: annotations, plain values.
+        indexed: whether the folder's index (`index.jsonl`) gets a line.
+
+    Attributes:
+        episode: facts of the episode.
+        subtasks: annotations; None for none.
+        steps: control steps so far.
+
+    Raises:
+        ValueError: there is no such form of images.
+        TrajectoryError: the file cannot be written.
+        ImportError: h5py is not installed.
+    """
+
+    def __init__(  # noqa: PLR0913 - by keyword, how one file differs from another
+        self,
+        path: str | os.PathLike[str],
+        *,
+        images: str = JPEG,
+        quality: int = codec.DEFAULT_QUALITY,
+        frequency: float | None = None,
+        episode: Mapping[str, Any] | None = None,
+        subtasks: list[Any] | None = None,
+        indexed: bool = True,
+    ) -> None:
+        if images not in FORMS:
+            raise ValueError(f"images must be one of {', '.join(FORMS)}, got {images!r}")
+        self.path = Path(path)
+        self.episode: dict[str, Any] = dict(episode or {})
+        self.subtasks = subtasks
+        self.steps = 0
+        self._form, self._quality, self._frequency, self._indexed = images, quality, frequency, indexed
+        self._columns: dict[names.Place, Column] = {}
+        library = storage.hdf5()
+        with self._told():
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(dir=self.path.parent, prefix=f".{self.path.name}.", suffix=".part")
+            os.close(handle)
+            self._partial = Path(name)
+            self._file: Any = library.File(self._partial, "w")
+
+    def __enter__(self) -> Writer:  # noqa: PYI034 - Python 3.9 has no Self
+        """Return the writer itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Put the file in place, unless something was raised."""
+        if kind is None:
+            self.commit()
+        else:
+            self.discard()
+
+    def add(self, obs: Mapping[str, Any], action: Mapping[str, Any], **steps: Any) -> None:
+        """Add a control step.
+
+        Args:
+            obs: the observation before it, of the standard, as a policy gets it.
+            action: what was commanded then.
+            **steps: further facts of this step, numbers or texts; read back as `Trajectory.facts`.
+
+        Raises:
+            TrajectoryError: it has no state, other parts than the first step, or one of another shape; a value is
+                neither numbers nor text; or the file cannot be written. Nothing can be added after that.
+        """
+        parts = dict(self._parts(obs, action, steps))
+        if self.steps and parts.keys() != self._columns.keys():
+            lost, new = (", ".join(sorted(map("/".join, one))) for one in _differing(self._columns, parts))
+            found = " and ".join(filter(None, [lost and f"lacks {lost}", new and f"adds {new}"]))
+            raise TrajectoryError(f"{self.path}: step {self.steps} {found}: all steps have what the first one has")
+        with self._told():
+            for path, value in parts.items():
+                if not self.steps:
+                    self._columns[path] = self._column(path, value)
+                self._columns[path].add(value)
+        self.steps += 1
+
+    def commit(self) -> None:
+        """Put the file in place; it is on the disk when this returns.
+
+        Raises:
+            TrajectoryError: it has no step, or cannot be written; nothing is left of it then.
+        """
+        try:
+            with self._told():
+                self._finish()
+                self._partial.replace(self.path)
+                if self._indexed:
+                    index.note(self.path, self.facts)
+        except BaseException:
+            self.discard()
+            raise
+
+    def discard(self) -> None:
+        """Drop the file."""
+        with contextlib.suppress(Exception):
+            self._file.close()
+        with contextlib.suppress(OSError):
+            self._partial.unlink()
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the folder's index says of the episode."""
+        return {"steps": self.steps, spec.Obs.FREQUENCY: self._frequency, "episode": storage.plain(self.episode)}
+
+    def _finish(self) -> None:
+        if not self.steps:
+            raise TrajectoryError(f"{self.path}: an episode has at least one step")
+        for column in self._columns.values():
+            column.close()
+        info = spec.Trajectory.ADDITIONAL_INFO
+        told: dict[str, Any] = {
+            spec.Trajectory.DATA_FORMAT_VERSION: spec.DATA_FORMAT_VERSION,
+            f"{info}/{names.EPISODE}": json.dumps(storage.plain(self.episode)),
+        }
+        if self.subtasks is not None:
+            told[spec.Trajectory.SUBTASKS] = json.dumps(storage.plain(self.subtasks))
+        if self._frequency is not None and (info, spec.Obs.FREQUENCY) not in self._columns:
+            told[f"{info}/{spec.Obs.FREQUENCY}"] = float(self._frequency)
+        for name, value in told.items():
+            kind = {"dtype": storage.hdf5().string_dtype()} if isinstance(value, str) else {}
+            self._file.create_dataset(name, data=value, **kind)
+        self._file.close()
+        with self._partial.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        self._partial.chmod(0o644)  # mkstemp makes files private
+
+    def _parts(self, obs: Any, action: Any, steps: Mapping[str, Any]) -> Iterator[tuple[names.Place, Any]]:
+        """Yield what is stored of a step, under the names of the file."""
+        series = {spec.Trajectory.STATE: obs.get(spec.Obs.STATE), spec.Trajectory.ACTION: action}
+        for name, told in series.items():
+            if not isinstance(told, Mapping) or not told:
+                raise TrajectoryError(f"{self.path}: step {self.steps} has no {name}: a step has a state and an action")
+        kept = {key: value for key, value in obs.items() if key not in _NO_PART}
+        info = spec.Trajectory.ADDITIONAL_INFO
+        for part, value in _leaves({**kept, spec.Trajectory.ACTION: action}, ()):
+            if part[:2] in ((info, names.EPISODE), (info, names.STEPS)):
+                raise TrajectoryError(f"{self.path}: {'/'.join(part)} is kept for facts of the episode and its steps")
+            if part == (info, spec.Obs.FREQUENCY):
+                self._frequency = float(value)
+            yield names.stored(part), value
+        for name, value in steps.items():
+            yield (info, names.STEPS, name), value
+
+    def _column(self, path: names.Place, value: Any) -> Column:
+        """Return what takes the values of a part, by where it lies and its first one."""
+        if names.is_image(path, spec.Camera.COLOR):
+            return self._images(path, value)
+        if names.is_image(path, spec.Camera.DEPTH):
+            return _Depth(self._file, path, _flat(value), chunk=1, **_SMALL)
+        is_of_steps = path[:2] == (spec.Trajectory.ADDITIONAL_INFO, names.STEPS)
+        is_constant = path[0] == spec.Trajectory.ADDITIONAL_INFO and not is_of_steps
+        if isinstance(value, str) or is_constant or names.is_image(path, *_STEADY):
+            return Steady(self._file, path, always=is_of_steps)
+        return Rows(self._file, path, numbers(value, "/".join(path)))
+
+    def _images(self, path: names.Place, value: Any) -> Column:
+        if self._form == RAW:
+            return _Pixels(self._file, path, _decoded(value), chunk=1, **_SMALL)
+        size = codec.size_of(value)[::-1] if is_encoded(value) else np.shape(value)[:2]
+        encode = codec.encode_png if self._form == PNG else self._jpeg
+        return _Encoded(
+            Blobs(self._file, path, padded=self._form == PADDED), encode, (int(size[0]), int(size[1])), path
+        )
+
+    def _jpeg(self, image: Any) -> bytes:
+        return codec.encode_jpeg(image, self._quality)
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise TrajectoryError(f"{self.path} cannot be written: {error.strerror or error}") from None
+
+
+class _Pixels(Rows):
+    """Colour images as pixels (T, H, W, 3)."""
+
+    def add(self, value: Any) -> None:
+        """Take an image, (H, W, 3) uint8 or encoded."""
+        super().add(_decoded(value))
+
+
+class _Depth(Rows):
+    """Depth (T, H, W)."""
+
+    def add(self, value: Any) -> None:
+        """Take the depth of the next step, (H, W) or (H, W, 1)."""
+        super().add(_flat(value))
+
+
+class _Encoded:
+    """Colour images, encoded."""
+
+    def __init__(self, blobs: Blobs, encode: Any, size: tuple[int, int], path: names.Place) -> None:
+        self._blobs, self._encode, self._size, self._path = blobs, encode, size, path
+
+    def add(self, value: Any) -> None:
+        """Take an image, (H, W, 3) uint8 or encoded.
+
+        Raises:
+            TrajectoryError: it has another size than the first one.
+        """
+        if is_encoded(value):
+            self._blobs.add(value)
+            return
+        image = np.asarray(value)
+        if image.shape[:2] != self._size:
+            raise TrajectoryError(f"{'/'.join(self._path)}: expected images of {self._size}, got {image.shape}")
+        self._blobs.add(self._encode(image))
+
+    def close(self) -> None:
+        """Write what is still in memory."""
+        self._blobs.close()
+
+
+def _decoded(value: Any) -> np.ndarray:
+    return codec.decode(value) if is_encoded(value) else np.asarray(value)
+
+
+def _flat(value: Any) -> np.ndarray:
+    depth = np.asarray(value)
+    return depth[:, :, 0] if depth.ndim == 3 and depth.shape[2] == 1 else depth
+
+
+def _leaves(value: Mapping[str, Any], path: names.Place) -> Iterator[tuple[names.Place, Any]]:
+    """Yield the values of nested maps that are something."""
+    for key, entry in value.items():
+        name = str(key)
+        if not name or "/" in name or name == ".":
+            raise TrajectoryError(f"{'/'.join((*path, name))!r} cannot name a dataset")
+        place = (*path, name)
+        if isinstance(entry, Mapping):
+            yield from _leaves(entry, place)
+        elif path == (spec.Trajectory.VISION,):  # the image right below the camera's name, as some have it
+            yield (*place, spec.Camera.COLOR), entry
+        elif isinstance(entry, (list, tuple)) and entry and all(isinstance(one, str) for one in entry):
+            yield place, Listed(json.dumps(list(entry)))
+        elif entry is not None:
+            yield place, entry
+
+
+def _differing(columns: Mapping[names.Place, Any], parts: Mapping[names.Place, Any]) -> tuple[set[names.Place], ...]:
+    return columns.keys() - parts.keys(), parts.keys() - columns.keys()
