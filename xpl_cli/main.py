@@ -58,6 +58,7 @@ _GROUPS: Final = {
     "env": "run.env",
     "checkpoint": "run.checkpoint",
     "native": "prove.native",
+    "data": "data.group",
     "zoo": "prove.zoo",
     "spec": "maintain.spec",
     "sdk": "maintain.sdk",

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from xpl_cli.commands.plain import PlainGroup
 
-HEADINGS: Final = ("scaffold", "prove", "run", "report", "agents", "maintain")
+HEADINGS: Final = ("scaffold", "prove", "run", "data", "report", "agents", "maintain")
 """Folders of commands, in the order in which one meets them."""
 
 

@@ -24,7 +24,7 @@ def described(path: Path) -> tuple[int, int, str]:
     Raises:
         DataError: it is none, or larger than is decoded.
     """
-    with _opened(path) as (_, stream):
+    with opened(path) as (_, stream):
         name = stream.codec_context.name
         return stream.height, stream.width, _CODECS.get(name, name)
 
@@ -44,7 +44,7 @@ def frames(path: Path, begins_s: float, rate_hz: float, start: int, stop: int) -
     """
     if start >= stop:
         return
-    with _opened(path) as (container, stream):
+    with opened(path) as (container, stream):
         due = start
         try:
             container.seek(max(0, int((begins_s + start / rate_hz) / stream.time_base) - 1), stream=stream)
@@ -67,7 +67,7 @@ def frames(path: Path, begins_s: float, rate_hz: float, start: int, stop: int) -
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+def opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """Open a video by the one reader that is meant: others would follow what a file names."""
     av = libraries.av()
     try:

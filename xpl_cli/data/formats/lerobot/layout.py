@@ -39,6 +39,8 @@ EPISODES: Final = "meta/episodes"
 EPISODES_PATH: Final = EPISODES + "/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 CHUNKS_SIZE: Final = 1000
 """Most files of a folder."""
+EXTRAS: Final = "extras"
+"""Where what LeRobot has no place for is kept: a key of info.json, and JSON text of each episode."""
 _PLACE: Final = re.compile(r"\{([a-z_]+)(?::0?([0-9])d)?\}")
 _MOST_META: Final = 512 << 20
 _POINTERS: Final = ("data/", "meta/", "videos/", "stats/")
@@ -156,6 +158,21 @@ def lines(path: Path) -> Iterator[dict[str, Any]]:
         if not isinstance(value, dict):
             raise DataError(f"{path}, line {number}: expected an object of JSON")
         yield value
+
+
+def object_of(text: str, where: str) -> dict[str, Any]:
+    """Return the object that a text of JSON is.
+
+    Raises:
+        DataError: it is none.
+    """
+    try:
+        value = json.loads(text)
+    except ValueError:
+        value = None
+    if not isinstance(value, dict):
+        raise DataError(f"{where}: {EXTRAS} is no object of JSON")
+    return value
 
 
 def _of_lines(root: Path, info: Mapping[str, Any]) -> Iterator[Entry]:

@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,6 +27,21 @@ _TYPES: Final = ("bool", *(f"{kind}{bits}" for kind in ("int", "uint") for bits 
 _NUMBERS: Final = (*_TYPES, "float16", "float32", "float64")
 _KNOWN: Final = ("codebase_version", "features", "fps", "robot_type", "data_path", "video_path")
 _COUNTS: Final = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb", "splits")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """An episode's part of a video.
+
+    Attributes:
+        path: the file.
+        begins_s: when it begins there.
+        codec: as the set names it.
+    """
+
+    path: Path
+    begins_s: float
+    codec: str
 
 
 class LeRobotSet:
@@ -60,11 +76,13 @@ class LeRobotSet:
     @property
     def extras(self) -> Mapping[str, Any]:
         """What else `meta/info.json` says, without its counts."""
-        return {
+        told = self.info.get(layout.EXTRAS)
+        rest = {
             key: value
             for key, value in self.info.items()
-            if key not in (*_KNOWN, *_COUNTS) and not key.startswith("total_")
+            if key not in (*_KNOWN, *_COUNTS, layout.EXTRAS) and not key.startswith("total_")
         }
+        return {**(told if isinstance(told, dict) else {}), **rest}
 
     def __len__(self) -> int:
         """How many episodes there are."""
@@ -188,7 +206,18 @@ class LeRobotEpisode:
     @property
     def extras(self) -> Mapping[str, Any]:
         """What else `meta/` says of it."""
-        return self.entry.extras
+        told = self.entry.extras.get(layout.EXTRAS)
+        if not isinstance(told, str):
+            return self.entry.extras
+        rest = {key: value for key, value in self.entry.extras.items() if key != layout.EXTRAS}
+        return {**layout.object_of(told, f"{self._owner.root}, {self.key}"), **rest}
+
+    def video(self, camera: str) -> Clip | None:
+        """Return where a camera's video lies; None if its images are in the table."""
+        if camera not in self.entry.videos:
+            return None
+        path, begins = self.entry.videos[camera]
+        return Clip(self._owner.root / path, begins, self.cameras[camera].encoding)
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""

@@ -1,0 +1,1 @@
+"""Commands that record, read, check, convert and show demonstrations."""

@@ -1,0 +1,13 @@
+"""`xpl data`: what demonstrations hold, what is wrong with them, and other formats."""
+
+from __future__ import annotations
+
+import typer
+
+from xpl_cli.commands.data.convert import convert
+from xpl_cli.commands.data.listing import list_
+
+app = typer.Typer(help="Look at demonstrations, check and convert them.", no_args_is_help=True)
+
+app.command("list")(list_)
+app.command()(convert)

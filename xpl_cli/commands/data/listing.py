@@ -1,0 +1,28 @@
+"""`xpl data list`: what a set of demonstrations holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from xpl_cli.basics.endings import ends
+
+SET = typer.Argument(..., metavar="SET", help="File or folder of demonstrations; its format is found by looking.")
+
+
+@ends(clean="listed", not_found="no demonstrations there", not_run="they are damaged, or a library is missing")
+def list_(
+    demonstrations: Path = SET,
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """List a set's episodes, and the columns and cameras that they have."""
+    from xpl_cli.basics import console
+    from xpl_cli.data.formats import open_set
+    from xpl_cli.data.sets import summary
+
+    document = summary.document(open_set(demonstrations))
+    if as_json:
+        console.answer("xpl.data-list/1", document, [])
+    else:
+        console.data(summary.text(document))

@@ -1,0 +1,195 @@
+"""What columns and cameras of one format are called in another, and an episode under these names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.data.formats.lerobot import layout
+from xpl_cli.data.formats.writing import CONVERTED, Names
+from xpl_cli.data.sets.interface import Camera, Column
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from xpl_cli.data.formats.writing import Writer
+    from xpl_cli.data.sets.interface import Demonstrations, Episode
+
+KNOWN: Final = {
+    "lerobot": Names("action", "observation.state", "observation.", "observation.images.", "."),
+    "robomimic": Names("actions", "", "obs/", "obs/"),
+    "aloha": Names("action", "observations/qpos", "observations/", "observations/images/"),
+    "robotwin": Names("joint_action/vector", "", "", "observation/"),
+    "diffusion-policy": Names("action", "", "", ""),
+    "xpl": Names("", "", "", "vision/"),
+    "rlds": Names("action", "observation/state", "observation/", "observation/"),
+}
+"""By format, without its version."""
+_DERIVED: Final = {"lerobot": tuple(layout.DEFAULTS)}
+"""Columns that say nothing that the format does not know otherwise, and that are written anew."""
+
+
+@dataclass(frozen=True)
+class Renaming:
+    """Which columns and cameras are written, and how they are called.
+
+    Attributes:
+        columns: by the name that is written, that of the source.
+        cameras: likewise.
+        numbers: columns whose rows are single numbers, and which the source has as arrays of one.
+        lost: by the source's name, why it is not written.
+    """
+
+    columns: Mapping[str, str]
+    cameras: Mapping[str, str]
+    numbers: frozenset[str]
+    lost: Mapping[str, str]
+
+    @property
+    def changed(self) -> dict[str, str]:
+        """The names that had to change: by the name that is written, that of the source."""
+        both = {**self.columns, **self.cameras}
+        return {new: old for new, old in both.items() if new != old}
+
+
+def renaming(source: Demonstrations, writer: Writer, rate_hz: float | None) -> Renaming:
+    """Return how a set's names become those of a format.
+
+    A set that was made of one of that format gets the names back that it had there.
+    """
+    first = source[0]
+    before = source.extras.get(CONVERTED)
+    before = before if isinstance(before, dict) and family(str(before.get("from"))) == family(writer.name) else {}
+    back = before.get("names") or {}
+    dropped = _DERIVED.get(family(source.format), ())
+    lost: dict[str, str] = {}
+    columns: dict[str, str] = {}
+    numbers = []
+    for name, column in first.columns.items():
+        if name in dropped or (name == "timestamp" and _is_regular(first, rate_hz)):
+            continue
+        reason = writer.keeps(column)
+        if reason is not None:
+            lost[name] = reason
+            continue
+        new = _free(back.get(name) or _renamed(name, source.format, writer.names), columns, writer)
+        columns[new] = name
+        if name in (before.get("numbers") or ()):
+            numbers.append(new)
+    cameras: dict[str, str] = {}
+    for name, camera in first.cameras.items():
+        reason = writer.shows(camera)
+        if reason is not None:
+            lost[name] = reason
+        else:
+            new = back.get(name) or _camera(name, source.format, writer.names)
+            cameras[_free(new, {**columns, **cameras}, writer)] = name
+    return Renaming(columns, cameras, frozenset(numbers), lost)
+
+
+def family(name: str) -> str:
+    """Return a format's name without its version."""
+    return name.partition("-v")[0]
+
+
+class Renamed:
+    """An episode under the names of another format; with no more columns and cameras than are written."""
+
+    def __init__(self, inner: Episode, how: Renaming) -> None:
+        self._inner, self._how = inner, how
+
+    @property
+    def key(self) -> str:
+        """Its name in its set."""
+        return self._inner.key
+
+    @property
+    def length(self) -> int:
+        """How many steps it has."""
+        return self._inner.length
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told."""
+        return self._inner.instructions
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns."""
+        has = self._inner.columns
+        return {
+            new: Column((), has[old].dtype) if new in self._how.numbers else has[old]
+            for new, old in self._how.columns.items()
+            if old in has
+        }
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras."""
+        has = self._inner.cameras
+        return {new: has[old] for new, old in self._how.cameras.items() if old in has}
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else is said of it."""
+        return self._inner.extras
+
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return rows of a column."""
+        rows = self._inner.read(self._how.columns[column], start, stop)
+        return rows.reshape(len(rows)) if column in self._how.numbers else rows
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Yield images of a camera."""
+        return self._inner.frames(self._how.cameras[camera], start, stop)
+
+    def video(self, camera: str) -> Any:
+        """Return where a camera's video lies; None if it has none."""
+        return getattr(self._inner, "video", lambda _: None)(self._how.cameras[camera])
+
+    def stats(self, camera: str) -> Any:
+        """Return the statistics of a camera that the set has; None if it has none."""
+        return getattr(self._inner, "stats", lambda _: None)(self._how.cameras[camera])
+
+
+def _renamed(name: str, given: str, wanted: Names) -> str:
+    """Return what a column is called in another format."""
+    has = KNOWN[family(given)]
+    if has.action and name == has.action and wanted.action:
+        return wanted.action
+    if has.state and name == has.state and wanted.state:
+        return wanted.state
+    if has.within and name.startswith(has.within):
+        return wanted.within + name.removeprefix(has.within)
+    return name
+
+
+def _camera(name: str, given: str, wanted: Names) -> str:
+    has = KNOWN[family(given)]
+    short = name.removeprefix(has.camera)
+    for end in ("/rgb", "/colors"):  # a camera is a group there
+        short = short.removesuffix(end)
+    return wanted.camera + short
+
+
+def _free(name: str, taken: Mapping[str, str], writer: Writer) -> str:
+    """Return a name with the format's separators that nothing else has."""
+    if writer.names.separator != "/":
+        name = name.replace("/", writer.names.separator)
+    if family(writer.name) == "lerobot" and name in layout.DEFAULTS:
+        name = f"recorded_{name}"
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _is_regular(episode: Episode, rate_hz: float | None) -> bool:
+    """Tell whether times are those that the rate tells anyway."""
+    import numpy as np
+
+    if rate_hz is None or not episode.length or episode.columns["timestamp"].dtype == "str":
+        return False
+    times = np.asarray(episode.read("timestamp"), np.float64).reshape(episode.length, -1)[:, 0]
+    return bool(np.abs(times - np.arange(len(times)) / rate_hz).max() < 1e-4)

@@ -1,0 +1,121 @@
+"""LeRobot's parquet files written: what pandas and `datasets`, which read them there, expect of types and metadata."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xpl_cli.data.formats import libraries
+
+
+def schema(features: Mapping[str, Any]) -> Any:
+    """Return the types of the columns of info.json's features, but for videos."""
+    arrow = libraries.arrow()
+    fields = [arrow.field(name, _type(feature)) for name, feature in features.items() if feature["dtype"] != "video"]
+    return arrow.schema(fields)
+
+
+def write(path: Path, types: Any, columns: Mapping[str, Any]) -> None:
+    """Write the rows of one episode, columns in the order of the types, as one group of rows."""
+    arrow = libraries.arrow()
+    arrays = [_array(columns[field.name], field.type) for field in types]
+    libraries.parquet().write_table(arrow.Table.from_arrays(arrays, schema=types), path, compression="snappy")
+
+
+def joined(path: Path, parts: list[Path]) -> None:
+    """Write one file of several; each keeps its group of rows."""
+    parquet = libraries.parquet()
+    writer = None
+    try:
+        for part in parts:
+            table = parquet.read_table(part)
+            writer = writer or parquet.ParquetWriter(path, table.schema, compression="snappy")
+            writer.write_table(table)
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def write_tasks(path: Path, tasks: list[str]) -> None:
+    """Write the table of sentences, which pandas reads with the sentences as its index."""
+    arrow = libraries.arrow()
+    index = "__index_level_0__"
+    told = {
+        "index_columns": [index],
+        "column_indexes": [
+            {
+                "name": None,
+                "field_name": None,
+                "pandas_type": "unicode",
+                "numpy_type": "object",
+                "metadata": {"encoding": "UTF-8"},
+            }
+        ],
+        "columns": [
+            {
+                "name": "task_index",
+                "field_name": "task_index",
+                "pandas_type": "int64",
+                "numpy_type": "int64",
+                "metadata": None,
+            },
+            {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object", "metadata": None},
+        ],
+        "creator": {"library": "pyarrow", "version": arrow.__version__},
+        "pandas_version": "2.0.0",
+    }
+    types = arrow.schema(
+        [("task_index", arrow.int64()), (index, arrow.string())], metadata={"pandas": json.dumps(told)}
+    )
+    columns = [arrow.array(range(len(tasks)), arrow.int64()), arrow.array(tasks, arrow.string())]
+    libraries.parquet().write_table(arrow.Table.from_arrays(columns, schema=types), path)
+
+
+def write_episodes(path: Path, rows: list[dict[str, Any]], pieces: list[dict[str, Any]]) -> None:
+    """Write the table of episodes: a row each, with its statistics as columns `stats/<feature>/<name>`."""
+    arrow = libraries.arrow()
+    keys = list(dict.fromkeys(key for row in rows for key in row))
+    columns: dict[str, list[Any]] = {key: [row.get(key) for row in rows] for key in keys}
+    for feature, told in pieces[0]["stats"].items():
+        for name in told:
+            columns[f"stats/{feature}/{name}"] = [piece["stats"][feature][name] for piece in pieces]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    libraries.parquet().write_table(arrow.Table.from_pydict(columns), path, compression="snappy")
+
+
+def _type(feature: Mapping[str, Any]) -> Any:
+    arrow = libraries.arrow()
+    if feature["dtype"] == "image":
+        return arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
+    if feature["dtype"] == "string":
+        return arrow.string()
+    plain = arrow.from_numpy_dtype(np.dtype(feature["dtype"]))
+    shape = feature["shape"]
+    if shape == [1]:
+        return plain
+    if len(shape) == 1:
+        return arrow.list_(plain, shape[0])
+    for _ in shape:
+        plain = arrow.list_(plain)
+    return plain
+
+
+def _array(values: Any, kind: Any) -> Any:
+    arrow = libraries.arrow()
+    if not isinstance(values, np.ndarray):
+        return arrow.array(values, kind)
+    if values.dtype.kind in "UO":
+        return arrow.array([str(value) for value in values.reshape(-1)], kind)
+    flat = arrow.array(np.ascontiguousarray(values).reshape(-1))
+    if arrow.types.is_fixed_size_list(kind):
+        return arrow.FixedSizeListArray.from_arrays(flat, kind.list_size)
+    if not arrow.types.is_list(kind):
+        return flat
+    for size in reversed(values.shape[1:]):
+        offsets = arrow.array(np.arange(0, len(flat) + 1, size, dtype=np.int32))
+        flat = arrow.ListArray.from_arrays(offsets, flat)
+    return flat

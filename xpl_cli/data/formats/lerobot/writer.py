@@ -1,0 +1,348 @@
+"""LeRobot's datasets written: v2.1 with a file for each episode, v3.0 with files of many."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import images
+from xpl_cli.basics.atomic import write_file
+from xpl_cli.data.formats import encoding
+from xpl_cli.data.formats.lerobot import layout, stats, tables
+from xpl_cli.data.formats.writing import Names
+from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from xpl_cli.data.formats.writing import Plan
+    from xpl_cli.data.sets.interface import Camera, Column, Episode
+
+_SET, _EPISODES = "set", "episodes"
+_MB: Final = 1 << 20
+_DATA_MB, _VIDEO_MB = 100.0, 200.0
+
+
+class LeRobotWriter:
+    """Writes one version.
+
+    Args:
+        version: v2.1 or v3.0.
+    """
+
+    names = Names("action", "observation.state", "observation.", "observation.images.", ".")
+
+    def __init__(self, version: str) -> None:
+        self.version = version
+        self.name = f"lerobot-{version}"
+
+    def keeps(self, column: Column) -> str | None:
+        """Return why a column cannot be kept."""
+        if len(column.shape) > 5:
+            return f"LeRobot keeps arrays of 5 axes at most, this has {len(column.shape)}"
+        return "it is empty" if 0 in column.shape else None
+
+    def shows(self, camera: Camera) -> str | None:
+        """Return why a camera cannot be kept."""
+        return None if camera.kind == "color" else "LeRobot's sets have no depth images"
+
+    def check(self, plan: Plan) -> None:
+        """Stop before anything is written."""
+        if plan.rate_hz is None:
+            raise DataError("LeRobot needs the steps per second, which this set does not say", hint="give --rate HZ")
+        if 0 in plan.lengths:
+            raise DataError(f"the episode {plan.lengths.index(0)} has no steps, and LeRobot has none without")
+        wrong = [name for name in (*plan.columns, *plan.cameras) if "/" in name]
+        if wrong:
+            raise DataError(f"LeRobot takes no / in names, got {', '.join(wrong)}")
+
+    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
+        """Write the numbers and videos of one episode."""
+        folder = self._episodes(folder)
+        _same(plan, index, episode)
+        rate = float(plan.rate_hz or 0)
+        places = _episode(index)
+        found: dict[str, stats.Stats] = {}
+        columns: dict[str, Any] = {}
+        for name in plan.columns:
+            rows = episode.read(name)
+            columns[name] = rows
+            if rows.dtype.kind in "biuf":
+                found[name] = stats.of_numbers(rows)
+        videos = {}
+        for name in plan.cameras:
+            if _is_video(plan, name):
+                path = folder / layout.filled(layout.VIDEO_PATH[layout.V21], {**places, "video_key": name})
+                path.parent.mkdir(parents=True, exist_ok=True)
+                videos[name], found[name] = _video(path, episode, name, plan, rate)
+            else:
+                columns[name], found[name] = _pngs(episode, name)
+        columns |= _counted(plan, index, rate, _tasks(plan))
+        found |= {name: stats.of_numbers(columns[name]) for name in layout.DEFAULTS}
+        path = folder / layout.filled(layout.DATA_PATH[layout.V21], places)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tables.write(path, tables.schema(_features(plan)), columns)
+        return {"stats": found, "videos": videos, "extras": dict(episode.extras)}
+
+    def finish(self, folder: Path, plan: Plan, pieces: list[dict[str, Any]]) -> Path:
+        """Write `meta/`; for v3.0 join the files of episodes."""
+        result = folder / _SET
+        if self.version == layout.V30 and result.exists():  # of a run that ended here
+            shutil.rmtree(result)
+        meta = result / "meta"
+        meta.mkdir(parents=True, exist_ok=True)
+        rows = [_row(plan, index, piece) for index, piece in enumerate(pieces)]
+        tasks = list(_tasks(plan))
+        if self.version == layout.V21:
+            _lines(meta / "episodes.jsonl", rows)
+            _lines(
+                meta / "episodes_stats.jsonl",
+                [{"episode_index": index, "stats": piece["stats"]} for index, piece in enumerate(pieces)],
+            )
+            _lines(meta / "tasks.jsonl", [{"task_index": place, "task": task} for place, task in enumerate(tasks)])
+        else:
+            starts = plan.starts
+            for index, place in enumerate(self._joined(folder, plan)):
+                rows[index] |= place
+                rows[index]["dataset_from_index"] = starts[index]
+                rows[index]["dataset_to_index"] = starts[index] + plan.lengths[index]
+                rows[index] |= {f"meta/episodes/{key}": value for key, value in _file(0).items()}
+            tables.write_tasks(meta / "tasks.parquet", tasks)
+            tables.write_episodes(result / layout.filled(layout.EPISODES_PATH, _file(0)), rows, pieces)
+        write_file(meta / "stats.json", _json(stats.of_all([piece["stats"] for piece in pieces])))
+        write_file(result / layout.INFO, _json(self._information(plan, pieces, tasks)))
+        return result
+
+    def _episodes(self, folder: Path) -> Path:
+        """Return where files of single episodes lie: for v2.1 they are the set."""
+        return folder / (_SET if self.version == layout.V21 else _EPISODES)
+
+    def _information(self, plan: Plan, pieces: list[dict[str, Any]], tasks: list[str]) -> dict[str, Any]:
+        """Return `meta/info.json`."""
+        rate = float(plan.rate_hz or 0)
+        features = _features(plan)
+        for name, told in pieces[0]["videos"].items():
+            features[name]["info"] = {
+                "video.height": plan.cameras[name].height,
+                "video.width": plan.cameras[name].width,
+                "video.codec": told["codec"],
+                "video.pix_fmt": "yuv420p",
+                "video.is_depth_map": False,
+                "video.fps": _whole(rate),
+                "video.channels": 3,
+                "has_audio": False,
+            }
+        has_video = any(_is_video(plan, name) for name in plan.cameras)
+        info: dict[str, Any] = {
+            "codebase_version": self.version,
+            "robot_type": plan.robot,
+            "total_episodes": len(pieces),
+            "total_frames": sum(plan.lengths),
+            "total_tasks": len(tasks),
+            "chunks_size": layout.CHUNKS_SIZE,
+            "fps": _whole(rate),
+            "splits": {"train": f"0:{len(pieces)}"},
+            "data_path": layout.DATA_PATH[self.version],
+            "video_path": layout.VIDEO_PATH[self.version] if has_video else None,
+            "features": features,
+        }
+        if self.version == layout.V21:
+            info["total_videos"] = len(pieces) * len(pieces[0]["videos"])
+            info["total_chunks"] = math.ceil(len(pieces) / layout.CHUNKS_SIZE)
+        else:
+            info |= {"data_files_size_in_mb": int(_DATA_MB), "video_files_size_in_mb": int(_VIDEO_MB)}
+        if plan.extras:
+            info[layout.EXTRAS] = dict(plan.extras)
+        return info
+
+    def _joined(self, folder: Path, plan: Plan) -> list[dict[str, Any]]:
+        """Join the files of episodes, and return where each episode went."""
+        rate = float(plan.rate_hz or 0)
+        made, result = self._episodes(folder), folder / _SET
+        places: list[dict[str, Any]] = [{} for _ in plan.lengths]
+        each = range(len(plan.lengths))
+        paths = [made / layout.filled(layout.DATA_PATH[layout.V21], _episode(index)) for index in each]
+        for number, indices in enumerate(_grouped(paths, plan.options.file_mb or _DATA_MB)):
+            target = result / layout.filled(layout.DATA_PATH[layout.V30], _file(number))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            tables.joined(target, [paths[index] for index in indices])
+            for index in indices:
+                places[index] |= {f"data/{key}": value for key, value in _file(number).items()}
+        for name in (camera for camera in plan.cameras if _is_video(plan, camera)):
+            template = layout.VIDEO_PATH[layout.V21]
+            paths = [made / layout.filled(template, {**_episode(index), "video_key": name}) for index in each]
+            for number, indices in enumerate(_grouped(paths, plan.options.file_mb or _VIDEO_MB)):
+                target = result / layout.filled(layout.VIDEO_PATH[layout.V30], {**_file(number), "video_key": name})
+                target.parent.mkdir(parents=True, exist_ok=True)
+                encoding.joined(target, [(paths[index], plan.lengths[index]) for index in indices], rate)
+                begins = 0
+                for index in indices:
+                    place = places[index]
+                    place |= {f"videos/{name}/{key}": value for key, value in _file(number).items()}
+                    place[f"videos/{name}/from_timestamp"] = begins / rate
+                    begins += plan.lengths[index]
+                    place[f"videos/{name}/to_timestamp"] = begins / rate
+        return places
+
+
+def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> tuple[dict[str, Any], stats.Stats]:
+    """Write a camera's video, copied where it is one already; return what it is, and its statistics."""
+    wanted = stats.chosen(episode.length)
+    source = getattr(episode, "video", lambda _: None)(name)
+    if source is not None and encoding.copied(source.path, source.begins_s, rate, episode.length, path):
+        seen = _sampled(episode, name, wanted)
+        return {"codec": source.codec, "copied": True}, seen
+    kept: list[NDArray[np.uint8]] = []
+
+    def shown() -> Iterator[NDArray[np.uint8]]:
+        places = iter([*wanted, -1])
+        due = next(places)
+        for index, frame in enumerate(episode.frames(name)):
+            while index == due:
+                kept.append(stats.thinned(frame))
+                due = next(places)
+            yield np.ascontiguousarray(frame)
+
+    encoding.encoded(path, shown(), rate, plan.options.codec, plan.options.crf)
+    return {"codec": plan.options.codec, "copied": False}, stats.of_images(kept)
+
+
+def _sampled(episode: Episode, name: str, wanted: list[int]) -> stats.Stats:
+    """Return the statistics of a copied video: those that the set has, else of frames of it."""
+    known = getattr(episode, "stats", lambda _: None)(name)
+    if known is not None:
+        found: stats.Stats = known
+        return found
+    places = set(wanted)
+    return stats.of_images(
+        [stats.thinned(frame) for index, frame in enumerate(episode.frames(name)) if index in places]
+    )
+
+
+def _pngs(episode: Episode, name: str) -> tuple[list[dict[str, Any]], stats.Stats]:
+    """Return a camera's images for the table, and their statistics."""
+    wanted = set(stats.chosen(episode.length))
+    rows, kept = [], []
+    for index, frame in enumerate(episode.frames(name)):
+        rows.append({"bytes": images.encode_png(frame), "path": f"frame-{index:06d}.png"})
+        if index in wanted:
+            kept.append(stats.thinned(frame))
+    return rows, stats.of_images(kept)
+
+
+def _counted(plan: Plan, index: int, rate: float, tasks: Mapping[str, int]) -> dict[str, Any]:
+    """Return the columns that every dataset has."""
+    length = plan.lengths[index]
+    steps = np.arange(length, dtype=np.int64)
+    told = plan.instructions[index]
+    return {
+        "timestamp": (steps / rate).astype(np.float32),
+        "frame_index": steps,
+        "episode_index": np.full(length, index, np.int64),
+        "index": steps + plan.starts[index],
+        "task_index": np.full(length, tasks[told[0] if told else ""], np.int64),
+    }
+
+
+def _tasks(plan: Plan) -> dict[str, int]:
+    """Return the number of each sentence; LeRobot has one for each step, an empty one if need be."""
+    first = dict.fromkeys(told[0] if told else "" for told in plan.instructions)
+    others = dict.fromkeys(sentence for told in plan.instructions for sentence in told)
+    return {sentence: number for number, sentence in enumerate(first | others)}
+
+
+def _is_video(plan: Plan, camera: str) -> bool:
+    """Tell whether a camera's images become a video; those that are PNG already stay exact, unless asked otherwise."""
+    wanted = plan.options.images
+    return wanted == "video" or (wanted == "auto" and plan.cameras[camera].encoding != "png")
+
+
+def _features(plan: Plan) -> dict[str, Any]:
+    """Return the features of info.json."""
+    features: dict[str, Any] = {}
+    for name, column in plan.columns.items():
+        dtype = "string" if column.dtype == "str" else column.dtype
+        features[name] = {"dtype": dtype, "shape": list(column.shape) or [1], "names": list(column.names) or None}
+    for name, camera in plan.cameras.items():
+        features[name] = {
+            "dtype": "video" if _is_video(plan, name) else "image",
+            "shape": [camera.height, camera.width, 3],
+            "names": ["height", "width", "channels"],
+        }
+    for name, dtype in layout.DEFAULTS.items():
+        features[name] = {"dtype": dtype, "shape": [1], "names": None}
+    return features
+
+
+def _row(plan: Plan, index: int, piece: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what `meta/` says of an episode, in every version."""
+    row: dict[str, Any] = {
+        "episode_index": index,
+        "tasks": list(plan.instructions[index]) or [""],
+        "length": plan.lengths[index],
+    }
+    if piece["extras"]:
+        row[layout.EXTRAS] = json.dumps(piece["extras"], ensure_ascii=False)
+    return row
+
+
+def _same(plan: Plan, index: int, episode: Episode) -> None:
+    """Stop where an episode has not what the first one has: a dataset has the same features throughout."""
+    where = f"the episode {episode.key} (number {index})"
+    for name in (*plan.columns, *plan.cameras):
+        if name not in episode.columns and name not in episode.cameras:
+            raise DataError(f"{where} has no {name}, which the first one has")
+    for name, first in plan.columns.items():
+        has = episode.columns[name]
+        if (has.shape, has.dtype) != (first.shape, first.dtype):
+            raise DataError(
+                f"{where} has {has.shape} {has.dtype} in each row of {name}, the first one {first.shape} {first.dtype}"
+            )
+    for name, shown in plan.cameras.items():
+        camera = episode.cameras[name]
+        if (camera.height, camera.width) != (shown.height, shown.width):
+            raise DataError(
+                f"{where} has images of {camera.height} x {camera.width} in {name}, "
+                f"the first one of {shown.height} x {shown.width}"
+            )
+
+
+def _grouped(paths: list[Path], most_mb: float) -> Iterator[list[int]]:
+    """Yield the indices of files that are joined to one of at most so many MB, unless a single one is larger."""
+    group: list[int] = []
+    size = 0
+    for index, path in enumerate(paths):
+        this = path.stat().st_size
+        if group and size + this > most_mb * _MB:
+            yield group
+            group, size = [], 0
+        group.append(index)
+        size += this
+    if group:
+        yield group
+
+
+def _file(number: int) -> dict[str, int]:
+    return {"chunk_index": number // layout.CHUNKS_SIZE, "file_index": number % layout.CHUNKS_SIZE}
+
+
+def _episode(index: int) -> dict[str, int]:
+    return {"episode_index": index, "episode_chunk": index // layout.CHUNKS_SIZE}
+
+
+def _whole(rate: float) -> float:
+    return int(rate) if rate.is_integer() else rate
+
+
+def _lines(path: Path, rows: list[dict[str, Any]]) -> None:
+    write_file(path, "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode())
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, indent=4, ensure_ascii=False).encode()

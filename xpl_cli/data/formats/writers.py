@@ -1,0 +1,28 @@
+"""The formats that are written, by name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from xpl_cli.basics.errors import one_of
+from xpl_cli.data.formats.lerobot import layout
+from xpl_cli.data.formats.lerobot.writer import LeRobotWriter
+
+if TYPE_CHECKING:
+    from xpl_cli.data.formats.writing import Writer
+
+_WRITERS: Final[tuple[Writer, ...]] = (
+    LeRobotWriter(layout.V30),
+    LeRobotWriter(layout.V21),
+)
+WRITTEN: Final = tuple(writer.name for writer in _WRITERS)
+
+
+def writer_of(name: str) -> Writer:
+    """Return what writes a format.
+
+    Raises:
+        UnknownNameError: nothing does.
+    """
+    wanted = one_of("--to", "lerobot-v3.0" if name == "lerobot" else name, WRITTEN)
+    return next(writer for writer in _WRITERS if writer.name == wanted)

@@ -1,0 +1,70 @@
+"""What a set of demonstrations holds, in short: as plain data and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from xpl_cli.data.sets.interface import Demonstrations
+
+_MOST_SHOWN: Final = 20
+
+
+def document(demonstrations: Demonstrations) -> dict[str, Any]:
+    """Return the set's facts, and those of each episode; columns and cameras are those of the first."""
+    episodes = [demonstrations[index] for index in range(len(demonstrations))]
+    columns: dict[str, Any] = {}
+    cameras: dict[str, Any] = {}
+    if episodes:
+        for name, column in episodes[0].columns.items():
+            columns[name] = {"shape": list(column.shape), "dtype": column.dtype, "names": list(column.names)}
+        for name, camera in episodes[0].cameras.items():
+            cameras[name] = {
+                "height": camera.height,
+                "width": camera.width,
+                "kind": camera.kind,
+                "encoding": camera.encoding,
+            }
+    return {
+        "path": demonstrations.path,
+        "format": demonstrations.format,
+        "rate_hz": demonstrations.rate_hz,
+        "robot": demonstrations.robot,
+        "columns": columns,
+        "cameras": cameras,
+        "episodes": [
+            {"key": episode.key, "steps": episode.length, "instructions": list(episode.instructions)}
+            for episode in episodes
+        ],
+    }
+
+
+def text(told: Mapping[str, Any]) -> str:
+    """Return the same for people."""
+    episodes = told["episodes"]
+    steps = [episode["steps"] for episode in episodes]
+    rate = f"{told['rate_hz']:g} Hz" if told["rate_hz"] else "rate unknown"
+    lines = [f"{told['path']}: {told['format']}, {told['robot'] or 'robot unknown'}, {rate}"]
+    if episodes:
+        lines.append(f"{len(episodes)} episodes, {sum(steps)} steps ({min(steps)} to {max(steps)} each)")
+    for word, entries in (("column", told["columns"]), ("camera", told["cameras"])):
+        width = max(map(len, entries), default=0)
+        for name, entry in entries.items():
+            shape = " x ".join(map(str, entry["shape"])) or "number" if word == "column" else ""
+            what = f"{shape} {entry['dtype']}" if word == "column" else _camera(entry)
+            names = f"  {' '.join(entry['names'])}" if entry.get("names") else ""
+            lines.append(f"  {word}  {name.ljust(width)}  {what}{names}")
+    sentences: dict[str, int] = {}
+    for episode in episodes:
+        for sentence in episode["instructions"] or ["(told nothing)"]:
+            sentences[sentence] = sentences.get(sentence, 0) + 1
+    most = sorted(sentences.items(), key=lambda item: -item[1])
+    lines += [f"  {count:5d} x {sentence}" for sentence, count in most[:_MOST_SHOWN]]
+    if len(most) > _MOST_SHOWN:
+        lines.append(f"  and {len(most) - _MOST_SHOWN} other sentences")
+    return "\n".join(lines)
+
+
+def _camera(entry: Mapping[str, Any]) -> str:
+    return f"{entry['height']} x {entry['width']} {entry['kind']} {entry['encoding']}"
