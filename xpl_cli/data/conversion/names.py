@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.data.formats.lerobot import layout
+from xpl_cli.data.formats.writers import writer_of
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.interface import Camera, Column
 
@@ -17,16 +18,13 @@ if TYPE_CHECKING:
     from xpl_cli.data.formats.writing import Writer
     from xpl_cli.data.sets.interface import Demonstrations, Episode
 
-KNOWN: Final = {
-    "lerobot": Names("action", "observation.state", "observation.", "observation.images.", "."),
-    "robomimic": Names("actions", "", "obs/", "obs/"),
-    "aloha": Names("action", "observations/qpos", "observations/", "observations/images/"),
-    "robotwin": Names("joint_action/vector", "", "", "observation/"),
-    "diffusion-policy": Names("action", "", "", ""),
-    "xpl": Names("", "", "", "vision/"),
-    "rlds": Names("action", "observation/state", "observation/", "observation/"),
-}
-"""By format, without its version."""
+_READ_ONLY: Final = {"rlds": Names("action", "observation/state", "observation/", "observation/")}
+"""How formats that are not written call things."""
+_OWN: Final = (
+    *(CONVERTED, "frequency", "robot", "num_samples", "ep_meta", "instruction", "instructions"),
+    *("data_format_version", "additional_info/frequency"),
+)
+"""Facts of an episode that are written anew."""
 _DERIVED: Final = {"lerobot": tuple(layout.DEFAULTS)}
 """Columns that say nothing that the format does not know otherwise, and that are written anew."""
 
@@ -133,8 +131,8 @@ class Renamed:
 
     @property
     def extras(self) -> Mapping[str, Any]:
-        """What else is said of it."""
-        return self._inner.extras
+        """What else is said of it, without what every format says in its own way."""
+        return {name: value for name, value in self._inner.extras.items() if name not in _OWN}
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""
@@ -156,7 +154,7 @@ class Renamed:
 
 def _renamed(name: str, given: str, wanted: Names) -> str:
     """Return what a column is called in another format."""
-    has = KNOWN[family(given)]
+    has = _of(given)
     if has.action and name == has.action and wanted.action:
         return wanted.action
     if has.state and name == has.state and wanted.state:
@@ -166,8 +164,13 @@ def _renamed(name: str, given: str, wanted: Names) -> str:
     return name
 
 
+def _of(given: str) -> Names:
+    name = family(given)
+    return _READ_ONLY[name] if name in _READ_ONLY else writer_of(given).names
+
+
 def _camera(name: str, given: str, wanted: Names) -> str:
-    has = KNOWN[family(given)]
+    has = _of(given)
     short = name.removeprefix(has.camera)
     for end in ("/rgb", "/colors"):  # a camera is a group there
         short = short.removesuffix(end)

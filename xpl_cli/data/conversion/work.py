@@ -282,14 +282,18 @@ def _piece(staging: Path, index: int) -> dict[str, Any]:
 
 
 def _lossy(job: Job, pieces: list[dict[str, Any]]) -> dict[str, str]:
-    """Return what is not exactly what it was: videos that were encoded here."""
-    found = {}
-    for name, told in pieces[0].get("videos", {}).items():
-        if not told["copied"]:
-            found[name] = f"encoded as {told['codec']}, crf {job.options.crf}"
-            if "psnr_db" in told:
-                found[name] += f": PSNR {min(p['videos'][name]['psnr_db'] for p in pieces):.1f} dB at least, in samples"
-    return found
+    """Return what is not exactly what it was: images that were encoded here, with the worst that a sample shows."""
+    worst: dict[str, float] = {}
+    how: dict[str, str] = {}
+    for piece in pieces:
+        for name, value in piece.get("psnr_db", {}).items():
+            how[name] = "encoded as JPEG"
+            worst[name] = min(worst.get(name, value), value)
+        for name, told in piece.get("videos", {}).items():
+            if not told["copied"]:
+                how[name] = f"encoded as {told['codec']}, crf {job.options.crf}"
+                worst[name] = min(worst.get(name, told["psnr_db"]), told["psnr_db"])
+    return {name: f"{what}; PSNR {worst[name]:.1f} dB or more in samples" for name, what in how.items()}
 
 
 def _size(path: Path) -> int:

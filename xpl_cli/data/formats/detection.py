@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats import aloha, hdf5, robomimic, robotwin, standard
+from xpl_cli.data.formats import aloha, diffusion, hdf5, rlds, robomimic, robotwin, standard
+from xpl_cli.data.formats.diffusion import DiffusionSet
 from xpl_cli.data.formats.folders import natural
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.lerobot.reader import LeRobotSet
+from xpl_cli.data.formats.rlds import RldsSet
 from xpl_cli.data.formats.robomimic import RobomimicSet
 from xpl_cli.data.sets.errors import DataError
 
@@ -39,12 +41,18 @@ def open_set(path: str | Path) -> Demonstrations:
         DataError: there is nothing, nothing that is known, or it is damaged.
     """
     path = Path(path)
+    if path.is_file() and path.suffix == ".zip":
+        return DiffusionSet(path)
     if path.is_file():
         return _of_hdf5(path, [path])
     if not path.is_dir():
         raise DataError(f"there are no demonstrations at {path}: no such file or folder", code=ExitCode.NOT_FOUND)
     if (path / layout.INFO).is_file():
         return LeRobotSet(path)
+    if diffusion.recognises(path):
+        return DiffusionSet(path)
+    if rlds.recognises(path):
+        return RldsSet(path)
     for depth in _DEPTHS:
         files = _files(path, depth)
         if files:

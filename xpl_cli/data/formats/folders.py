@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import json
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
+from xpl_cli.data.formats.writing import CONVERTED
 
 _TOLD = ("instruction", "instructions", "language_instruction", "language_raw", "task_description")
 """Names under which files of this kind keep a sentence."""
@@ -54,10 +56,14 @@ class FolderSet:
         told = next((extras[name] for name in ("robot", "embodiment", "robot_type") if name in extras), None)
         return told if isinstance(told, str) else None
 
-    @property
+    @functools.cached_property
     def extras(self) -> Mapping[str, Any]:
-        """Nothing: each file speaks for itself."""
-        return {}
+        """Of what the set was made, as the first file says it; each file speaks for itself."""
+        told = self[0].extras.get(CONVERTED) if self._files else None
+        try:
+            return {CONVERTED: json.loads(told) if isinstance(told, str) else told} if told else {}
+        except ValueError:
+            return {}
 
     def __len__(self) -> int:
         """How many episodes there are."""
@@ -91,8 +97,6 @@ class ToldEpisode(Hdf5Episode):
 def sentences(value: Any) -> tuple[str, ...]:
     """Return the sentences in a value: one, several, or none."""
     if isinstance(value, str):
-        import json
-
         if value[:1] == "[":
             try:
                 return sentences(json.loads(value))

@@ -6,9 +6,11 @@ were exchanged when they were written; that is a convention, which a mapping say
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+import io
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from PIL import Image
 
 from xpl import images
 from xpl.observation import ObservationError
@@ -47,9 +49,43 @@ def pixels(data: bytes, where: str) -> NDArray[np.uint8]:
     Raises:
         DataError: it cannot be decoded.
     """
-    try:
-        image: NDArray[Any] = images.decode(data)
-    except ObservationError as error:
-        raise DataError(f"{where}: {error}") from None
+    image = pixels_rgb(data, where)
     is_exchanged = data.startswith(_JPEG) and not images.has_marker(data)
     return np.ascontiguousarray(image[:, :, ::-1]) if is_exchanged else image
+
+
+def pixels_rgb(data: bytes, where: str) -> NDArray[np.uint8]:
+    """Return the pixels (H, W, 3) uint8 of an image of the standard, RGB: JPEGs without its mark are exchanged.
+
+    Raises:
+        DataError: it cannot be decoded.
+    """
+    try:
+        image: NDArray[np.uint8] = images.decode(data)
+    except ObservationError as error:
+        raise DataError(f"{where}: {error}") from None
+    return image
+
+
+def encoded(image: NDArray[np.uint8], encoding: str) -> bytes:
+    """Return an image (H, W, 3) uint8 encoded: `pixels` gives it back.
+
+    Args:
+        image: the pixels.
+        encoding: png, jpeg, or marked: a JPEG of the standard, whose mark says that it is RGB.
+    """
+    target = io.BytesIO()
+    made = Image.fromarray(np.ascontiguousarray(image))
+    if encoding == "png":
+        made.save(target, "PNG", compress_level=1)
+    elif encoding == "jpeg":
+        made.save(target, "JPEG", quality=images.DEFAULT_QUALITY)
+    else:
+        target.write(images.encode_jpeg(image))
+    return target.getvalue()
+
+
+def psnr(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
+    """Return the peak signal-to-noise ratio of two images, dB; infinite where they are the same."""
+    error = float(np.square(one.astype(np.float32) - other.astype(np.float32)).mean())
+    return float("inf") if error == 0 else 10 * float(np.log10(255.0**2 / error))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.basics.errors import one_of
+from xpl_cli.data.formats.diffusion import DiffusionWriter
+from xpl_cli.data.formats.files import AlohaWriter, RobomimicWriter, RobotwinWriter, StandardWriter
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.lerobot.writer import LeRobotWriter
 
@@ -14,6 +16,11 @@ if TYPE_CHECKING:
 _WRITERS: Final[tuple[Writer, ...]] = (
     LeRobotWriter(layout.V30),
     LeRobotWriter(layout.V21),
+    RobomimicWriter(),
+    AlohaWriter(),
+    RobotwinWriter(),
+    DiffusionWriter(),
+    StandardWriter(),
 )
 WRITTEN: Final = tuple(writer.name for writer in _WRITERS)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from xpl import images
 from xpl_cli.basics.atomic import write_file
-from xpl_cli.data.formats import encoding
+from xpl_cli.data.formats import encoding, pictures, video
 from xpl_cli.data.formats.lerobot import layout, stats, tables
 from xpl_cli.data.formats.writing import Names
 from xpl_cli.data.sets.errors import DataError
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Camera, Column, Episode
 
 _SET, _EPISODES = "set", "episodes"
+_SAMPLED: Final = 8
+"""Frames of each video that are decoded again, to tell what encoding lost."""
+_EXACT: Final = 100.0
+"""PSNR in dB of frames that are the same."""
 _MB: Final = 1 << 20
 _DATA_MB, _VIDEO_MB = 100.0, 200.0
 
@@ -210,7 +214,10 @@ def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> 
             yield np.ascontiguousarray(frame)
 
     encoding.encoded(path, shown(), rate, plan.options.codec, plan.options.crf)
-    return {"codec": plan.options.codec, "copied": False}, stats.of_images(kept)
+    sample = min(episode.length, _SAMPLED)
+    back = video.frames(path, 0.0, rate, 0, sample)
+    worst = min(pictures.psnr(one, other) for one, other in zip(episode.frames(name, 0, sample), back, strict=True))
+    return {"codec": plan.options.codec, "copied": False, "psnr_db": min(worst, _EXACT)}, stats.of_images(kept)
 
 
 def _sampled(episode: Episode, name: str, wanted: list[int]) -> stats.Stats:
