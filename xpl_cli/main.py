@@ -39,6 +39,7 @@ _COMMANDS: Final = {
     "hook": "prove.hook",
     "serve": "run.serve",
     "eval": "run.evaluate",
+    "record": "run.record",
     "compare": "report.compare",
     "report": "report.report",
     "leaderboard": "report.leaderboard",

@@ -19,8 +19,15 @@ _WAITING_BYTES = 1 << 22
 class Column(Protocol):
     """Takes a value for each step."""
 
+    def fitting(self, value: Any) -> Any:
+        """Return the value of the next step as `add` takes it.
+
+        Raises:
+            TrajectoryError: it does not go with those before it.
+        """
+
     def add(self, value: Any) -> None:
-        """Take the value of the next step."""
+        """Take what `fitting` made of the value of the next step."""
 
     def close(self) -> None:
         """Write what is still in memory."""
@@ -50,8 +57,8 @@ class Rows:
         }
         self._dataset = file.create_dataset(self._name, dtype=first.dtype, **sizes, **compression)
 
-    def add(self, value: Any) -> None:
-        """Take the value of the next step.
+    def fitting(self, value: Any) -> np.ndarray:
+        """Return a copy: simulators use their arrays again.
 
         Raises:
             TrajectoryError: it has another shape or type than the first one.
@@ -63,7 +70,11 @@ class Rows:
                 f"{self._name}, step {step}: expected {self._shape} {self._dtype}, as the steps before it have, "
                 f"got {array.shape} {array.dtype}"
             )
-        self._waiting.append(np.array(array, self._dtype))  # a copy: simulators use their arrays again
+        return np.array(array, self._dtype)
+
+    def add(self, value: np.ndarray) -> None:
+        """Take the value of the next step."""
+        self._waiting.append(value)
         if len(self._waiting) >= self._most:
             self.close()
 
@@ -96,9 +107,9 @@ class Blobs:
             kind = hdf5().vlen_dtype(np.uint8)
             self._dataset = file.create_dataset(name, (0,), maxshape=(None,), chunks=(_ROWS,), dtype=kind)
 
-    def add(self, value: Any) -> None:
-        """Take the bytes of the next step's image."""
-        self._waiting.append(np.frombuffer(bytes(value), np.uint8))
+    def add(self, value: bytes) -> None:
+        """Take the next step's image."""
+        self._waiting.append(np.frombuffer(value, np.uint8))
         if sum(map(len, self._waiting)) > _WAITING_BYTES or len(self._waiting) >= _ROWS:
             self.close()
 
@@ -140,24 +151,30 @@ class Steady:
         self._count = 0
         self._series: list[Any] | None = None
 
-    def add(self, value: Any) -> None:
-        """Take the value of the next step.
+    def fitting(self, value: Any) -> Any:
+        """Return a text, or a copy of numbers.
 
         Raises:
             TrajectoryError: it is of another kind or shape than the first one.
         """
         found = value if isinstance(value, str) else np.array(numbers(value, "/".join(self._path)))
         if not self._count:
-            self._first = found
-        elif isinstance(found, str) != isinstance(self._first, str) or np.shape(found) != np.shape(self._first):
+            return found
+        if isinstance(found, str) != isinstance(self._first, str) or np.shape(found) != np.shape(self._first):
             raise TrajectoryError(
                 f"{'/'.join(self._path)}, step {self._count}: expected {_told(self._first)}, as the first step has, "
                 f"got {_told(found)}"
             )
-        if self._series is None and (self._always or not np.array_equal(found, self._first)):
+        return found
+
+    def add(self, value: Any) -> None:
+        """Take the value of the next step."""
+        if not self._count:
+            self._first = value
+        if self._series is None and (self._always or not np.array_equal(value, self._first)):
             self._series = [self._first] * self._count
         if self._series is not None:
-            self._series.append(found)
+            self._series.append(value)
         self._count += 1
 
     def close(self) -> None:

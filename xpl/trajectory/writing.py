@@ -14,7 +14,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl import images as codec
-from xpl.observation import is_encoded
+from xpl.observation import ObservationError, is_encoded
 from xpl.trajectory import index, names, storage
 from xpl.trajectory.columns import Blobs, Column, Listed, Rows, Steady, numbers
 from xpl.trajectory.errors import TrajectoryError
@@ -113,18 +113,19 @@ class Writer:
 
         Raises:
             TrajectoryError: it has no state, other parts than the first step, or one of another shape; a value is
-                neither numbers nor text; or the file cannot be written. Nothing can be added after that.
+                neither numbers nor text; or the file cannot be written. Nothing of the step is added then.
         """
         parts = dict(self._parts(obs, action, steps))
-        if self.steps and parts.keys() != self._columns.keys():
+        if self._columns and parts.keys() != self._columns.keys():
             lost, new = (", ".join(sorted(map("/".join, one))) for one in _differing(self._columns, parts))
-            found = " and ".join(filter(None, [lost and f"lacks {lost}", new and f"adds {new}"]))
-            raise TrajectoryError(f"{self.path}: step {self.steps} {found}: all steps have what the first one has")
+            differs = " and ".join(filter(None, [lost and f"lacks {lost}", new and f"adds {new}"]))
+            raise TrajectoryError(f"{self.path}: step {self.steps} {differs}: all steps have what the first one has")
         with self._told():
-            for path, value in parts.items():
-                if not self.steps:
-                    self._columns[path] = self._column(path, value)
-                self._columns[path].add(value)
+            if not self._columns:
+                self._columns = {path: self._column(path, value) for path, value in parts.items()}
+            fitting = {path: column.fitting(parts[path]) for path, column in self._columns.items()}
+            for path, column in self._columns.items():
+                column.add(fitting[path])
         self.steps += 1
 
     def commit(self) -> None:
@@ -224,22 +225,24 @@ class Writer:
             yield
         except OSError as error:
             raise TrajectoryError(f"{self.path} cannot be written: {error.strerror or error}") from None
+        except ObservationError as error:
+            raise TrajectoryError(f"{self.path}: step {self.steps}: {error}") from None
 
 
 class _Pixels(Rows):
     """Colour images as pixels (T, H, W, 3)."""
 
-    def add(self, value: Any) -> None:
-        """Take an image, (H, W, 3) uint8 or encoded."""
-        super().add(_decoded(value))
+    def fitting(self, value: Any) -> np.ndarray:
+        """Return an image, (H, W, 3) uint8, of one that may be encoded."""
+        return super().fitting(_decoded(value))
 
 
 class _Depth(Rows):
     """Depth (T, H, W)."""
 
-    def add(self, value: Any) -> None:
-        """Take the depth of the next step, (H, W) or (H, W, 1)."""
-        super().add(_flat(value))
+    def fitting(self, value: Any) -> np.ndarray:
+        """Return depth (H, W) of (H, W) or (H, W, 1)."""
+        return super().fitting(_flat(value))
 
 
 class _Encoded:
@@ -248,19 +251,23 @@ class _Encoded:
     def __init__(self, blobs: Blobs, encode: Any, size: tuple[int, int], path: names.Place) -> None:
         self._blobs, self._encode, self._size, self._path = blobs, encode, size, path
 
-    def add(self, value: Any) -> None:
-        """Take an image, (H, W, 3) uint8 or encoded.
+    def fitting(self, value: Any) -> bytes:
+        """Return an image as it is stored.
 
         Raises:
             TrajectoryError: it has another size than the first one.
         """
         if is_encoded(value):
-            self._blobs.add(value)
-            return
+            return bytes(value)
         image = np.asarray(value)
         if image.shape[:2] != self._size:
             raise TrajectoryError(f"{'/'.join(self._path)}: expected images of {self._size}, got {image.shape}")
-        self._blobs.add(self._encode(image))
+        encoded: bytes = self._encode(image)
+        return encoded
+
+    def add(self, value: bytes) -> None:
+        """Take the image of the next step."""
+        self._blobs.add(value)
 
     def close(self) -> None:
         """Write what is still in memory."""

@@ -198,7 +198,7 @@ def _is_here(policy: str) -> bool:
     return True
 
 
-def _desk(environment: str | None) -> contextlib.AbstractContextManager[object]:
+def desk(environment: str | None) -> contextlib.AbstractContextManager[object]:
     """Return a desk for questions to people, where the environment may be a robot."""
     from xpl_cli.packages import environments
 
@@ -218,7 +218,7 @@ def _recorded(request: suite.Request, *, as_json: bool) -> None:
     from xpl_cli.evaluation.statistics import summary, wording
     from xpl_cli.standard import spec as standard
 
-    with _desk(request.environment):
+    with desk(request.environment):
         run = suite.evaluate(request)
     found = summary.summarise(run)
     if as_json:
@@ -238,7 +238,7 @@ def _told(request: look.Request, policy: str, *, as_json: bool) -> None:
     from xpl_cli.evaluation.runs import look, outcome
     from xpl_cli.standard import spec as standard
 
-    with _desk(request.environment), progress() as say:
+    with desk(request.environment), progress() as say:
         report = look.evaluate(request, say)
     if as_json:
         console.data_json({**report, "next": outcome.following(report, policy)})

@@ -25,6 +25,7 @@ from xpl_cli.environments.film import Reel
 from xpl_cli.evaluation.lanes import blame, trial
 from xpl_cli.evaluation.lanes.backend import Job, Outcome
 from xpl_cli.evaluation.lanes.fitting import Fitting
+from xpl_cli.evaluation.lanes.recorder import recorded
 from xpl_cli.evaluation.lanes.scene import Scene, SpoiltError, hang_up, impatient, reset
 from xpl_cli.evaluation.lanes.watch import Watch
 from xpl_cli.evaluation.loop.desk import LoopError
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     import ssl
     from collections.abc import Callable, Sequence
 
+    from xpl_cli.evaluation.lanes.recorder import Demos
     from xpl_cli.evaluation.records.records import Line
 
 
@@ -60,6 +62,7 @@ class Orders:
         num_envs: environments that a lane plays at once, in one batch.
         env_workers: processes that share them; 0 plays them in the lane's own.
         bounds: what the adapter's loop is kept from.
+        demos: where episodes are kept as trajectories, and how; None for not at all.
     """
 
     policy: str
@@ -73,6 +76,7 @@ class Orders:
     num_envs: int = 1
     env_workers: int = 1
     bounds: Bounds = field(default_factory=Bounds)
+    demos: Demos | None = None
 
 
 @dataclass(frozen=True)
@@ -212,14 +216,18 @@ class Lane:
         try:
             scene = self._ready(jobs[0])
             reel = Reel(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
-            env = Fitting(scene.env, self._robot, self._orders.settings[sdk.Deploy.ACTION_TYPE])
-            watch = Watch(env, self._robot, scene.frequency, traced=jobs[0].trace, reel=reel)
-            reset(scene.env, jobs, self._orders.num_envs)
-            try:
-                client = self._connected(scene, url)
-            except ServerFailedError as error:
-                return watch, self._failed(watch, error, len(jobs))
-            return watch, self._tried(watch, client, jobs)
+            env: Any = Fitting(scene.env, self._robot, self._orders.settings[sdk.Deploy.ACTION_TYPE])
+            with recorded(env, self._orders, jobs, scene.frequency) as recorder:
+                watch = Watch(recorder or env, self._robot, scene.frequency, traced=jobs[0].trace, reel=reel)
+                reset(scene.env, jobs, self._orders.num_envs)
+                try:
+                    client = self._connected(scene, url)
+                except ServerFailedError as error:
+                    return watch, self._failed(watch, error, len(jobs))
+                lines = self._tried(watch, client, jobs)
+                if recorder is not None:
+                    recorder.keep(lines)
+                return watch, lines
         except SpoiltError as error:
             self._drop()
             return watch, [failures.spoilt(str(error))] * len(jobs)

@@ -58,7 +58,7 @@ class Watch:
     def listen(self, client: Any) -> Any:
         """Return the client, listened to, by whoever guards the environment too."""
         inner = getattr(self._env, "listen", None)
-        return _Listener(client if inner is None else inner(client), self._asked)
+        return Listener(client if inner is None else inner(client), self._asked)
 
     def get_obs(self) -> Any:
         """Return the observation of the environment."""
@@ -160,7 +160,7 @@ class Watch:
             self._reel = None
 
 
-class _Listener:
+class Listener:
     """A client whose answers with actions are timed; everything else passes."""
 
     def __init__(self, client: Any, asked: Callable[[float], None]) -> None:

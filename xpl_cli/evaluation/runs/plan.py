@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,6 +39,7 @@ class Wishes:
         first: place of the first seed among the environment's evaluation seeds; where it has none, the seed itself.
         horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
         until_width: a cell may end before its last seed, once the interval of its success rate is no wider.
+        is_practice: seeds count up from `first`, without the environment's evaluation seeds: for training.
     """
 
     tasks: str | None = None
@@ -46,6 +48,7 @@ class Wishes:
     first: int = 0
     horizon: int | None = None
     until_width: float | None = None
+    is_practice: bool = False
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,9 @@ def _seeds(folder: Path, task: str, setting: str, wishes: Wishes) -> tuple[list[
     count = wishes.episodes
     most = episodes_needed(wishes.until_width) if count is None and wishes.until_width is not None else count or 1
     first, end = wishes.first, wishes.first + most
+    if wishes.is_practice:
+        tests = set(check.seeds(folder, task, setting)) if check.has_seeds(folder) else set()
+        return list(itertools.islice((seed for seed in itertools.count(first) if seed not in tests), most)), False
     if not check.has_seeds(folder):
         return list(range(first, end)), False
     known = check.seeds(folder, task, setting)

@@ -52,8 +52,15 @@ class View(Protocol):
         """Show a line that was recorded, and how many episodes are not final yet; may raise to end the run."""
 
 
-def play(writer: Sink, backend: Backend, schedule: Schedule, view: View) -> None:
+def play(writer: Sink, backend: Backend, schedule: Schedule, view: View, *, ahead: bool = True) -> None:
     """Play until nothing is left.
+
+    Args:
+        writer: keeps what comes of it.
+        backend: plays.
+        schedule: what is played.
+        view: shows how far it is.
+        ahead: whether the next episode may begin before it is known that the last one was not enough.
 
     Raises:
         UserError: nothing can be played, or the infrastructure fails again and again; what was recorded stays, and the
@@ -64,7 +71,8 @@ def play(writer: Sink, backend: Backend, schedule: Schedule, view: View) -> None
     while not schedule.is_done:
         _submit(backend, schedule, outage)
         outcomes = backend.wait()
-        _submit(backend, schedule, outage)  # lanes play on while this side waits for the disk
+        if ahead:
+            _submit(backend, schedule, outage)  # lanes play on while this side waits for the disk
         for outcome in outcomes:
             if schedule.is_expected(outcome.job):
                 line = _record(writer, outcome, attempts)

@@ -1,0 +1,119 @@
+"""`xpl record`: demonstrations of an environment's expert, of a policy, or of a person."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import typer
+
+from xpl_cli.basics.endings import ends
+from xpl_cli.commands.run.evaluate import desk
+from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY_ENV, SETTINGS
+
+_IMAGES = "HxW of all cameras, `own` for the environment's sizes, or `none`; what the policy reads, or own, by default."
+
+
+@ends(
+    clean="the set is complete",
+    findings="fewer episodes than wanted",
+    not_found="environment, task or player not found",
+)
+def record(
+    env: str = typer.Argument(..., metavar="ENV", help="Environment package, or its folder."),
+    out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder of the set."),
+    task: str | None = typer.Option(None, help="Task; the first by default. Also A,B, a split, or all."),
+    episodes: int = typer.Option(50, min=1, help="Episodes to keep, of each task."),
+    policy: str | None = typer.Option(
+        None, "--policy", metavar="POLICY", help="Adapter that plays; the environment's expert by default."
+    ),
+    embodiment: str | None = typer.Option(None, help="Embodiment; the first of the task by default."),
+    setting: str | None = typer.Option(None, help="Setting; the first by default."),
+    action_type: str | None = typer.Option(None, help="Control; the first by default."),
+    seed: int = typer.Option(0, min=0, help="Where seeds begin; evaluation seeds are left out."),
+    keep: str | None = typer.Option(
+        None, metavar="success|all", help="Which are kept; of an expert those that succeed, of others all by default."
+    ),
+    images: str | None = typer.Option(None, metavar="HxW", help=_IMAGES),
+    form: str = typer.Option("jpeg", metavar="FORM", help="How images are stored: jpeg, jpeg-padded, png or raw."),
+    quality: int = typer.Option(95, min=1, max=95, help="Of JPEGs."),
+    no_depth: bool = typer.Option(False, "--no-depth", help="Leave depth out."),
+    horizon: int | None = typer.Option(
+        None, min=1, help="Actions of a chunk to execute, by our own loop; without it deploy.py's loop runs."
+    ),
+    film: int = typer.Option(0, min=0, metavar="N", help="Film the first N episodes of each task."),
+    workers: str = typer.Option("1", metavar="N|auto", help="Episodes at once; auto: one a core."),
+    resume: bool = typer.Option(False, "--resume", help="Go on with the set in --out; it may also grow so."),
+    settings: list[str] = SETTINGS,
+    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
+    eval_env: str | None = typer.Option(
+        None, help="Python of the environment, as for --policy-env; env.yml's if unsaid."
+    ),
+    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Play episodes on seeds that no evaluation uses, and keep them as the standard's trajectories (HDF5)."""
+    from xpl.trajectory import FORMS
+    from xpl_cli.basics import console
+    from xpl_cli.basics.errors import ExitCode
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.environments.play import chosen
+    from xpl_cli.evaluation.lanes import backends, recorder
+    from xpl_cli.evaluation.runs import collect, remote
+    from xpl_cli.packages import package
+
+    kept = chosen("choice for --keep", keep or (recorder.SUCCESS if policy is None else recorder.ALL), recorder.KEEP)
+    demos = recorder.Demos(str(out.absolute()), kept, chosen("form of images", form, FORMS), quality, not no_depth)
+    request = collect.Request(
+        environment=env,
+        demos=demos,
+        tasks=task,
+        setting=setting,
+        embodiment=embodiment,
+        action_type=action_type,
+        policy=policy,
+        episodes=episodes,
+        seed=seed,
+        size=_size(images),
+        horizon=remote.WHOLE if policy is None and horizon is None else horizon,
+        films=film,
+        workers=backends.lanes_of(workers),
+        resume=resume,
+        overrides=package.parse_overrides(settings),
+        python=python,
+        env=policy_env,
+        gpu=policy_gpu,
+        eval_env=eval_env,
+        isolate=isolate,
+    )
+    with desk(env), progress() as say:
+        told = collect.collect(request, say)
+    if as_json:
+        first = f"{told['folder']}/episode_0000000.hdf5"
+        console.answer("xpl.demonstrations/1", told, [shlex.join(["xpl", "spec", "validate", first])])
+    else:
+        console.data(collect.text(told))
+    if any(one["episodes"] < one["wanted"] for one in told["tasks"]):
+        raise typer.Exit(ExitCode.FINDINGS)
+
+
+def _size(images: str | None) -> tuple[int, int] | bool | None:
+    """Return the size of images that is asked for.
+
+    Raises:
+        UserError: it is none.
+    """
+    import re
+
+    from xpl_cli.basics.errors import UserError
+
+    if images is None:
+        return None
+    if images in ("own", "none"):
+        return images == "own"
+    found = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", images)
+    if found is None:
+        raise UserError(f"--images must be HxW such as 128x128, own, or none, got {images!r}")
+    return int(found[1]), int(found[2])

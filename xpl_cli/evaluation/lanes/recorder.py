@@ -1,0 +1,222 @@
+"""Keeps episodes as trajectories while they are played: what the policy was shown, and what it commanded then.
+
+The recorder stands between an evaluation loop and its environment, as `Watch` does, and changes nothing. A file appears
+when its episode has ended and is one to be kept; an episode that breaks off leaves nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl import _spec as sdk
+from xpl import trajectory
+from xpl_cli import __version__
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.lanes.watch import Listener
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl_cli.evaluation.lanes.backend import Job
+    from xpl_cli.evaluation.lanes.lane import Orders
+    from xpl_cli.evaluation.records.records import Line
+
+SUCCESS, ALL = "success", "all"
+KEEP: Final = (SUCCESS, ALL)
+"""Which episodes are kept: those that succeeded, or all that were played to their end."""
+
+_TOLD = ("success", "score", "steps", "end_reason", "corrections", "digest", "started")
+
+
+@dataclass(frozen=True)
+class Demos:
+    """Where episodes are kept as trajectories, and how.
+
+    Attributes:
+        folder: of the set, absolute.
+        keep: one of `KEEP`.
+        images: one of `xpl.trajectory.FORMS`.
+        quality: of JPEGs.
+        depth: whether depth is kept, too.
+    """
+
+    folder: str
+    keep: str = ALL
+    images: str = trajectory.FORMS[0]
+    quality: int = 95
+    depth: bool = True
+
+
+def file_of(index: int) -> str:
+    """Return the name of an episode's file, by its place in the plan."""
+    return f"episode_{index:07d}.hdf5"
+
+
+def is_kept(line: Line, keep: str) -> bool:
+    """Tell whether an episode is one to be kept."""
+    return line["failure"] in (None, "task") and (keep == ALL or bool(line["success"]))
+
+
+@contextlib.contextmanager
+def recorded(task_env: Any, orders: Orders, jobs: Sequence[Job], frequency: float) -> Iterator[Recorder | None]:
+    """Yield what stands before an environment and keeps its episodes; None where nobody wants that.
+
+    Args:
+        task_env: the environment.
+        orders: what is played.
+        jobs: the attempt that each environment plays.
+        frequency: control rate, Hz.
+    """
+    if orders.demos is None:
+        yield None
+        return
+    recorder = Recorder(task_env, orders, jobs, frequency)
+    try:
+        yield recorder
+    finally:
+        recorder.close()
+
+
+class Recorder:
+    """A task environment whose episodes are kept; see `recorded`."""
+
+    def __init__(self, task_env: Any, orders: Orders, jobs: Sequence[Job], frequency: float) -> None:
+        assert orders.demos is not None  # noqa: S101 - for the type checker: `recorded` looks
+        self._env, self._orders, self._demos, self._jobs = task_env, orders, orders.demos, list(jobs)
+        self._frequency = frequency
+        self._seen: dict[int, Any] = {}
+        self._asked = False
+        self._failed: Exception | None = None
+        self._writers: dict[int, trajectory.Writer] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the environment offers besides the surface."""
+        return getattr(self._env, name)
+
+    def listen(self, client: Any) -> Any:
+        """Return the client, listened to, by whoever guards the environment too."""
+        inner = getattr(self._env, "listen", None)
+        return Listener(client if inner is None else inner(client), self._note)
+
+    def get_obs(self) -> Any:
+        """Return the observation of the environment."""
+        obs = self._env.get_obs()
+        self._seen[0] = obs
+        return obs
+
+    def get_obs_batch(
+        self,
+        env_idx_list: Sequence[int] | None = None,
+        last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
+    ) -> Any:
+        """Return the observations of some environments, of all running ones by default."""
+        wanted = list(self._env.get_running_env_idx_list() if env_idx_list is None else env_idx_list)
+        observations = self._env.get_obs_batch(env_idx_list, last_frame)
+        self._seen.update(zip(wanted, observations, strict=False))
+        return observations
+
+    def take_action(self, action: Any) -> Any:
+        """Execute an action step."""
+        self._add(0, action)
+        self._asked = False
+        return self._env.take_action(action)
+
+    def take_action_batch(self, actions: Sequence[Any], env_idx_list: Sequence[int]) -> Any:
+        """Execute an action step of each environment in the list."""
+        for env, action in zip(env_idx_list, actions, strict=False):
+            self._add(env, action)
+        self._asked = False
+        return self._env.take_action_batch(actions, env_idx_list)
+
+    def keep(self, lines: Sequence[Line]) -> None:
+        """Put the files of the episodes that are to be kept in place.
+
+        Args:
+            lines: how each went, in the order of the jobs.
+
+        Raises:
+            UserError: one could not be written.
+        """
+        try:
+            if self._failed is not None:
+                raise self._failed
+            for env, (job, line) in enumerate(zip(self._jobs, lines, strict=True)):
+                writer = self._writers.get(env)
+                if writer is not None and is_kept(line, self._demos.keep):
+                    writer.episode = self._facts(job, line)
+                    del self._writers[env]
+                    writer.commit()
+        except (trajectory.TrajectoryError, ImportError) as error:
+            raise UserError(f"episodes cannot be recorded: {error}", code=ExitCode.NOT_RUN) from None
+
+    def close(self) -> None:
+        """Drop what is not to be kept."""
+        for writer in self._writers.values():
+            writer.discard()
+        self._writers = {}
+
+    def _note(self, _seconds: float) -> None:
+        self._asked = True
+
+    def _add(self, env: int, action: Any) -> None:
+        """Add a step. What goes wrong is raised at the end: a loop would take it for a fault of the policy."""
+        if self._failed is not None or env >= len(self._jobs) or env not in self._env.get_running_env_idx_list():
+            return
+        obs = self._seen.pop(env, None)
+        if obs is None:  # a loop that executes a chunk without looking
+            obs = self._env.get_obs_batch([env])[0]
+        try:
+            if env not in self._writers:
+                self._writers[env] = self._writer(self._jobs[env])
+            shown = obs if self._demos.depth else _without_depth(obs)
+            self._writers[env].add(shown, action, asked=self._asked)
+        except (trajectory.TrajectoryError, ImportError) as error:
+            self._failed = error
+
+    def _writer(self, job: Job) -> trajectory.Writer:
+        path = Path(self._demos.folder) / file_of(job.index)
+        options = {"images": self._demos.images, "quality": self._demos.quality}
+        return trajectory.Writer(path, frequency=self._frequency, **options)
+
+    def _facts(self, job: Job, line: Line) -> dict[str, Any]:
+        """Return what is told of an episode: what was played by whom, and how it went."""
+        orders = self._orders
+        return {
+            "environment": Path(orders.environment).name,
+            "environment_digest": orders.environment_digest,
+            "task": job.task,
+            "setting": job.setting,
+            sdk.Deploy.SEED: job.seed,
+            "robot": orders.settings["embodiment"],
+            sdk.Deploy.ACTION_TYPE: orders.settings[sdk.Deploy.ACTION_TYPE],
+            "policy": Path(orders.policy).name,
+            "policy_digest": orders.policy_digest,
+            **{name: line[name] for name in _TOLD if name in line},
+            "writer": f"xpl {__version__}",
+        }
+
+
+def _without_depth(obs: Any) -> Any:
+    vision = {
+        name: {key: value for key, value in camera.items() if key != sdk.Camera.DEPTH}
+        for name, camera in (obs.get(sdk.Obs.VISION) or {}).items()
+    }
+    return {**obs, sdk.Obs.VISION: vision}
+
+
+def require_library() -> None:
+    """Raise where trajectories cannot be written at all.
+
+    Raises:
+        UserError: h5py is not installed.
+    """
+    from xpl.trajectory.storage import hdf5
+    from xpl_cli.basics.extras import how_to_install
+
+    try:
+        hdf5()
+    except ImportError as error:
+        raise UserError(str(error), hint=how_to_install("data"), code=ExitCode.NOT_RUN) from None

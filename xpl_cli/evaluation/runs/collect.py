@@ -1,0 +1,302 @@
+"""Demonstrations: episodes are played, on seeds that no evaluation uses, until so many are kept as trajectories.
+
+    demos/episode_0000000.hdf5, ...   the trajectories; the number is the episode's place in the plan
+    demos/index.jsonl                 how long they are, and what they show
+    demos/run/                        the record of the run: every try, also those that were discarded
+
+The evaluation engine plays; the set is one more thing that is left behind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl import _spec as sdk
+from xpl.vector import INFRASTRUCTURE
+from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.environments import play
+from xpl_cli.evaluation.lanes import backends, recorder
+from xpl_cli.evaluation.lanes.backend import LOCAL, Room
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.manner import Manner
+from xpl_cli.evaluation.runs import evaluate, plan, runner
+from xpl_cli.evaluation.runs.plan import Wishes
+from xpl_cli.evaluation.runs.schedule import Schedule
+from xpl_cli.packages import environments, package
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from xpl_cli.basics.progress import Progress
+    from xpl_cli.evaluation.lanes.recorder import Demos
+    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.packages.package import Package
+
+RUN, SURPLUS = "run", ".surplus"
+_SEEDS: Final = 1000
+"""Seeds of a plan, at least: a set may grow later without becoming another one."""
+_TRIES, _HOPELESS = 4, 20
+"""A task ends after so many times the wanted episodes, or after so many of which none can be kept."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to record, and where it goes.
+
+    Attributes:
+        environment: name of an environment package, or its folder.
+        tasks, setting: of it; the first by default. Tasks are a list with commas, names of splits, or `all`.
+        embodiment, action_type: of it; the first that the task is offered with by default.
+        policy: who plays; the environment's expert by default.
+        episodes: how many are kept, of each task.
+        seed: where seeds begin.
+        demos: the set.
+        size: height and width of images, True for the environment's own, False for none; None is what the policy reads,
+            or the environment's own where it reads none.
+        horizon: actions of a chunk that are executed, at most; None leaves the loop to the policy.
+        films: episodes of each task that are filmed.
+        workers: episodes at a time; None is as many as there are cores.
+        resume: whether a set that is there is continued.
+        overrides: keys of deploy.yml.
+        python, env, gpu: interpreter and device of the policy.
+        eval_env: interpreter of the environment.
+        isolate: keep the policy from the network and from writing.
+    """
+
+    environment: str
+    demos: Demos
+    tasks: str | None = None
+    setting: str | None = None
+    embodiment: str | None = None
+    action_type: str | None = None
+    policy: str | None = None
+    episodes: int = 50
+    seed: int = 0
+    size: tuple[int, int] | bool | None = None
+    horizon: int | None = None
+    films: int = 0
+    workers: int | None = 1
+    resume: bool = False
+    overrides: dict[str, Any] | None = None
+    python: str | None = None
+    env: str | None = None
+    gpu: str | None = None
+    eval_env: str | None = None
+    isolate: bool = False
+
+
+def collect(request: Request, progress: Progress) -> dict[str, Any]:
+    """Record until the set is complete, and return what it holds (`xpl.demonstrations/1`).
+
+    Raises:
+        UserError: nobody can play, the request cannot be met, the set is another one or there although nobody said
+            `resume`, or nothing can be played. What was recorded stays.
+    """
+    recorder.require_library()
+    adapter = _player(request)
+    folder = Path(request.demos.folder)
+    run = folder / RUN
+    if (run / records.FILE).exists() and not request.resume:
+        raise UserError(
+            f"{folder} holds demonstrations already", hint="continue with --resume, or choose another --out"
+        )
+    asked, config = _asked(request, adapter, run)
+    place = environments.find(request.environment)
+    line = plan.make(adapter, place, config, asked.wishes or Wishes(), Manner()).line
+    lane_orders, server_orders = evaluate.orders(asked, place, line)
+    cameras = lane_orders.settings["cameras"]
+    wanted = request.size if request.size is not None else cameras or True
+    lane_orders = replace(lane_orders, settings={**lane_orders.settings, "cameras": wanted}, demos=request.demos)
+    _return_surplus(folder)
+    began = time.monotonic()
+    with records.Writer(run, line) as writer:
+        schedule = Schedule(writer.run, request.films, _enough(request), traced=False)
+        before = sum(map(len, _kept(writer.run, request)))
+        room = replace(asked.room, lanes=asked.room.lanes or None)
+        if not schedule.is_done:
+            with contextlib.closing(backends.make(room, lane_orders, server_orders, schedule.left)) as backend:
+                shown = _View(writer.run, request, before, progress)
+                runner.play(writer, backend, schedule, shown, ahead=False)
+    return _summary(records.read(run), request, adapter, time.monotonic() - began)
+
+
+def _player(request: Request) -> Package:
+    """Return who plays.
+
+    Raises:
+        NotFoundError: the environment names no expert, and nobody else is named.
+    """
+    facts = environments.manifest(environments.find(request.environment))
+    name = request.policy or facts.get("expert")
+    if name is not None:
+        return package.load(name)
+    who = "the policy that drives it, for example one that reads a person's leader arm"
+    raise NotFoundError(f"{request.environment} has no expert that could play", hint=f"name {who}, with --policy")
+
+
+def _asked(request: Request, adapter: Package, run: Path) -> tuple[evaluate.Request, dict[str, Any]]:
+    """Return what the evaluation engine is asked, and the configuration of who plays."""
+    first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
+    facts = environments.manifest(environments.find(request.environment))
+    task = play.expanded(facts, [first])[0] if first else None
+    what = play.scenario(
+        request.environment,
+        action_type=request.action_type,
+        task=task,
+        embodiment=request.embodiment,
+        setting=request.setting,
+    )
+    overrides = {
+        sdk.Deploy.ENV_CFG_TYPE: what.embodiment,
+        sdk.Deploy.ACTION_TYPE: what.action_type,
+        **(request.overrides or {}),
+    }
+    wishes = Wishes(
+        request.tasks or what.task,
+        what.setting,
+        max(_SEEDS, _TRIES * request.episodes),
+        request.seed,
+        request.horizon,
+        is_practice=True,
+    )
+    asked = evaluate.Request(
+        package=adapter,
+        environment=request.environment,
+        out=run,
+        wishes=wishes,
+        room=Room(LOCAL, request.workers),
+        overrides=overrides,
+        python=request.python,
+        env=request.env,
+        gpu=request.gpu,
+        eval_env=request.eval_env,
+        isolate=request.isolate,
+    )
+    return asked, adapter.config(overrides)
+
+
+def _enough(request: Request) -> Callable[[Sequence[bool | None]], bool]:
+    """Return what tells whether a task has all of its episodes, or will never have them."""
+
+    def enough(outcomes: Sequence[bool | None]) -> bool:
+        if request.demos.keep == recorder.ALL:
+            return sum(outcome is not None for outcome in outcomes) >= request.episodes
+        kept = sum(outcome is True for outcome in outcomes)
+        hopeless = len(outcomes) >= _HOPELESS and not kept
+        return kept >= request.episodes or hopeless or len(outcomes) >= max(_HOPELESS, _TRIES * request.episodes)
+
+    return enough
+
+
+def _kept(run: Run, request: Request) -> list[list[Line]]:
+    """Return the episodes of each task that belong to the set: the first ones of the plan that are to be kept.
+
+    Which these are does not depend on how many were played at once.
+    """
+    cells: list[list[Line]] = []
+    for cell in run.plan["cells"]:
+        key = cell["task"], cell["setting"]
+        mine = [line for line in run.finals.values() if (line["task"], line["setting"]) == key]
+        cells.append([line for line in mine if recorder.is_kept(line, request.demos.keep)])
+    return cells
+
+
+def _return_surplus(folder: Path) -> None:
+    """Bring back what was beyond the number that was wanted before: more may be wanted now."""
+    for path in (folder / SURPLUS).glob("*.hdf5"):
+        path.replace(folder / path.name)
+
+
+def _summary(run: Run, request: Request, adapter: Package, seconds: float) -> dict[str, Any]:
+    """Put aside what is too much, and return what the set holds."""
+    folder = Path(request.demos.folder)
+    tasks, files = [], []
+    for cell, lines in zip(run.plan["cells"], _kept(run, request), strict=True):
+        for line in lines[request.episodes :]:
+            path = folder / recorder.file_of(line["index"])
+            if path.exists():
+                (folder / SURPLUS).mkdir(exist_ok=True)
+                path.replace(folder / SURPLUS / path.name)
+        mine = lines[: request.episodes]
+        last = mine[-1]["index"] if len(mine) >= request.episodes else None
+        key = cell["task"], cell["setting"]
+        tried = [
+            line
+            for line in run.finals.values()
+            if (line["task"], line["setting"]) == key and (last is None or line["index"] <= last)
+        ]
+        spoilt = sum(line["failure"] == INFRASTRUCTURE for line in tried)
+        files += [folder / recorder.file_of(line["index"]) for line in mine]
+        tasks.append(
+            {
+                "task": cell["task"],
+                "setting": cell["setting"],
+                "episodes": len(mine),
+                "wanted": request.episodes,
+                "tried": len(tried),
+                "discarded": len(tried) - len(mine) - spoilt,
+                "spoilt": spoilt,
+                "steps": sum(line["steps"] for line in mine),
+            }
+        )
+    there = [path for path in files if path.is_file()]
+    if len(there) < len(files):
+        lost = next(path for path in files if path not in there)
+        raise UserError(f"{lost} was recorded and is not there any more", code=ExitCode.NOT_RUN)
+    plan_line = run.plan
+    return {
+        "folder": str(folder),
+        "environment": plan_line["environment"]["name"],
+        "embodiment": plan_line["embodiment"],
+        sdk.Deploy.ACTION_TYPE: plan_line[sdk.Deploy.ACTION_TYPE],
+        "policy": adapter.name,
+        "keep": request.demos.keep,
+        "tasks": tasks,
+        "episodes": sum(task["episodes"] for task in tasks),
+        "steps": sum(task["steps"] for task in tasks),
+        "bytes": sum(path.stat().st_size for path in there),
+        "seconds": round(seconds, 1),
+    }
+
+
+def text(told: dict[str, Any]) -> str:
+    """Return what a set holds, for people."""
+    lines = []
+    for task in told["tasks"]:
+        rest = [f"{task['discarded']} of {task['tried']} tries discarded"] if task["discarded"] else []
+        rest += [f"{task['spoilt']} spoilt by the infrastructure"] if task["spoilt"] else []
+        short = f" of {task['wanted']} wanted" if task["episodes"] < task["wanted"] else ""
+        lines.append(
+            ", ".join([f"{task['task']}: {task['episodes']} episodes{short}", f"{task['steps']} steps", *rest])
+        )
+    size = told["bytes"] / 1e6
+    lines.append(f"{told['folder']}: {told['episodes']} episodes, {size:.1f} MB")
+    return "\n".join(lines)
+
+
+class _View:
+    """One line that says how far it is."""
+
+    def __init__(self, run: Run, request: Request, before: int, progress: Progress) -> None:
+        self._run, self._request, self._before, self._progress = run, request, before, progress
+        self._began: float | None = None
+
+    def add(self, line: Line, left: int) -> None:  # noqa: ARG002 - as every view
+        """Say how far it is."""
+        if self._began is None:  # models are loaded by now
+            self._began = time.monotonic() - line["wall_seconds"]
+        cells = _kept(self._run, self._request)
+        wanted = self._request.episodes
+        kept = sum(min(len(lines), wanted) for lines in cells)
+        total, tried = wanted * len(cells), len(self._run.finals)
+        pace = (kept - self._before) / max(time.monotonic() - self._began, 1e-3)
+        told = [f"{line['task']}: {kept} of {total} episodes", f"{tried - kept} discarded" if tried > kept else ""]
+        if pace > 0:
+            told += [f"{60 * pace:.1f} a minute", f"{(total - kept) / pace / 60:.0f} min left"]
+        if line.get("error"):
+            told.append(str(line["error"]))
+        self._progress.step(", ".join(filter(None, told)))
