@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Show, check and compile the standard.", no_args_is_help=True)
 
 _SPEC = typer.Option(None, "--spec", metavar="VERSION", help="Version of the standard; the newest by default.")
+_TRAJECTORY = "trajectory"
 _JSON = typer.Option(False, "--json", help="Print a JSON object.")
 
 
@@ -45,7 +46,7 @@ def show(
 @app.command()
 def validate(
     files: list[Path] | None = typer.Argument(
-        None, metavar="[FILE]...", help="YAML or JSON files; none: the standard itself."
+        None, metavar="[FILE]...", help="YAML, JSON or HDF5 files; none: the standard itself."
     ),
     schema: str | None = typer.Option(
         None, metavar="NAME", help="Schema to validate by; the file's name decides by default."
@@ -234,6 +235,11 @@ def _file_problems(files: list[Path], schema: str | None, version: str | None) -
         chosen = _schema_of(file, schema, version)
         if not file.is_file():
             raise NotFoundError(f"there is no file {file}")
+        if chosen == _TRAJECTORY:
+            from xpl_cli.data.sets import held
+
+            yield from held.problems(file, _known(version))
+            continue
         if chosen == "embodiment" and version is None:  # which may be like another one: what counts is the whole
             from xpl import robots as known
             from xpl_cli.packages.manifests import content_of
@@ -268,6 +274,7 @@ def _schema_of(file: Path, schema: str | None, version: str | None) -> str:
             raise no_such(f"there is no schema {schema!r}", schema, known)
         return schema
     told = "embodiment" if file.parent.name == "embodiments" else file.stem
+    told = _TRAJECTORY if file.suffix in (".hdf5", ".h5") else told
     if told not in known:
         raise UserError(f"{file}: its name does not tell its schema", hint=f"--schema {'|'.join(known)}")
     return told

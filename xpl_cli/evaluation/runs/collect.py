@@ -22,7 +22,6 @@ from xpl_cli.environments import play
 from xpl_cli.evaluation.lanes import backends, recorder
 from xpl_cli.evaluation.lanes.backend import LOCAL, Room
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.manner import Manner
 from xpl_cli.evaluation.runs import evaluate, plan, runner
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.evaluation.runs.schedule import Schedule
@@ -104,9 +103,9 @@ def collect(request: Request, progress: Progress) -> dict[str, Any]:
         raise UserError(
             f"{folder} holds demonstrations already", hint="continue with --resume, or choose another --out"
         )
-    asked, config = _asked(request, adapter, run)
+    asked, wishes = _asked(request, adapter, run)
     place = environments.find(request.environment)
-    line = plan.make(adapter, place, config, asked.wishes or Wishes(), Manner()).line
+    line = plan.make(adapter, place, adapter.config(asked.overrides), wishes).line
     lane_orders, server_orders = evaluate.orders(asked, place, line)
     cameras = lane_orders.settings["cameras"]
     wanted = request.size if request.size is not None else cameras or True
@@ -114,11 +113,17 @@ def collect(request: Request, progress: Progress) -> dict[str, Any]:
     _return_surplus(folder)
     began = time.monotonic()
     with records.Writer(run, line) as writer:
-        schedule = Schedule(writer.run, request.films, _enough(request), traced=False)
+        keep = request.demos.keep
+        schedule = Schedule(
+            writer.run,
+            request.films,
+            _enough(request.episodes),
+            traced=False,
+            judge=lambda final: recorder.is_kept(final, keep),
+        )
         before = sum(map(len, _kept(writer.run, request)))
-        room = replace(asked.room, lanes=asked.room.lanes or None)
         if not schedule.is_done:
-            with contextlib.closing(backends.make(room, lane_orders, server_orders, schedule.left)) as backend:
+            with contextlib.closing(backends.make(asked.room, lane_orders, server_orders, schedule.left)) as backend:
                 shown = _View(writer.run, request, before, progress)
                 runner.play(writer, backend, schedule, shown, ahead=False)
     return _summary(records.read(run), request, adapter, time.monotonic() - began)
@@ -134,12 +139,14 @@ def _player(request: Request) -> Package:
     name = request.policy or facts.get("expert")
     if name is not None:
         return package.load(name)
-    who = "the policy that drives it, for example one that reads a person's leader arm"
-    raise NotFoundError(f"{request.environment} has no expert that could play", hint=f"name {who}, with --policy")
+    raise NotFoundError(
+        f"{request.environment} has no expert that could play",
+        hint="name who drives it with --policy: for a robot, a policy that reads a person's leader arm",
+    )
 
 
-def _asked(request: Request, adapter: Package, run: Path) -> tuple[evaluate.Request, dict[str, Any]]:
-    """Return what the evaluation engine is asked, and the configuration of who plays."""
+def _asked(request: Request, adapter: Package, run: Path) -> tuple[evaluate.Request, Wishes]:
+    """Return what the evaluation engine is asked, and what is to be played."""
     first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
     facts = environments.manifest(environments.find(request.environment))
     task = play.expanded(facts, [first])[0] if first else None
@@ -176,18 +183,16 @@ def _asked(request: Request, adapter: Package, run: Path) -> tuple[evaluate.Requ
         eval_env=request.eval_env,
         isolate=request.isolate,
     )
-    return asked, adapter.config(overrides)
+    return asked, wishes
 
 
-def _enough(request: Request) -> Callable[[Sequence[bool | None]], bool]:
+def _enough(wanted: int) -> Callable[[Sequence[bool | None]], bool]:
     """Return what tells whether a task has all of its episodes, or will never have them."""
 
     def enough(outcomes: Sequence[bool | None]) -> bool:
-        if request.demos.keep == recorder.ALL:
-            return sum(outcome is not None for outcome in outcomes) >= request.episodes
-        kept = sum(outcome is True for outcome in outcomes)
+        kept = sum(map(bool, outcomes))
         hopeless = len(outcomes) >= _HOPELESS and not kept
-        return kept >= request.episodes or hopeless or len(outcomes) >= max(_HOPELESS, _TRIES * request.episodes)
+        return kept >= wanted or hopeless or len(outcomes) >= max(_HOPELESS, _TRIES * wanted)
 
     return enough
 

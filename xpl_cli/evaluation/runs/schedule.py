@@ -27,13 +27,21 @@ class Schedule:
         is_enough: tells whether a cell need not go on, by the successes of its episodes in the order of the plan, as
             far as all of them are final; None stands for an episode that does not count.
         traced: whether curves are kept.
+        judge: says of a final line what counts instead of its success.
     """
 
     def __init__(
-        self, run: Run, films: int, is_enough: Callable[[Sequence[bool | None]], bool], *, traced: bool = True
+        self,
+        run: Run,
+        films: int,
+        is_enough: Callable[[Sequence[bool | None]], bool],
+        *,
+        traced: bool = True,
+        judge: Callable[[Line], bool | None] | None = None,
     ) -> None:
         self._run = run
         self._traced = traced
+        self._judge = judge or (lambda line: certainly(line, self._survived))
         self._is_enough = is_enough
         self._attempts = Counter(line["index"] for line in run.attempts)
         self._survived = survivors(run.attempts)
@@ -89,6 +97,6 @@ class Schedule:
             final = self._run.finals.get(slot.index)
             if final is None:
                 break
-            outcomes.append(certainly(final, self._survived))
+            outcomes.append(self._judge(final))
         if self._is_enough(outcomes):
             self._waiting[number].clear()

@@ -1,0 +1,122 @@
+"""Holds a trajectory against its schema: names, shapes and types of its datasets, and that its images are some.
+
+Only headers are read, and of encoded images the first, the middle and the last one.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import images, trajectory
+from xpl.observation import ObservationError
+from xpl.trajectory import names, storage
+from xpl_cli.data.sets.errors import DataError
+from xpl_cli.standard.problems import Problem
+from xpl_cli.standard.validate import page_of, validate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+SCHEMA: Final = "trajectory"
+_JSON: Final = (sdk.Trajectory.INSTRUCTIONS, sdk.Trajectory.SUBTASKS)
+_SERIES: Final = (sdk.Trajectory.STATE, sdk.Trajectory.ACTION)
+
+
+def problems(file: Path, version: str) -> list[Problem]:
+    """Return how a trajectory differs from its schema, each problem with its dataset; none means it is valid.
+
+    Args:
+        file: the trajectory.
+        version: of the standard.
+
+    Raises:
+        DataError: it cannot be read at all.
+    """
+    try:
+        with trajectory.read(file) as found:
+            told = [*_of_schema(found.datasets, version), *_of_series(found.datasets), *_of_images(found)]
+    except (trajectory.TrajectoryError, ImportError) as error:
+        raise DataError(str(error)) from None
+    placed = (replace(one, file=str(file), page=page_of(SCHEMA)) for one in told)
+    return sorted(placed, key=lambda one: [str(part) for part in one.path])
+
+
+def _of_schema(datasets: Mapping[names.Place, Any], version: str) -> Iterator[Problem]:
+    document: dict[str, Any] = {}
+    for path, dataset in datasets.items():
+        *groups, leaf = path
+        inner = document
+        for name in groups:
+            inner = inner.setdefault(name, {})
+        inner[leaf] = _stood_for(path, dataset)
+    for problem in validate(document, SCHEMA, version):
+        yield replace(problem, path=tuple(["/".join(map(str, problem.path))] if problem.path else ()))
+
+
+def _of_series(datasets: Mapping[names.Place, Any]) -> Iterator[Problem]:
+    """Yield a problem for each of state and action of which no name is the standard's: the schema takes any."""
+    stems = {
+        prefix + stored
+        for prefixes in sdk.ARM_PREFIXES.values()
+        for prefix in prefixes
+        for stored in sdk.TRAJECTORY_STATE.values()
+    }
+    for group in _SERIES:
+        there = [path[1] for path in datasets if path[0] == group and len(path) > 1]
+        if there and not stems.intersection(there):
+            expected = ", ".join(sdk.TRAJECTORY_STATE.values())
+            message = f"no name of the standard: expected some of {expected}, for two arms with left_ and right_"
+            yield Problem((group,), f"{message}; got {', '.join(there[:9])}", expected=expected, got=", ".join(there))
+
+
+def _of_images(found: trajectory.Trajectory) -> Iterator[Problem]:
+    """Yield a problem for each camera whose images are fewer or more than there are steps, or are none."""
+    lengths = {path: data.shape[0] for path, data in found.datasets.items() if names.is_series(path) and data.ndim}
+    steps = next(iter(lengths.values()), None)
+    for path, dataset in found.datasets.items():
+        if not names.is_image(path, sdk.Camera.COLOR) or not storage.is_encoded(dataset):
+            continue
+        place, count = ("/".join(path),), dataset.shape[0]
+        if steps is not None and count != steps:
+            yield Problem(
+                place, f"expected {steps} images, as many as there are steps, got {count}", str(steps), str(count)
+            )
+        for step in sorted({0, count // 2, count - 1}) if count else ():
+            try:
+                images.size_of(_bytes(dataset, step))
+            except (ObservationError, OSError, RuntimeError) as error:
+                yield Problem(place, f"expected an encoded image at step {step}, got none: {error}", "an encoded image")
+                break
+
+
+def _bytes(dataset: Any, step: int) -> bytes:
+    data = dataset[step]
+    return data if isinstance(data, bytes) else np.asarray(data, np.uint8).tobytes()
+
+
+def _stood_for(path: names.Place, dataset: Any) -> Any:
+    """Return a value of the dataset's shape and type; its content only where that is a word or a number."""
+    if storage.hdf5().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 0:
+        told = storage.text(dataset)
+        return _parsed(told) if path[0] in _JSON and len(path) == 1 else told
+    if storage.is_encoded(dataset) and names.is_image(path, sdk.Camera.COLOR) and dataset.dtype.kind in "SO":
+        return [np.zeros(1, np.uint8)] * min(dataset.shape[0], 2)
+    if dataset.dtype.kind in "biuf":
+        shape = dataset.shape or ()
+        return dataset[()] if not shape else np.broadcast_to(np.zeros((), dataset.dtype), shape)
+    if storage.hdf5().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 1:
+        return storage.text(dataset)
+    return f"{dataset.shape} {dataset.dtype}"
+
+
+def _parsed(told: str) -> Any:
+    try:
+        return json.loads(told)
+    except (ValueError, RecursionError):
+        return told
