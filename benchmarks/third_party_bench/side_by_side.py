@@ -26,27 +26,33 @@ from xpl.process.modules import load_module  # noqa: E402 - this Python has no x
 
 SIZE = (128, 128)
 SEED = 0
-TASKS = {"metaworld": "pick-place", "libero": "libero_spatial_0"}
+TASKS = {"metaworld": "pick-place", "libero": "libero_spatial_0", "aloha": "transfer_cube"}
+
+# Numbers of the state that wander: a place, m, or joints, rad.
+WANDERING = {"ee_pose": 3, "left_arm_joint_state": 6, "right_arm_joint_state": 6}
 Loop = tuple[Callable[[], None], Callable[[Any], Any]]
 
 
 def ours(name: str, embodiment: str, cameras: Any) -> Any:
     """Return our environment."""
-    config = {"task": TASKS[name], "embodiment": embodiment, "action_type": "ee", "cameras": cameras}
+    config = {"task": TASKS[name], "embodiment": embodiment, "cameras": cameras}
     return load_module(ROOT / "envs" / name / "client.py").make(config)
 
 
 def course(env: Any, steps: int) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
-    """Return actions that wander about the first pose, and what the simulator was told for them."""
+    """Return actions that wander about the first state, and what the simulator was told for them."""
     rng = np.random.default_rng(SEED)
     env.reset([SEED])
     first = env.get_obs()["state"]
-    pose, actions, told = first["ee_pose"].copy(), [], []
+    now, actions, told = {key: first[key].copy() for key in WANDERING if key in first}, [], []
     for _ in range(steps):
-        pose[:3] = first["ee_pose"][:3] + np.clip(
-            pose[:3] - first["ee_pose"][:3] + rng.normal(0, 0.004, 3), -0.05, 0.05
-        )
-        actions.append({"ee_pose": pose.copy(), "ee_joint_state": np.float32([rng.uniform()])})
+        for key, value in now.items():
+            begun, free = first[key], slice(WANDERING[key])
+            value[free] = begun[free] + np.clip(
+                value[free] - begun[free] + rng.normal(0, 0.004, value[free].shape), -0.05, 0.05
+            )
+        openings = {key: np.float32([rng.uniform()]) for key in first if key.endswith("ee_joint_state")}
+        actions.append({**{key: value.copy() for key, value in now.items()}, **openings})
         env.take_action(actions[-1])
         told.append(np.array(env.simulated().command))
     return actions, told
@@ -95,7 +101,28 @@ def bare_libero(mine: Any, size: tuple[int, int] | None) -> Loop:
     return reset, env.step
 
 
-BARE = {"metaworld": bare_metaworld, "libero": bare_libero}
+def bare_aloha(_env: Any, size: tuple[int, int] | None) -> Loop:
+    """Return gym-aloha's own reset and step; it draws three pictures, here of the cameras and the size that we draw."""
+    from gym_aloha.env import AlohaEnv
+
+    env = AlohaEnv(task=TASKS["aloha"], obs_type="pixels_agent_pos")
+    task, nothing = env._env.task, np.zeros((1, 1, 3), dtype=np.uint8)
+
+    def observed(physics: Any) -> dict[str, Any]:
+        names = ("top", "left_wrist", "right_wrist") if size else ()
+        images = {name: physics.render(height=size[0], width=size[1], camera_id=name) for name in names}
+        seen = {
+            "qpos": task.get_qpos(physics),
+            "qvel": task.get_qvel(physics),
+            "env_state": task.get_env_state(physics),
+        }
+        return {**seen, "images": images or {"top": nothing}}
+
+    task.get_observation = observed
+    return lambda: env.reset(seed=SEED), env.step
+
+
+BARE = {"metaworld": bare_metaworld, "libero": bare_libero, "aloha": bare_aloha}
 
 
 def timed(reset: Callable[[], None], step: Callable[[Any], Any], commands: Sequence[Any]) -> float:

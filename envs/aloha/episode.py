@@ -1,0 +1,131 @@
+"""One task of gym-aloha, played in its own simulator; its numbers become the standard's here and nowhere else."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import rotation
+from xpl.environment import Episode, Setup
+from xpl.episode import Simulated
+from xpl.kinematics import Chain
+from xpl.poses import pose
+
+from .expert import Expert
+from .pictures import Pictures, choose_renderer
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_PLACE = spec.POSITION_DIM
+_JOINTS, _ARM = 6, 7  # joints of one arm, and with its gripper: gym-aloha's numbers are left arm, then right arm
+_ROBOT = 16  # numbers of qpos before those of objects: a gripper has two
+_SUCCESS = 4  # of gym-aloha's reward
+_NO_PICTURE = np.zeros((1, 1, 3), dtype=np.uint8)  # gym-aloha's step would draw three, whoever looks
+
+
+class AlohaEpisode(Episode):
+    """An episode of a task.
+
+    An action of gym-aloha is where joints go, rad, and how far grippers open, 0 to 1: the standard's own. Its fingers
+    reach from 0.06 to 0.97 of that, so that no gripper ever says 0 or 1.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        choose_renderer()
+        from gym_aloha.env import AlohaEnv
+
+        self._env = AlohaEnv(task=setup.task, obs_type="pixels_agent_pos")
+        self._task, self._physics = self._env._env.task, self._env._env.physics  # noqa: SLF001 - it offers neither
+        self._task.get_observation = self._undrawn
+        self._pictures = Pictures(self._physics, setup, setup.setting.split("_"))
+        chain = Chain.from_embodiment(setup.embodiment.data)
+        self._ahead = chain.tcp_from_flange(pose(np.zeros(_PLACE), rotation.identity()))[:_PLACE]  # and turned alike
+        self._arms = tuple(prefix.rstrip("_") for prefix in setup.embodiment.prefixes)
+        self._flanges = {arm: self._named(f"vx300s_{arm}/gripper_link") for arm in self._arms}
+        self._expert = Expert(chain, {arm: self._body(self._named(f"vx300s_{arm}")) for arm in self._arms}, setup.task)
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode; the seed draws where the objects lie."""
+        obs, _ = self._env.reset(seed=seed)
+        self._reward, self._highest, self._told = 0, 0, None
+        self._look(obs)
+        self._expert.begin(self._state, self._objects())
+
+    def state(self) -> dict[str, NDArray[np.float64]]:
+        """Return joints (rad), openings, the poses of the flanges and of the points between the fingers."""
+        return self._state
+
+    def step(self, action: Mapping[str, Any]) -> None:
+        """Execute one action step: gym-aloha takes it as it is."""
+        keys = (spec.State.ARM_JOINT_STATE, spec.State.EE_JOINT_STATE)
+        parts = [action[f"{arm}_{key}"] for arm in self._arms for key in keys]
+        self._told = np.concatenate(parts).astype(np.float64)
+        obs, self._reward, _, _, _ = self._env.step(self._told)
+        self._highest = max(self._highest, self._reward)
+        self._look(obs)
+        self._expert.advance()
+
+    def score(self) -> float:
+        """Return the highest reward so far, as a share of that of success."""
+        return float(self._highest) / _SUCCESS
+
+    def vision(self) -> dict[str, dict[str, Any]]:
+        """Return the pictures of the setting's cameras."""
+        return self._pictures.seen()
+
+    def truth(self) -> dict[str, Any]:
+        """Return gym-aloha's reward and the poses of its objects, quaternions [w, x, y, z].
+
+        A privileged policy is told, too, what an expert does that plans by them.
+        """
+        known = {"reward": self._reward, **self._objects()}
+        return {**known, "expert": self._expert.action()} if self.setup.privileged else known
+
+    def simulated(self) -> Simulated:
+        """Return gym-aloha's own observation, with its picture where pictures are wanted, and its last action (14,)."""
+        env = self._env
+        size = (env.observation_height, env.observation_width)
+        top = self._pictures.drawn("top", *size) if self.setup.cameras else _NO_PICTURE
+        return Simulated({"agent_pos": self._obs["agent_pos"], "pixels": {"top": top}}, self._told)
+
+    def close(self) -> None:
+        """Release the simulator and what draws."""
+        self._env.close()
+        self._physics.free()
+
+    def _undrawn(self, physics: Any) -> OrderedDict[str, Any]:
+        """Return what gym-aloha's task observes, without its three pictures of 480 x 640."""
+        return OrderedDict(qpos=self._task.get_qpos(physics), images={"top": _NO_PICTURE})
+
+    def _objects(self) -> dict[str, NDArray[np.float64]]:
+        """Return the pose (7,) of each object of the task by name."""
+        names = self.setup.facts["objects"]
+        poses = self._physics.data.qpos[_ROBOT:].reshape(len(names), spec.POSE_DIM).copy()
+        return dict(zip(names, poses, strict=True))
+
+    def _look(self, obs: Mapping[str, Any]) -> None:
+        self._obs = obs
+        self._state = {}
+        for place, arm in enumerate(self._arms):
+            numbers = obs["agent_pos"][_ARM * place : _ARM * (place + 1)]
+            flange = self._body(self._flanges[arm])
+            self._state[f"{arm}_{spec.State.ARM_JOINT_STATE}"] = numbers[:_JOINTS]
+            self._state[f"{arm}_{spec.State.EE_JOINT_STATE}"] = np.clip(numbers[_JOINTS:], 0.0, 1.0)
+            self._state[f"{arm}_{spec.State.EE_POSE}"] = flange
+            ahead = self._physics.data.xmat[self._flanges[arm]].reshape(3, 3) @ self._ahead
+            self._state[f"{arm}_{spec.State.TCP_POSE}"] = pose(flange[:_PLACE] + ahead, flange[_PLACE:])
+
+    def _named(self, body: str) -> int:
+        number: int = self._physics.model.name2id(body, "body")
+        return number
+
+    def _body(self, body: int) -> NDArray[np.float64]:
+        """Return the pose (7,) of a body of the model in the world."""
+        data = self._physics.data
+        return pose(data.xpos[body], data.xquat[body])

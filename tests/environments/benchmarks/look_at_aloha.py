@@ -1,0 +1,127 @@
+"""Runs in the Python of envs/aloha: moves the arms, looks, plays again in gym-aloha itself; prints JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import looking
+import numpy as np
+
+from xpl import get_embodiment
+from xpl.kinematics import Chain
+from xpl.poses import compose, invert
+
+ROBOT = sys.argv[1]
+KNOWN = {"embodiment": ROBOT, "action_type": "joint"}
+CHAIN = Chain.from_embodiment(get_embodiment(ROBOT).data)
+ARMS = ("left", "right")
+
+
+def _make(**config: Any) -> Any:
+    return looking.make("aloha", task="transfer_cube", **KNOWN, **config)
+
+
+def _command(obs: dict[str, Any]) -> dict[str, Any]:
+    state = obs["state"]
+    return {
+        f"{arm}_{key}": state[f"{arm}_{key}"].copy() for arm in ARMS for key in ("arm_joint_state", "ee_joint_state")
+    }
+
+
+def _bases(env: Any) -> dict[str, np.ndarray]:
+    episode = env._places[0]._episode
+    return {arm: episode._body(episode._physics.model.name2id(f"vx300s_{arm}", "body")) for arm in ARMS}
+
+
+def _moved(env: Any, arm: str, axis: np.ndarray) -> list[float]:
+    """Return how far the fingertips went, m, while the joints were sent where kinematics has the flange moved."""
+    env.reset([0])
+    first = env.get_obs()
+    action, flange = _command(first), first["state"][f"{arm}_ee_pose"].astype(np.float64)
+    flange[:3] += axis
+    key = f"{arm}_arm_joint_state"
+    action[key] = CHAIN.solve(compose(invert(_bases(env)[arm]), flange), action[key]).joints.astype(np.float32)
+    for _ in range(looking.STEPS):
+        env.take_action(action)
+    return (env.get_obs()["state"][f"{arm}_tcp_pose"] - first["state"][f"{arm}_tcp_pose"])[:3].tolist()
+
+
+def _openings(env: Any) -> dict[str, list[float]]:
+    env.reset([0])
+    found: dict[str, list[float]] = {arm: [] for arm in ARMS}
+    for opening in (1.0, 0.0):  # an episode begins with fingers nearly shut
+        action = _command(env.get_obs())
+        for arm in ARMS:
+            action[f"{arm}_ee_joint_state"][:] = opening
+        for _ in range(2 * looking.STEPS):
+            env.take_action(action)
+        for arm in ARMS:
+            found[arm].append(float(env.get_obs()["state"][f"{arm}_ee_joint_state"][0]))
+    return found
+
+
+def _still() -> dict[str, Any]:
+    """What is seen without pictures."""
+    env = _make()
+    axes = {
+        sign + "xyz"[place]: (far * np.eye(3)[place]) for sign, far in (("+", 0.04), ("-", -0.04)) for place in range(3)
+    }
+    found: dict[str, Any] = {"axes": {arm: {way: _moved(env, arm, axis) for way, axis in axes.items()} for arm in ARMS}}
+    found["openings"] = _openings(env)
+    found["state"] = {name: value.tolist() for name, value in env.get_obs()["state"].items()}
+    found["bases"] = {arm: base.tolist() for arm, base in _bases(env).items()}
+    rng, solved = np.random.default_rng(1), 0
+    for seed in range(2):
+        env.reset([seed])
+        first = _command(env.get_obs())
+        while not env.is_episode_end():
+            env.take_action({key: value + np.float32(rng.normal(0, 0.05, value.shape)) for key, value in first.items()})
+        solved += env.results()[0]["success"]
+    env.close()
+    return {**found, "guessed": solved}
+
+
+def _seen() -> dict[str, Any]:
+    """Play here and in gym-aloha's own environment, with its pictures, and look for known points in ours."""
+    import gym_aloha  # noqa: F401 - registers its environments
+    import gymnasium
+
+    env = _make(cameras=True)
+    env.reset([3])
+    own = gymnasium.make("gym_aloha/AlohaTransferCube-v0", obs_type="pixels_agent_pos").unwrapped
+    own.reset(seed=3)
+    obs, rng, different = env.get_obs(), np.random.default_rng(0), 0
+    for _ in range(4):
+        action = {key: value + np.float32(rng.normal(0, 0.02, value.shape)) for key, value in _command(obs).items()}
+        env.take_action(action)
+        theirs, *_ = own.step(looking.told(env))
+        obs = env.get_obs()
+        different += int((theirs["agent_pos"] != env.simulated().observation["agent_pos"]).any())
+        different += int((theirs["pixels"]["top"] != obs["vision"]["cam_head"]["color"]).any())
+    physics = env._places[0]._episode._physics
+    found: dict[str, Any] = {"different": different, "box": {"cam_head": _color_of_the_box(obs, "cam_head")}}
+    for side, arm in (("left", "vx300s_right"), ("right", "vx300s_left")):
+        seen, point = obs["vision"][f"cam_{side}_wrist"], physics.named.data.xpos[f"{arm}/shoulder_link"]
+        column, row = (round(value - 0.5) for value in looking.projected(seen, point))
+        shown = physics.render(480, 640, camera_id=f"{side}_wrist", segmentation=True)[..., 0]
+        places = [int(shown[row, column]), int(shown[479 - row, column])]
+        found[side] = [place >= 0 and physics.model.id2name(place, "geom").startswith(arm) for place in places]
+    for setting in ("angle", "front_close", "left_pillar", "right_pillar"):
+        env.reset([3], {"setting": setting})
+        obs = env.get_obs()
+        found[setting] = list(obs["vision"])
+        if setting != "front_close":  # which does not see it
+            found["box"][setting] = _color_of_the_box(obs, "cam_third_view")
+    env.close()
+    return found
+
+
+def _color_of_the_box(obs: dict[str, Any], camera: str) -> list[float]:
+    seen = obs["vision"][camera]
+    return looking.colored(seen["color"], looking.projected(seen, obs["privileged"]["box"][:3]))
+
+
+if __name__ == "__main__":
+    print(json.dumps({**_still(), "seen": _seen() if "pictures" in sys.argv else None}))  # noqa: T201
