@@ -53,6 +53,10 @@ def evaluate(
         None, min=1, help="Policy servers; one for each episode at a time by default, one in all with --policy-gpu."
     ),
     film: int = typer.Option(1, min=0, metavar="N", help="Film the first N episodes of each task and setting."),
+    record: Path | None = typer.Option(
+        None, "--record", metavar="DIR", help="Keep the episodes there as trajectories (HDF5), too."
+    ),
+    keep: str | None = typer.Option(None, metavar="all|success", help="Which of them; all by default."),
     backend: str = typer.Option("local", metavar="NAME", help="Who plays a recorded run: local, or ray (a cluster)."),
     policy_gpus: float = typer.Option(0.0, min=0.0, help="GPUs of the cluster for each policy server."),
     connect: str | None = typer.Option(None, metavar="URL", help="Use a server that already runs at ws://host:port."),
@@ -76,6 +80,7 @@ def evaluate(
     from xpl import _spec as spec
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
+    from xpl_cli.evaluation.lanes import recorder
     from xpl_cli.evaluation.runs import look, remote
     from xpl_cli.evaluation.runs.settings import environment_for
     from xpl_cli.packages import package
@@ -108,6 +113,7 @@ def evaluate(
         )
         if is_done:
             return
+    demos = recorder.wanted(record, keep, resume=resume)
     told = None if reached is None or (out is None and is_here) else remote.announced(reached, overrides)
     adapter = remote.package_of(policy, told, overrides)
     if horizon is None and not is_here:
@@ -152,6 +158,7 @@ def evaluate(
                 announced=told,
                 num_envs=num_envs,
                 env_workers=look.places(num_envs, workers)[1] if is_batch else 1,
+                demos=demos,
             ),
             as_json=as_json,
         )
@@ -180,6 +187,7 @@ def evaluate(
             gpu=policy_gpu,
             eval_env=eval_env,
             isolate=isolate,
+            demos=demos,
         ),
         policy,
         as_json=as_json,

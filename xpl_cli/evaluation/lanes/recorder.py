@@ -15,7 +15,9 @@ from xpl import _spec as sdk
 from xpl import trajectory
 from xpl_cli import __version__
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.environments.play import chosen
 from xpl_cli.evaluation.lanes.watch import Listener
+from xpl_cli.evaluation.records.records import now
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -28,7 +30,7 @@ SUCCESS, ALL = "success", "all"
 KEEP: Final = (SUCCESS, ALL)
 """Which episodes are kept: those that succeeded, or all that were played to their end."""
 
-_TOLD = ("success", "score", "steps", "end_reason", "corrections", "digest", "started")
+_TOLD = ("success", "score", "steps", "end_reason", "corrections", "digest")
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,7 @@ class Recorder:
             "policy": Path(orders.policy).name,
             "policy_digest": orders.policy_digest,
             **{name: line[name] for name in _TOLD if name in line},
+            "recorded": now(),
             "writer": f"xpl {__version__}",
         }
 
@@ -205,6 +208,27 @@ def _without_depth(obs: Any) -> Any:
         for name, camera in (obs.get(sdk.Obs.VISION) or {}).items()
     }
     return {**obs, sdk.Obs.VISION: vision}
+
+
+def wanted(folder: Path | None, keep: str | None, *, resume: bool) -> Demos | None:
+    """Return where an evaluation keeps its episodes; None where nobody asked for that.
+
+    Args:
+        folder: of the set, if it is to keep them.
+        keep: one of `KEEP`; all by default.
+        resume: whether a set that is there is continued.
+
+    Raises:
+        UserError: there are episodes already, there is no such choice or none to make, or h5py is not installed.
+    """
+    if folder is None:
+        if keep is not None:
+            raise UserError("--keep says which episodes --record keeps, and nobody asked for that")
+        return None
+    require_library()
+    if not resume and next(folder.glob("*.hdf5"), None) is not None:
+        raise UserError(f"{folder} holds trajectories already", hint="choose another --record, or go on with --resume")
+    return Demos(str(folder.absolute()), chosen("choice for --keep", keep or ALL, KEEP))
 
 
 def require_library() -> None:

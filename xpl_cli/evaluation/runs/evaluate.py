@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from xpl_cli.evaluation.lanes.backend import Backend
+    from xpl_cli.evaluation.lanes.recorder import Demos
     from xpl_cli.evaluation.records.records import Line, Run
     from xpl_cli.evaluation.runs.remote import Remote
     from xpl_cli.packages.package import Package
@@ -56,6 +57,7 @@ class Request:
         announced: what it said.
         num_envs: episodes at once, in one batch; None on resuming: the record's, or 1.
         env_workers: processes that share a batch.
+        demos: where episodes are kept as trajectories, too, and how.
     """
 
     package: Package
@@ -76,6 +78,7 @@ class Request:
     announced: Mapping[str, Any] | None = None
     num_envs: int | None = None
     env_workers: int = 1
+    demos: Demos | None = None
 
 
 def evaluate(request: Request) -> Run:
@@ -86,6 +89,8 @@ def evaluate(request: Request) -> Run:
             nothing can be played. What was recorded stays.
     """
     backends.check(request.room)
+    if request.demos is not None and request.room.backend != LOCAL:
+        raise UserError(f"--backend {request.room.backend} plays on other machines, and --record writes on this one")
     there = (request.out / records.FILE).exists()
     if there and not request.resume:
         raise UserError(
@@ -203,6 +208,7 @@ def orders(request: Request, folder: Path, line: Line) -> tuple[Orders, ServerOr
         num_envs=how.num_envs,
         env_workers=min(request.env_workers, how.num_envs),
         bounds=bounds,
+        demos=request.demos,
     )
     server_orders = ServerOrders(
         policy=str(package.path),

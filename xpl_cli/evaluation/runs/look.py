@@ -11,6 +11,7 @@ import contextlib
 import os
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -19,6 +20,7 @@ from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
 from xpl_cli.evaluation.lanes.lane import Access, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
 from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
+from xpl_cli.evaluation.records.fingerprints import package_digest
 from xpl_cli.evaluation.records.records import Unwritten
 from xpl_cli.evaluation.runs import outcome, runner
 from xpl_cli.evaluation.runs.plan import ATTEMPTS
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from xpl_cli.basics.progress import Progress
+    from xpl_cli.evaluation.lanes.recorder import Demos
     from xpl_cli.evaluation.records.records import Line, Run
     from xpl_cli.packages.package import Package
 
@@ -74,6 +77,7 @@ class Request:
     gpu: str | None = None
     eval_env: str | None = None
     isolate: bool = False
+    demos: Demos | None = None
 
 
 def places(num_envs: int | None, workers: str) -> tuple[int, int]:
@@ -180,11 +184,12 @@ def _backend(
 ) -> HereBackend:
     policy = str(request.package.path)
     bounds = Bounds.here(request.package.path.parent, isolate=request.isolate)
+    is_told = request.demos is not None  # whoever reads a trajectory wants to know who played
     orders = Orders(
         policy=policy,
-        policy_digest="",
+        policy_digest=package_digest(request.package.path) if is_told else "",
         environment=folder,
-        environment_digest="",
+        environment_digest=package_digest(Path(folder)) if is_told else "",
         config=config,
         settings={key: value for key, value in settings.items() if key not in ("task", "setting")},
         horizon=request.horizon,
@@ -192,6 +197,7 @@ def _backend(
         num_envs=request.num_envs,
         env_workers=request.workers,
         bounds=bounds,
+        demos=request.demos,
     )
     ours = ServerOrders(
         policy,

@@ -1,0 +1,121 @@
+"""Demonstrations by one command: so many are kept, on seeds of their own, and a kill costs one episode at most."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.commands import xpl
+from tests.support.peer import wait_until
+from tests.support.places import ROOT
+from xpl import trajectory
+from xpl_cli.environments import check
+from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.runs import collect, plan
+from xpl_cli.packages import environments
+
+PLAIN = ("offline", "--policy", "demo_policy", "--images", "16x16", "--horizon", "4")
+
+
+def _json(*arguments: str | Path) -> dict[str, Any]:
+    ended = xpl(*arguments, "--json", limit_s=240)
+    assert ended.code == 0, ended.stderr
+    answer: dict[str, Any] = json.loads(ended.stdout)
+    return answer
+
+
+def test_a_set_is_recorded_and_is_valid(tmp_path: Path) -> None:
+    """Episodes are whole, and say who played what."""
+    demos = tmp_path / "demos"
+    told = _json("record", *PLAIN, "--episodes", "1", "--out", demos)
+    assert (told["episodes"], told["steps"], told["tasks"][0]["discarded"]) == (1, 5, 0)
+    refused = xpl("record", *PLAIN, "--episodes", "2", "--out", demos)
+    assert (refused.code, "--resume" in refused.stderr) == (2, True)
+    assert xpl("spec", "validate", demos / "episode_0000000.hdf5").code == 0
+    found = trajectory.open_folder(demos)[0]
+    assert found.image("cam_head", 4).shape == (16, 16, 3)
+    assert (found.episode["policy"], found.episode["seed"]) == ("demo_policy", 0)
+
+
+@pytest.mark.slow
+def test_a_set_grows_and_nothing_of_it_is_played_again(tmp_path: Path) -> None:
+    """More may be wanted later, and fewer: what is too much is put aside, and comes back."""
+    demos = tmp_path / "demos"
+    place = ("record", *PLAIN, "--out", demos)
+    _json(*place, "--episodes", "2")
+    first = (demos / "episode_0000000.hdf5").stat().st_mtime_ns
+    for wanted in (1, 3):
+        assert _json(*place, "--episodes", str(wanted), "--resume")["episodes"] == wanted
+        assert len(trajectory.open_folder(demos)) == wanted
+    assert (demos / "episode_0000000.hdf5").stat().st_mtime_ns == first
+    assert len(records.read(demos / "run").attempts) == 3
+
+
+def test_practice_leaves_the_evaluation_seeds_alone() -> None:
+    """Whoever trains on what is evaluated measures memory."""
+    folder = environments.find("mujoco")
+    tests = check.seeds(folder, "lift_cube", "clean")
+    wishes = plan.Wishes(episodes=500, first=min(tests), is_practice=True)
+    seeds, frozen = plan._seeds(folder, "lift_cube", "clean", wishes)
+    assert (len(seeds), len(set(seeds)), frozen) == (500, 500, False)
+    assert not set(seeds) & set(tests)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "ended"),
+    [([True] * 3, True), ([True, False, True], False), ([False] * 19, False), ([False] * 20, True)],
+)
+def test_a_task_ends_when_it_has_enough_or_never_will(outcomes: list[bool | None], ended: bool) -> None:
+    """Twenty tries of which none can be kept are no bad luck."""
+    assert collect._enough(3)(outcomes) is ended
+
+
+def test_who_could_play_is_asked_for_in_one_sentence(tmp_path: Path) -> None:
+    """Where an environment has no expert, and where the size of images is none."""
+    ended = xpl("record", "offline", "--out", tmp_path / "demos")
+    assert ended.code == 3
+    assert "offline has no expert" in ended.stderr
+    assert "a person's leader arm" in ended.stderr
+    assert xpl("record", "offline", "--out", tmp_path / "demos", "--images", "big").code == 2
+    assert not (tmp_path / "demos").exists()
+
+
+@pytest.mark.slow
+def test_an_evaluation_keeps_its_episodes_on_request(tmp_path: Path) -> None:
+    """With what the policy was shown: the record beside it tells the same."""
+    demos, run = tmp_path / "demos", tmp_path / "run"
+    place = ("eval", "demo_policy", "--env", "offline", "--horizon", "4", "--record", demos, "--out", run)
+    _json(*place)
+    found = trajectory.open_folder(demos)[0]
+    final = records.read(run).finals[0]
+    assert [len(found), found.episode["steps"], found.episode["seed"]] == [5, final["steps"], final["seed"]]
+    again = xpl("eval", "demo_policy", "--env", "offline", "--record", demos)
+    assert (again.code, "already" in again.stderr) == (2, True)
+    assert xpl("eval", "demo_policy", "--env", "offline", "--keep", "all").code == 2
+
+
+@pytest.mark.slow
+def test_the_expert_of_a_simulation_is_recorded_through_a_kill(tmp_path: Path) -> None:
+    """What was killed goes on where it was; two at a time keep the same episodes as one."""
+    demos = tmp_path / "demos"
+    command = [sys.executable, "-m", "xpl_cli", "record", "mujoco", "--task", "lift_cube", "--images", "32x32"]
+    command += ["--episodes", "4", "--out", str(demos)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    running = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, start_new_session=True)
+    wait_until(lambda: next(demos.glob("*.hdf5"), None) is not None, "the first episode")
+    os.killpg(running.pid, signal.SIGKILL)
+    running.wait()
+    done = subprocess.run([*command, "--resume", "--workers", "2"], env=environment, check=False, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    found = trajectory.open_folder(demos)
+    assert len(found) == 4
+    assert all(one.episode["success"] for one in found)
+    finals = records.read(demos / "run").finals
+    assert [one.episode["seed"] for one in found] == [line["seed"] for line in finals.values() if line["success"]][:4]
