@@ -67,21 +67,35 @@ class ActionOutput:
             NativeError: if its shape is not the block's.
         """
         kept = {} if memory is None else memory
-        rows = self.vector.denormalized(np.asarray(raw, np.float64))
         needed = self.first + (1 if self.steps is None else self.steps)
-        if rows.ndim != 2 or len(rows) < needed:
+        if np.ndim(raw) != 2 or len(raw) < needed:
             raise NativeError(
                 f"native.action: expected at least {needed} steps (first {self.first}, and those handed on), "
                 f"the model gave the shape {np.shape(raw)}; mend first, steps or temporal.chunk"
             )
-        columns: dict[str, np.ndarray] = {}
-        for item, values in self.vector.cut(rows):
-            columns[item.label] = self._absolute(item, values, state, kept, columns)
+        columns = self._counted(raw, state, kept)
         end = None if self.steps is None else self.first + self.steps
         chosen = {label: values[self.first : end] for label, values in columns.items()}
         for label, values in chosen.items():
             kept[label] = values[-1]
         return decode_rows(self._flat(chosen, state), self._embodiment, self._action_type)
+
+    def fields(self, raw: np.ndarray, state: State, memory: Memory | None = None) -> dict[str, np.ndarray]:
+        """Return the standard's fields, (H, width) float64 by key, of an answer as it is: nothing is judged or mended.
+
+        Args:
+            raw: (H, D) numbers.
+            state: the observation's, at the call; where every part is absolute, only its keys count.
+            memory: as for `decode`.
+
+        Raises:
+            NativeError: if the answer has not the block's width.
+        """
+        kept = {} if memory is None else memory
+        columns = self._counted(raw, state, kept)
+        for label, values in columns.items():
+            kept[label] = values[-1]
+        return assembled(self._parts, columns, state)
 
     def encode(self, steps: Sequence[Mapping[str, Any]], state: State, memory: Memory | None = None) -> np.ndarray:
         """Return the answer (H, D), float64, that means these action steps; the inverse of `decode`.
@@ -97,8 +111,21 @@ class ActionOutput:
         return self.vector.normalized(np.concatenate(pieces, axis=-1))
 
     @property
+    def is_relative(self) -> bool:
+        """Whether any part is counted from something."""
+        return any(self._told(item) != "absolute" for item in self._parts)
+
+    @property
     def _parts(self) -> list[Part]:
         return self.vector.parts
+
+    def _counted(self, raw: np.ndarray, state: State, memory: Memory) -> dict[str, np.ndarray]:
+        """Return the absolute numbers of each part, (H, width) by label, still the model's."""
+        rows = self.vector.denormalized(np.asarray(raw, np.float64))
+        columns: dict[str, np.ndarray] = {}
+        for item, values in self.vector.cut(rows):
+            columns[item.label] = self._absolute(item, values, state, memory, columns)
+        return columns
 
     def _told(self, item: Part) -> str:
         return item.reference or self._reference

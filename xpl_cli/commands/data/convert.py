@@ -20,6 +20,12 @@ def convert(
     demonstrations: Path = SET,
     target: Path = typer.Argument(..., metavar="DST", help="File or folder that is made."),
     to: str = typer.Option(..., "--to", metavar="FORMAT", help="Format; an unknown one lists them."),
+    by: str | None = typer.Option(
+        None, "--map", metavar="MAPPING", help="What the field's side means: libero, aloha, robotwin, or a file."
+    ),
+    written_by: str | None = typer.Option(
+        None, "--as", metavar="MAPPING", help="The same for the result, where both sides are the field's."
+    ),
     rate: float | None = typer.Option(None, min=0.001, help="Steps per second, where the set does not say them."),
     robot: str | None = typer.Option(None, help="What the robot is called, where the set does not say it."),
     images: str = typer.Option("auto", help="How cameras are kept: auto, video, png, jpeg or raw."),
@@ -38,7 +44,7 @@ def convert(
     from xpl_cli.data.formats.writing import IMAGES, VIDEO, Options
 
     options = Options(one_of("--images", images, IMAGES), one_of("--codec", codec, VIDEO), crf, file_mb)
-    job = work.Job(demonstrations, target, writer_of(to).name, rate, robot, options, workers)
+    job = work.Job(demonstrations, target, writer_of(to).name, rate, robot, by, written_by, options, workers)
     with progress() as told:
         report = work.convert(job, told)
     if as_json:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl_cli.data.conversion import packing
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.writers import writer_of
 from xpl_cli.data.formats.writing import CONVERTED, Names
@@ -18,13 +19,18 @@ if TYPE_CHECKING:
     from xpl_cli.data.formats.writing import Writer
     from xpl_cli.data.sets.interface import Demonstrations, Episode
 
-_READ_ONLY: Final = {"rlds": Names("action", "observation/state", "observation/", "observation/")}
+_READ_ONLY: Final = {
+    "rlds": Names("action", "observation/state", "observation/", "observation/"),
+    packing.NAME: Names(packing.ACTION, packing.STATE, "", "vision/"),
+}
 """How formats that are not written call things."""
 _OWN: Final = (
     *(CONVERTED, "frequency", "robot", "num_samples", "ep_meta", "instruction", "instructions"),
     *("data_format_version", "additional_info/frequency"),
 )
 """Facts of an episode that are written anew."""
+_LEAVES: Final = {"robotwin": "/rgb", "xpl": "/colors"}
+"""What stands behind a camera's name where a camera is a group."""
 _DERIVED: Final = {"lerobot": tuple(layout.DEFAULTS)}
 """Columns that say nothing that the format does not know otherwise, and that are written anew."""
 
@@ -52,16 +58,24 @@ class Renaming:
         return {new: old for new, old in both.items() if new != old}
 
 
-def renaming(source: Demonstrations, writer: Writer, rate_hz: float | None) -> Renaming:
+def renaming(
+    source: Demonstrations, writer: Writer, rate_hz: float | None, given: frozenset[str] = frozenset()
+) -> Renaming:
     """Return how a set's names become those of a format.
 
     A set that was made of one of that format gets the names back that it had there.
+
+    Args:
+        source: the set.
+        writer: of the format.
+        rate_hz: steps per second.
+        given: names that a mapping gave, which stay as they are.
     """
     first = source[0]
     before = source.extras.get(CONVERTED)
     before = before if isinstance(before, dict) and family(str(before.get("from"))) == family(writer.name) else {}
     back = before.get("names") or {}
-    dropped = _DERIVED.get(family(source.format), ())
+    dropped = _DERIVED.get(family(getattr(source, "base_format", source.format)), ())
     lost: dict[str, str] = {}
     columns: dict[str, str] = {}
     numbers = []
@@ -72,7 +86,8 @@ def renaming(source: Demonstrations, writer: Writer, rate_hz: float | None) -> R
         if reason is not None:
             lost[name] = reason
             continue
-        new = _free(back.get(name) or _renamed(name, source.format, writer.names), columns, writer)
+        wanted = name if name in given else back.get(name) or _renamed(name, source.format, writer.names)
+        new = _free(wanted, columns, writer)
         columns[new] = name
         if name in (before.get("numbers") or ()):
             numbers.append(new)
@@ -82,7 +97,7 @@ def renaming(source: Demonstrations, writer: Writer, rate_hz: float | None) -> R
         if reason is not None:
             lost[name] = reason
         else:
-            new = back.get(name) or _camera(name, source.format, writer.names)
+            new = name if name in given else back.get(name) or _camera(name, source.format, writer)
             cameras[_free(new, {**columns, **cameras}, writer)] = name
     return Renaming(columns, cameras, frozenset(numbers), lost)
 
@@ -157,8 +172,8 @@ def _renamed(name: str, given: str, wanted: Names) -> str:
     has = _of(given)
     if has.action and name == has.action and wanted.action:
         return wanted.action
-    if has.state and name == has.state and wanted.state:
-        return wanted.state
+    if has.state and name == has.state:
+        return wanted.state or f"{wanted.within}state"
     if has.within and name.startswith(has.within):
         return wanted.within + name.removeprefix(has.within)
     return name
@@ -169,12 +184,11 @@ def _of(given: str) -> Names:
     return _READ_ONLY[name] if name in _READ_ONLY else writer_of(given).names
 
 
-def _camera(name: str, given: str, wanted: Names) -> str:
-    has = _of(given)
-    short = name.removeprefix(has.camera)
-    for end in ("/rgb", "/colors"):  # a camera is a group there
+def _camera(name: str, given: str, writer: Writer) -> str:
+    short = name.removeprefix(_of(given).camera)
+    for end in _LEAVES.values():  # a camera is a group there
         short = short.removesuffix(end)
-    return wanted.camera + short
+    return writer.names.camera + short + _LEAVES.get(writer.name, "")
 
 
 def _free(name: str, taken: Mapping[str, str], writer: Writer) -> str:

@@ -19,7 +19,9 @@ from xpl_cli.basics import parallel
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.sizes import told_size
+from xpl_cli.data.conversion import chain
 from xpl_cli.data.conversion.names import Renamed, Renaming, renaming
+from xpl_cli.data.conversion.packing import PackedSet
 from xpl_cli.data.formats import open_set
 from xpl_cli.data.formats.writers import writer_of
 from xpl_cli.data.formats.writing import CONVERTED, Options, Plan
@@ -45,6 +47,8 @@ class Job:
         to: the format.
         rate_hz: steps per second, where the set does not say them, or says wrong ones.
         robot: likewise what the robot is called.
+        by: the mapping of the side that is not the standard's; None for none.
+        written_by: the mapping of the result, where both sides are not.
         options: choices of the format.
         workers: processes; None for as many as there are cores.
     """
@@ -54,6 +58,8 @@ class Job:
     to: str
     rate_hz: float | None = None
     robot: str | None = None
+    by: str | None = None
+    written_by: str | None = None
     options: Options = field(default_factory=Options)
     workers: int | None = None
 
@@ -112,7 +118,7 @@ def convert(job: Job, progress: Progress) -> Report:
     begins = time.monotonic()
     if job.target.exists():
         raise DataError(f"{job.target} is there already", hint="remove it, or give another place", code=ExitCode.USAGE)
-    source = open_set(job.source)
+    source = chain.source(job.source, job.to, job.by, job.written_by)
     if not len(source):
         raise DataError(f"{job.source} has no episodes")
     plan, how = _planned(job, source)
@@ -132,7 +138,7 @@ def convert(job: Job, progress: Progress) -> Report:
     return Report(
         str(job.source),
         str(job.target),
-        source.format,
+        open_set(job.source).format,
         writer.name,
         len(plan.lengths),
         sum(plan.lengths),
@@ -149,11 +155,13 @@ def _planned(job: Job, source: Demonstrations) -> tuple[Plan, Renaming]:
     """Return what is known of the set before its first episode is written."""
     rate = job.rate_hz or source.rate_hz
     writer = writer_of(job.to)
-    how = renaming(source, writer, rate)
+    how = renaming(source, writer, rate, chain.given(job.to, job.by, job.written_by))
     first = Renamed(source[0], how)
     extras = {key: value for key, value in source.extras.items() if key != CONVERTED}
     numbers = [new for new, column in first.columns.items() if column.shape == ()]
     extras[CONVERTED] = {"from": source.format, "names": how.changed, "numbers": numbers}
+    if isinstance(source, PackedSet):
+        extras[CONVERTED]["packed"] = source.layout
     episodes = [source[index] for index in range(len(source))]
     plan = Plan(
         rate,
@@ -211,15 +219,16 @@ def _work(task: _Task, due: list[int], progress: Progress) -> None:
 def _written(task: _Task, index: int) -> bool:
     """Write one episode, in a process of the pool, and then the note that it is there."""
     _die_with(task.parent)
-    episode = Renamed(_opened(task.job.source)[index], task.how)
+    job = task.job
+    episode = Renamed(_opened(job.source, job.to, job.by, job.written_by)[index], task.how)
     told = writer_of(task.job.to).piece(task.staging, task.plan, index, episode)
     write_file(task.staging / _PIECES / f"{index:06d}.json", json.dumps(told).encode())
     return True
 
 
 @functools.lru_cache(maxsize=1)
-def _opened(path: Path) -> Demonstrations:
-    return open_set(path)
+def _opened(path: Path, to: str, by: str | None, written_by: str | None) -> Demonstrations:
+    return chain.source(path, to, by, written_by)
 
 
 @functools.lru_cache(maxsize=1)
@@ -259,7 +268,16 @@ def _staging(job: Job, plan: Plan) -> Iterator[Path]:
 
 def _digest(job: Job, plan: Plan) -> str:
     """Return what tells one job from another."""
-    told = [str(job.source.resolve()), job.to, asdict(job.options), plan.rate_hz, plan.robot, plan.lengths]
+    told = [
+        str(job.source.resolve()),
+        job.to,
+        job.by,
+        job.written_by,
+        asdict(job.options),
+        plan.rate_hz,
+        plan.robot,
+        plan.lengths,
+    ]
     told += [plan.instructions, list(plan.columns), list(plan.cameras)]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 

@@ -1,0 +1,85 @@
+"""What stands between a set and a writer: conventions by a mapping, and series that are packed or unpacked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.data.conversion import mapping as mappings
+from xpl_cli.data.conversion.packing import PackedSet, UnpackedSet
+from xpl_cli.data.conversion.standard import NAME, FieldEpisode, StandardSet
+from xpl_cli.data.formats import open_set
+from xpl_cli.data.formats.writing import CONVERTED
+from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from xpl_cli.data.conversion.mapping import Conventions
+    from xpl_cli.data.sets.interface import Demonstrations, Episode
+
+
+def source(path: Path, to: str, by: str | None, written_by: str | None) -> Demonstrations:
+    """Return a set as a writer gets it.
+
+    Args:
+        path: the set.
+        to: the format that is written.
+        by: the mapping of the side that is not the standard's.
+        written_by: the mapping of the result, where neither is.
+
+    Raises:
+        DataError: the set cannot be read, or a mapping does not hold or has nothing to do.
+    """
+    found = open_set(path)
+    if by is not None and found.format != NAME:
+        found = StandardSet(found, mappings.load(by))
+        by = None
+    elif found.format != NAME and to == NAME:
+        found = _unpacked(found)
+    wanted = by or written_by
+    if wanted is None:
+        is_packed = found.format == NAME and to != NAME and len(found) > 0
+        return PackedSet(found) if is_packed else found
+    if found.format != NAME or to == NAME:
+        raise DataError(
+            f"a mapping says what a set of the field means by the standard; from {found.format} to {to} by {wanted} "
+            "leaves nothing to say",
+            code=ExitCode.USAGE,
+        )
+    return _FieldSet(found, mappings.load(wanted))
+
+
+def given(to: str, by: str | None, written_by: str | None) -> frozenset[str]:
+    """Return the names that a mapping gives to what is written."""
+    wanted = written_by or by
+    if to == NAME or wanted is None:
+        return frozenset()
+    mapping = mappings.load(wanted)
+    return frozenset((*mapping.images, *mapping.states, *mapping.columns))
+
+
+class _FieldSet:
+    """A set of the standard, written by a mapping."""
+
+    def __init__(self, inner: Demonstrations, mapping: Conventions) -> None:
+        self._inner, self._mapping = inner, mapping
+        self.path, self.format, self.extras = inner.path, inner.format, inner.extras
+        self.rate_hz, self.robot = inner.rate_hz or mapping.rate_hz, inner.robot or mapping.embodiment.name
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return len(self._inner)
+
+    def __getitem__(self, index: int) -> Episode:
+        """Return an episode, by its place."""
+        return FieldEpisode(self._inner[index], self._mapping)
+
+
+def _unpacked(found: Demonstrations) -> Demonstrations:
+    """Return a set with the standard's series again, if it was made of one that had them."""
+    before: Any = found.extras.get(CONVERTED)
+    packed = before.get("packed") if isinstance(before, dict) else None
+    if not isinstance(packed, dict):
+        return found
+    layout = {name: [(str(part), int(width)) for part, width in parts] for name, parts in packed.items()}
+    return UnpackedSet(found, before.get("names") or {}, frozenset(before.get("numbers") or ()), layout)

@@ -1,0 +1,147 @@
+"""What is which part of a set, and under which conventions: the words of a policy's `native:` block, with columns.
+
+An `input` of the block is the name of a column or camera. What only sets have stands beside it: which columns make the
+action, and by how many steps they come late. Source: spec/mappings/, and spec/v1.2/native.schema.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl.convert.actions import ActionOutput
+from xpl.convert.errors import NativeError
+from xpl.convert.gaps import refuse
+from xpl.convert.images import ImageInput
+from xpl.convert.vectors import Vector
+from xpl.embodiment import UnknownEmbodimentError, get_embodiment
+from xpl_cli.basics import files
+from xpl_cli.basics.content import room
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
+
+_KEYS: Final = {
+    "description": str,
+    "formats": list,
+    "robot": str,
+    "action_type": str,
+    "rate_hz": (int, float),
+    "action": dict,
+    "native": dict,
+    "sources": list,
+    "caveats": list,
+}
+_NEEDED: Final = ("robot", "action_type", "action", "native")
+_MOST: Final = 1 << 20
+_PLAIN_STEPS: Final = ("mirror", "rotate")
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """A mapping, compiled for its robot.
+
+    Attributes:
+        name: of the file.
+        embodiment: the robot.
+        rate_hz: steps per second, if it says so.
+        images: by camera of the set, its conversion.
+        states: by column of the set, its parts.
+        action: the parts of the action.
+        columns: of the action, joined in this order.
+        shift: by how many steps the action's columns come late.
+    """
+
+    name: str
+    embodiment: Embodiment
+    rate_hz: float | None
+    images: Mapping[str, ImageInput]
+    states: Mapping[str, Vector]
+    action: ActionOutput
+    columns: tuple[str, ...]
+    shift: int
+
+
+def names() -> list[str]:
+    """Return the names of the mappings that are ready."""
+    return sorted(path.stem for path in _folder().glob("*.yml"))
+
+
+def load(name: str) -> Conventions:
+    """Return a mapping: one that is ready, by its name, or one of a file.
+
+    Raises:
+        DataError: there is none, or it does not hold; the text says where.
+    """
+    path = _folder() / f"{name}.yml" if name in names() else Path(name)
+    entry = _read(path, name)
+    where = path.name
+    try:
+        embodiment = get_embodiment(entry["robot"])
+        refuse(entry["native"])
+        native = entry["native"]
+        images = {one["input"]: ImageInput(one) for one in native.get("images", ())}
+        states = {
+            one["input"]: Vector(one, embodiment, [path.parent], f"state {one['input']}")
+            for one in native.get("state", ())
+        }
+        action = ActionOutput(native["action"], embodiment, entry["action_type"], [path.parent])
+    except (NativeError, UnknownEmbodimentError) as error:
+        raise DataError(f"{where}: {error}", code=ExitCode.USAGE) from None
+    for one in native.get("images", ()):
+        wrong = [kind for step in one.get("steps", ()) for kind in step if kind not in _PLAIN_STEPS]
+        if wrong or len(one["cameras"]) != 1 or one["layout"] != "hwc" or one["dtype"] != "uint8":
+            raise DataError(
+                f"{where}: the camera {one['input']} has to show one camera in hwc and uint8, mirrored or rotated only",
+                code=ExitCode.USAGE,
+            )
+    told = entry["action"]
+    rate = entry.get("rate_hz")
+    return Conventions(
+        where, embodiment, rate, images, states, action, tuple(map(str, told["columns"])), int(told.get("shift", 0))
+    )
+
+
+def _read(path: Path, name: str) -> dict[str, Any]:
+    from xpl_cli.standard import spec
+    from xpl_cli.standard.validate import validate
+
+    try:
+        document = spec.parse_yaml(files.content(path, _MOST))
+    except FileNotFoundError:
+        raise DataError(
+            f"there is no mapping {name!r}: ready are {', '.join(names())}, and any file may be given",
+            code=ExitCode.NOT_FOUND,
+        ) from None
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise DataError(f"{path} is no YAML: {str(error)[:200]}", code=ExitCode.USAGE) from None
+    if not isinstance(document, dict):
+        raise DataError(f"{path} holds no map", code=ExitCode.USAGE)
+    faults = [f"it lacks {key}" for key in _NEEDED if key not in document]
+    faults += [f"{key} is none of {', '.join(_KEYS)}" for key in document if key not in _KEYS]
+    faults += [f"{key} is of another kind" for key, kind in _KEYS.items() if not _is_kind(document, key, kind)]
+    if not faults:
+        columns = document["action"].get("columns")
+        if not isinstance(columns, list) or not columns or not set(document["action"]) <= {"columns", "shift"}:
+            faults.append("action has columns, a list, and perhaps shift")
+        faults += [
+            f"native.{'.'.join(map(str, problem.path))}: {problem.message}"
+            for problem in validate(document["native"], "native", spec.NEWEST)
+        ]
+    if faults:
+        raise DataError(f"{path}: {faults[0]}", hint="`xpl spec show native` has the words", code=ExitCode.USAGE)
+    return document
+
+
+def _is_kind(document: Mapping[str, Any], key: str, kind: Any) -> bool:
+    return key not in document or isinstance(document[key], kind)
+
+
+def _folder() -> Path:
+    return room("spec") / "mappings"

@@ -1,0 +1,193 @@
+"""The standard's series as one vector of state and one of actions, which most formats want, and back.
+
+The order is the standard's: for each arm its joints or pose, then its end effector; the left arm before the right one.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.trajectory.names import shown
+from xpl_cli.data.sets.interface import Camera, Column
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from xpl_cli.data.sets.interface import Demonstrations, Episode
+
+NAME: Final = "packed"
+STATE, ACTION = "state", "action"
+_PREFIXES: Final = tuple(dict.fromkeys(("left_", "right_", "")))
+_MOTION: Final = (spec.State.ARM_JOINT_STATE, spec.State.EE_POSE)
+Layout = dict[str, list[tuple[str, int]]]
+"""By vector, the series that it is made of, with their widths."""
+
+
+def layout_of(episode: Episode) -> Layout:
+    """Return how an episode's series are packed; a group without series of an arm is left as it is."""
+    groups = {STATE: spec.Trajectory.STATE, ACTION: spec.Trajectory.ACTION}
+    found = {name: _series(episode.columns, group) for name, group in groups.items()}
+    return {name: parts for name, parts in found.items() if parts}
+
+
+class PackedSet:
+    """A set of the standard, whose series are packed."""
+
+    def __init__(self, inner: Demonstrations) -> None:
+        self._inner = inner
+        self.layout = layout_of(inner[0])
+        self.path, self.format, self.rate_hz, self.robot = inner.path, NAME, inner.rate_hz, inner.robot
+        self.extras = inner.extras
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return len(self._inner)
+
+    def __getitem__(self, index: int) -> Episode:
+        """Return an episode, by its place."""
+        return _Packed(self._inner[index], self.layout)
+
+
+class UnpackedSet:
+    """A set that was made of a packed one: it has the standard's series and cameras again.
+
+    Args:
+        inner: the set.
+        names: by its names, those that it had before.
+        numbers: columns that were single numbers, by its names.
+        layout: how series were packed.
+    """
+
+    def __init__(
+        self, inner: Demonstrations, names: Mapping[str, str], numbers: frozenset[str], layout: Layout
+    ) -> None:
+        self._inner, self._names, self._numbers, self._layout = inner, names, numbers, layout
+        self.base_format = inner.format
+        self.path, self.format, self.rate_hz, self.robot = inner.path, "xpl", inner.rate_hz, inner.robot
+        self.extras = inner.extras
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return len(self._inner)
+
+    def __getitem__(self, index: int) -> Episode:
+        """Return an episode, by its place."""
+        return _Unpacked(self._inner[index], self._names, self._numbers, self._layout)
+
+
+class _Around:
+    """An episode whose columns are others."""
+
+    def __init__(self, inner: Episode, layout: Layout) -> None:
+        self._inner, self._layout = inner, layout
+
+    @property
+    def key(self) -> str:
+        """Its name in its set."""
+        return self._inner.key
+
+    @property
+    def length(self) -> int:
+        """How many steps it has."""
+        return self._inner.length
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told."""
+        return self._inner.instructions
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else is said of it."""
+        return self._inner.extras
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras."""
+        return self._inner.cameras
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Yield images of a camera."""
+        return self._inner.frames(camera, start, stop)
+
+
+class _Packed(_Around):
+    @functools.cached_property
+    def columns(self) -> Mapping[str, Column]:
+        """The vectors, and every column that is in none of them."""
+        has = self._inner.columns
+        made = {}
+        for name, parts in self._layout.items():
+            dtype = np.result_type(*(has[part].dtype for part, _ in parts)).name
+            entries = tuple(entry for part, width in parts for entry in _entries(part, width))
+            made[name] = Column((len(entries),), dtype, entries)
+        used = {part for parts in self._layout.values() for part, _ in parts}
+        return {**made, **{name: column for name, column in has.items() if name not in used}}
+
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return rows of a column."""
+        if column not in self._layout:
+            return self._inner.read(column, start, stop)
+        return np.concatenate([self._inner.read(part, start, stop) for part, _ in self._layout[column]], axis=1)
+
+
+class _Unpacked(_Around):
+    def __init__(self, inner: Episode, names: Mapping[str, str], numbers: frozenset[str], layout: Layout) -> None:
+        super().__init__(inner, layout)
+        self._numbers = numbers
+        self._old = {names.get(name, name): name for name in (*inner.columns, *inner.cameras)}
+        self._parts: dict[str, tuple[str, int, int]] = {}
+        for name, parts in layout.items():
+            begins = 0
+            for part, width in parts:
+                self._parts[part] = (self._old[name], begins, begins + width)
+                begins += width
+
+    @functools.cached_property
+    def columns(self) -> Mapping[str, Column]:
+        """The series, and the other columns under their old names."""
+        has = self._inner.columns
+        made = {part: Column((last - first,), has[name].dtype) for part, (name, first, last) in self._parts.items()}
+        rest = {old: name for old, name in self._old.items() if name in has and old not in self._layout}
+        kept = {old: Column((), has[name].dtype) if name in self._numbers else has[name] for old, name in rest.items()}
+        return {**made, **kept}
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras under their old names."""
+        has = self._inner.cameras
+        return {old: has[name] for old, name in self._old.items() if name in has}
+
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return rows of a column."""
+        if column in self._parts:
+            name, first, last = self._parts[column]
+            return self._inner.read(name, start, stop)[:, first:last]
+        rows = self._inner.read(self._old[column], start, stop)
+        return rows.reshape(len(rows)) if self._old[column] in self._numbers else rows
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Yield images of a camera."""
+        return self._inner.frames(self._old[camera], start, stop)
+
+
+def _series(columns: Mapping[str, Column], group: str) -> list[tuple[str, int]]:
+    found = []
+    for prefix in _PREFIXES:
+        by_key = {shown(tuple(name.split("/")))[-1]: name for name in columns if name.startswith(f"{group}/")}
+        motion = next((prefix + key for key in _MOTION if prefix + key in by_key), None)
+        for key in (motion, prefix + spec.State.EE_JOINT_STATE):
+            name = by_key.get(key or "")
+            if name is not None and len(columns[name].shape) == 1:
+                found.append((name, columns[name].shape[0]))
+    return found
+
+
+def _entries(part: str, width: int) -> list[str]:
+    key = shown(tuple(part.split("/")))[-1]
+    return [key] if width == 1 else [f"{key}_{index}" for index in range(width)]

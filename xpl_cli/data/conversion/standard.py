@@ -1,0 +1,274 @@
+"""Sets of the field under the standard's names and conventions, and episodes of the standard under the field's."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.convert.assembly import assembled
+from xpl.convert.errors import NativeError
+from xpl.trajectory.names import stored
+from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.interface import Camera, Column
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from xpl_cli.data.conversion.mapping import Conventions
+    from xpl_cli.data.sets.interface import Demonstrations, Episode
+
+NAME = "xpl"
+_COLOR = spec.TRAJECTORY_CAMERA[spec.Camera.COLOR]
+Rows = dict[str, "NDArray[Any]"]
+
+
+class StandardSet:
+    """A set of the field, read by a mapping: its episodes have the standard's names."""
+
+    def __init__(self, inner: Demonstrations, mapping: Conventions) -> None:
+        self._inner, self._mapping = inner, mapping
+        self.base_format = inner.format
+        self.path, self.format, self.extras = inner.path, NAME, inner.extras
+        self.rate_hz = inner.rate_hz or mapping.rate_hz
+        self.robot: str | None = mapping.embodiment.name
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return len(self._inner)
+
+    def __getitem__(self, index: int) -> StandardEpisode:
+        """Return an episode, by its place."""
+        return StandardEpisode(self._inner[index], self._mapping)
+
+
+class _Wrapped:
+    """What an episode has whatever its columns are called."""
+
+    def __init__(self, inner: Episode, mapping: Conventions) -> None:
+        self._inner, self._mapping = inner, mapping
+
+    @property
+    def key(self) -> str:
+        """Its name in its set."""
+        return self._inner.key
+
+    @property
+    def length(self) -> int:
+        """How many steps it has."""
+        return self._inner.length
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told."""
+        return self._inner.instructions
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else is said of it."""
+        return self._inner.extras
+
+    @functools.cached_property
+    def columns(self) -> Mapping[str, Column]:
+        """What was converted, and every column that the mapping does not know."""
+        made = {name: Column(rows.shape[1:], rows.dtype.name) for name, rows in self._rows.items()}
+        kept = {name: column for name, column in self._inner.columns.items() if name not in self._used}
+        return {**made, **kept}
+
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return rows of a column."""
+        if column in self._rows:
+            return self._rows[column][start:stop]
+        if column in self._used:
+            raise KeyError(column)
+        return self._inner.read(column, start, stop)
+
+    @property
+    def _rows(self) -> Rows:
+        raise NotImplementedError
+
+    @property
+    def _used(self) -> frozenset[str]:
+        raise NotImplementedError
+
+
+class StandardEpisode(_Wrapped):
+    """An episode of the field under the standard's names."""
+
+    @functools.cached_property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras, those that the mapping does not know under their own names."""
+        has = self._inner.cameras
+        made = {}
+        for name, source in self._shown.items():
+            camera = has[source]
+            height, width = camera.height, camera.width
+            if self._mapping.images[source].view(np.zeros((height, width, 3), np.uint8)).shape[0] != height:
+                height, width = width, height
+            made[name] = Camera(height, width, "color", camera.encoding, camera.intrinsics, camera.extrinsics)
+        kept = {name: camera for name, camera in has.items() if name not in self._mapping.images}
+        return {**made, **kept}
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Yield images of a camera, upright and RGB."""
+        source = self._shown.get(camera)
+        if source is None:
+            if camera in self._mapping.images:
+                raise KeyError(camera)
+            yield from self._inner.frames(camera, start, stop)
+            return
+        how, known = self._mapping.images[source], self.cameras[camera]
+        sizes = {how.cameras[0]: (known.height, known.width)}
+        for frame in self._inner.frames(source, start, stop):
+            (image,) = how.decode(frame, sizes).values()
+            yield image
+
+    @functools.cached_property
+    def _shown(self) -> dict[str, str]:
+        """By the standard's name, the camera of the set; of two that show one the first that is there counts."""
+        found: dict[str, str] = {}
+        for source, how in self._mapping.images.items():
+            name = "/".join(stored((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
+            if source in self._inner.cameras and name not in found:
+                found[name] = source
+        return found
+
+    @functools.cached_property
+    def _used(self) -> frozenset[str]:
+        return frozenset((*self._mapping.states, *self._mapping.columns))
+
+    @functools.cached_property
+    def _rows(self) -> Rows:
+        """The series of state and action, (T, width) float64."""
+        where = f"{self._inner.key}, by the mapping {self._mapping.name}"
+        try:
+            state = self._state(where)
+            action = self._action(state, where)
+        except NativeError as error:
+            raise DataError(f"{where}: {error}") from None
+        rows = {"/".join(stored((spec.Trajectory.STATE, key))): values for key, values in state.items()}
+        rows |= {"/".join(stored((spec.Trajectory.ACTION, key))): values for key, values in action.items()}
+        return rows
+
+    def _state(self, where: str) -> Rows:
+        parts, columns = [], {}
+        for name, vector in self._mapping.states.items():
+            for item, values in vector.cut(vector.denormalized(self._column(name, where))):
+                parts.append(item)
+                columns[item.label] = values
+        return assembled(parts, columns, _origins(self._mapping))
+
+    def _action(self, state: Rows, where: str) -> Rows:
+        """Return what was commanded; a change counts from the state of its own step."""
+        raw = np.concatenate([self._column(name, where) for name in self._mapping.columns], axis=1)
+        shift = self._mapping.shift
+        raw = np.concatenate([raw[shift:], np.repeat(raw[-1:], min(shift, len(raw)), axis=0)])
+        output = self._mapping.action
+        if not output.is_relative:
+            return output.fields(raw, _origins(self._mapping))
+        memory: dict[str, Any] = {}
+        steps = [
+            output.fields(raw[index : index + 1], {key: values[index] for key, values in state.items()}, memory)
+            for index in range(len(raw))
+        ]
+        return {key: np.concatenate([step[key] for step in steps]) for key in steps[0]}
+
+    def _column(self, name: str, where: str) -> NDArray[np.float64]:
+        if name not in self._inner.columns:
+            raise DataError(f"{where}: there is no column {name}; there are {', '.join(self._inner.columns)}")
+        rows = self._inner.read(name)
+        return rows.reshape(len(rows), -1).astype(np.float64)
+
+
+class FieldEpisode(_Wrapped):
+    """An episode of the standard under the names and conventions that a mapping says."""
+
+    @functools.cached_property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras, those that the mapping does not know under their own names."""
+        has = self._inner.cameras
+        made = {}
+        for name, source in self._shown.items():
+            camera = has[source]
+            shape = self._mapping.images[name].view(np.zeros((camera.height, camera.width, 3), np.uint8)).shape
+            made[name] = Camera(shape[0], shape[1], "color", camera.encoding)
+        kept = {name: camera for name, camera in has.items() if name not in self._shown.values()}
+        return {**made, **kept}
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Yield images of a camera, as the mapping says."""
+        if camera not in self._shown:
+            yield from self._inner.frames(camera, start, stop)
+            return
+        how = self._mapping.images[camera]
+        for frame in self._inner.frames(self._shown[camera], start, stop):
+            yield how.view(frame)
+
+    @functools.cached_property
+    def _shown(self) -> dict[str, str]:
+        found: dict[str, str] = {}
+        for name, how in self._mapping.images.items():
+            source = "/".join(stored((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
+            if source in self._inner.cameras and source not in found.values():
+                found[name] = source
+        return found
+
+    @functools.cached_property
+    def _used(self) -> frozenset[str]:
+        groups = (spec.Trajectory.STATE, spec.Trajectory.ACTION)
+        return frozenset(name for group in groups for name in self._series(group).values())
+
+    def _series(self, group: str) -> dict[str, str]:
+        """By the standard's key, the column of a group that the mapping reads."""
+        vectors = self._mapping.states.values() if group == spec.Trajectory.STATE else [self._mapping.action.vector]
+        keys = dict.fromkeys(item.key for vector in vectors for item in vector.parts if item.key)
+        return {key: "/".join(stored((group, key))) for key in keys}
+
+    @functools.cached_property
+    def _rows(self) -> Rows:
+        where = f"{self._inner.key}, by the mapping {self._mapping.name}"
+        try:
+            states = self._steps(spec.Trajectory.STATE, where)
+            made = {}
+            for name, vector in self._mapping.states.items():
+                pieces = [np.concatenate([item.read(state) for item in vector.parts]) for state in states]
+                made[name] = vector.normalized(np.stack(pieces))
+            if not self._mapping.shift:
+                made |= self._commands(states, where)
+        except (NativeError, ValueError) as error:
+            raise DataError(f"{where}: {error}") from None
+        return made
+
+    def _commands(self, states: list[dict[str, Any]], where: str) -> Rows:
+        actions = self._steps(spec.Trajectory.ACTION, where)
+        output = self._mapping.action
+        memory: dict[str, Any] = {}
+        if output.is_relative:
+            rows = np.concatenate(
+                [output.encode([one], state, memory) for one, state in zip(actions, states, strict=True)]
+            )
+        else:
+            rows = output.encode(actions, states[0])
+        if len(self._mapping.columns) == 1:
+            return {self._mapping.columns[0]: rows}
+        widths = np.cumsum([item.width for item in output.vector.parts])[:-1]
+        return dict(zip(self._mapping.columns, np.split(rows, widths, axis=1), strict=True))
+
+    def _steps(self, group: str, where: str) -> list[dict[str, Any]]:
+        series = self._series(group)
+        lacking = [name for name in series.values() if name not in self._inner.columns]
+        if lacking:
+            raise DataError(f"{where}: the episode has no {', '.join(lacking)}")
+        rows = {key: self._inner.read(name) for key, name in series.items()}
+        return [{key: values[index] for key, values in rows.items()} for index in range(self.length)]
+
+
+def _origins(mapping: Conventions) -> dict[str, NDArray[np.float64]]:
+    """Return a pose for each arm, of which nothing is taken where a set has both position and rotation."""
+    return {
+        arm.prefix + spec.State.EE_POSE: np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        for arm in mapping.embodiment.arms
+    }
