@@ -16,7 +16,7 @@ _STEPS: Final = ("action", "observations/qpos")
 
 def recognises(file: Any) -> bool:
     """Tell whether an open HDF5 file is one."""
-    return "action" in file and "observations/qpos" in file
+    return "action" in file and "observations" in file
 
 
 def opened(path: Path, files: list[Path]) -> FolderSet:

@@ -1,0 +1,36 @@
+"""Conversions of small sets in this process: a pool of processes takes longer than they do."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.data import made
+from xpl_cli.basics import parallel
+from xpl_cli.basics.progress import Progress
+from xpl_cli.data.conversion import work
+from xpl_cli.data.formats.writing import Options
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture(scope="session")
+def libero(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a file of LIBERO's form."""
+    return made.libero(tmp_path_factory.mktemp("sets") / "bowl_demo.hdf5")
+
+
+@pytest.fixture
+def converted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., work.Report]:
+    """Return what converts a set in this process."""
+    monkeypatch.setattr(parallel, "in_processes", lambda each, things, _workers: map(each, things))
+    monkeypatch.setattr(work, "_die_with", lambda _parent: None)
+
+    def convert(source: Path, target: Path, to: str, **how: Any) -> work.Report:
+        options = {name: how.pop(name) for name in ("images", "codec", "crf", "file_mb") if name in how}
+        return work.convert(work.Job(source, target, to, options=Options(**options), **how), Progress())
+
+    return convert

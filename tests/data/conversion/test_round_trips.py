@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from tests.data import made
+from xpl_cli.data.formats import open_set, pictures
+from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from xpl_cli.data.sets.interface import Episode
+
+    Converted = Callable[..., Any]
+
+EXACT = float("inf")
+LOSSY_DB = 33.0
+"""PSNR that videos and JPEGs of smooth pictures keep at least."""
+
+
+def worst(one: Episode, other: Episode) -> float:
+    """Return the lowest PSNR of the images of two episodes, dB."""
+    return min(
+        pictures.psnr(first, second)
+        for name in one.cameras
+        for first, second in zip(one.frames(name), other.frames(name), strict=True)
+    )
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize(
+    ("to", "images", "at_least"),
+    [
+        ("lerobot-v3.0", "video", LOSSY_DB),
+        ("lerobot-v2.1", "png", EXACT),
+        ("aloha", "png", EXACT),
+        ("diffusion-policy", "raw", EXACT),
+    ],
+)
+def test_a_set_comes_back_from_every_format(
+    *, to: str, images: str, at_least: float, libero: Path, tmp_path: Path, converted: Converted
+) -> None:
+    """Numbers exactly, under their old names, with sentences, rate and robot; images within what the format says."""
+    there = converted(libero, tmp_path / "there", to, images=images, codec="h264", crf=18)
+    assert open_set(tmp_path / "there").format == to
+    assert bool(there.lossy) == (at_least != EXACT)
+    back = converted(tmp_path / "there", tmp_path / "back.hdf5", "robomimic")
+    assert not back.lost
+    before, after = open_set(libero), open_set(tmp_path / "back.hdf5")
+    assert (after.rate_hz, after.robot, len(after)) == (20.0, "Panda", 3)
+    for index in range(3):
+        made.same(before[index], after[index])
+        assert worst(before[index], after[index]) >= at_least
+
+
+def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, converted: Converted) -> None:
+    """Pictures are upright, an opening is 0..1, changes of pose become poses; back, numbers are the same to 1e-12."""
+    converted(libero, tmp_path / "xpl", "xpl", by="libero", images="raw")
+    episode = open_set(tmp_path / "xpl")[0]
+    source = open_set(libero)[0]
+    fingers = source.read("obs/gripper_states")
+    np.testing.assert_allclose(episode.read("state/ee_joint_states")[:, 0], fingers[:, 0] / 0.04)
+    np.testing.assert_array_equal(next(episode.frames("vision/cam_head/colors")), made.picture(0))
+    assert {"action/ee_poses", "action/ee_joint_states", "dones"} <= set(episode.columns)
+    converted(tmp_path / "xpl", tmp_path / "back.hdf5", "robomimic", by="libero")
+    back = open_set(tmp_path / "back.hdf5")[0]
+    assert set(back.columns) == set(source.columns)
+    for name, rows in made.numbers(source).items():
+        np.testing.assert_allclose(back.read(name), rows, atol=1e-12, err_msg=name)
+    assert worst(source, back) == EXACT
+
+
+def test_a_change_of_pose_is_counted_from_the_state_of_its_step(
+    libero: Path, tmp_path: Path, converted: Converted
+) -> None:
+    """An action of 1 moves the point between the fingers by 5 cm along that axis of the world."""
+    from xpl.convert.frames import Frame
+    from xpl.embodiment import get_embodiment
+
+    converted(libero, tmp_path / "xpl", "xpl", by="libero", images="raw")
+    episode, source = open_set(tmp_path / "xpl")[0], open_set(libero)[0]
+    tool = Frame(get_embodiment("panda_libero"), "single", "tcp", "world")
+    moved = tool.encode(episode.read("action/ee_poses"))[:, :3] - tool.encode(episode.read("state/ee_poses"))[:, :3]
+    np.testing.assert_allclose(moved, source.read("actions")[:, :3] * 0.05, atol=1e-12)
+
+
+def test_robotwin_is_read_in_true_colours_and_one_step_late(tmp_path: Path, converted: Converted) -> None:
+    """Red is red again, the action is the next state, and all sentences and matrices stay."""
+    source = made.robotwin(tmp_path / "robotwin")
+    converted(source, tmp_path / "xpl", "xpl", by="robotwin", rate_hz=25.0)
+    episode = open_set(tmp_path / "xpl")[0]
+    assert pictures.psnr(next(episode.frames("vision/cam_head/colors")), made.picture(0)) > LOSSY_DB
+    np.testing.assert_array_equal(
+        episode.read("action/left_arm_joint_states")[:-1], episode.read("state/left_arm_joint_states")[1:]
+    )
+    assert episode.instructions == ("stack them", "pile them up", "build a tower")
+    converted(tmp_path / "xpl", tmp_path / "back", "robotwin", by="robotwin")
+    back = open_set(tmp_path / "back")[0]
+    for name, rows in made.numbers(open_set(source)[0]).items():
+        np.testing.assert_array_equal(back.read(name).reshape(rows.shape), rows, err_msg=name)
+    assert pictures.psnr(next(back.frames("observation/head_camera/rgb")), made.picture(0)[..., ::-1]) > LOSSY_DB
+
+
+def test_the_standards_series_are_one_vector_in_lerobot_and_series_again_after_it(
+    libero: Path, tmp_path: Path, converted: Converted
+) -> None:
+    """State and action have a name for each number there, and nothing changes on the way back."""
+    converted(libero, tmp_path / "xpl", "xpl", by="libero", images="png")
+    converted(tmp_path / "xpl", tmp_path / "lerobot", "lerobot-v3.0", codec="h264")
+    columns = open_set(tmp_path / "lerobot")[0].columns
+    assert columns["observation.state"].names[-2:] == ("arm_joint_state_6", "ee_joint_state")
+    assert columns["action"].shape == (8,)
+    converted(tmp_path / "lerobot", tmp_path / "back", "xpl")
+    for index in range(3):
+        made.same(open_set(tmp_path / "xpl")[index], open_set(tmp_path / "back")[index])
+
+
+def test_videos_are_copied_and_not_encoded_again(libero: Path, tmp_path: Path, converted: Converted) -> None:
+    """From v3.0 to v2.1 and back, pixels are the same, whatever file an episode lies in."""
+    converted(libero, tmp_path / "one", "lerobot-v3.0", codec="h264")
+    assert not converted(tmp_path / "one", tmp_path / "two", "lerobot-v2.1").lossy
+    assert not converted(tmp_path / "two", tmp_path / "three", "lerobot-v3.0", file_mb=0.001).lossy
+    assert len(list((tmp_path / "three").rglob("*.mp4"))) == 6
+    for index in range(3):
+        made.same(open_set(tmp_path / "one")[index], open_set(tmp_path / "three")[index])
+        assert worst(open_set(tmp_path / "one")[index], open_set(tmp_path / "three")[index]) == EXACT
+
+
+def test_a_run_that_ended_goes_on(libero: Path, tmp_path: Path, converted: Converted, monkeypatch: Any) -> None:
+    """What is there is not written again, nothing lies at the target before, and the result is that of one run."""
+    from xpl_cli.basics import parallel
+
+    whole = parallel.in_processes
+    monkeypatch.setattr(parallel, "in_processes", lambda each, things, workers: _ended_after_two(each, things))
+    with pytest.raises(KeyboardInterrupt):
+        converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264")
+    assert not (tmp_path / "set").exists()
+    monkeypatch.setattr(parallel, "in_processes", whole)
+    assert converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264").resumed == 2
+    assert [entry.name for entry in tmp_path.iterdir()] == ["set"]
+    converted(libero, tmp_path / "once", "lerobot-v3.0", codec="h264")
+    made.same(open_set(tmp_path / "set")[2], open_set(tmp_path / "once")[2])
+
+
+def _ended_after_two(each: Any, things: Any) -> Any:
+    for thing in things[:2]:
+        yield each(thing)
+    raise KeyboardInterrupt
+
+
+def test_what_a_format_cannot_hold_is_said(tmp_path: Path, libero: Path, converted: Converted) -> None:
+    """No rate, no column of actions, no mapping, a target that is there: one sentence each, and nothing is left."""
+    source = made.robotwin(tmp_path / "robotwin")
+    for to, sentence in (("lerobot-v3.0", "steps per second"), ("xpl", "state/ and action/")):
+        with pytest.raises(DataError, match=sentence):
+            converted(source, tmp_path / "set", to)
+    with pytest.raises(DataError, match="no mapping 'nobody'"):
+        converted(libero, tmp_path / "set", "xpl", by="nobody")
+    with pytest.raises(DataError, match="is there already"):
+        converted(libero, source, "aloha")
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_statistics_are_those_of_the_numbers(libero: Path, tmp_path: Path, converted: Converted) -> None:
+    """Mean, spread and range over all episodes, by which LeRobot's policies normalise."""
+    converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264")
+    told = json.loads((tmp_path / "set" / "meta" / "stats.json").read_text(encoding="utf-8"))["action"]
+    rows = np.concatenate([open_set(libero)[index].read("actions") for index in range(3)])
+    np.testing.assert_allclose(told["mean"], rows.mean(0), atol=1e-12)
+    np.testing.assert_allclose(told["std"], rows.std(0), atol=1e-12)
+    np.testing.assert_allclose(told["max"], rows.max(0))
+    assert told["count"] == [len(rows)]

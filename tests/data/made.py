@@ -1,0 +1,89 @@
+"""Small sets of demonstrations in the forms of the field, with known contents."""
+
+from __future__ import annotations
+
+import io
+import json
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+from PIL import Image
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SIZE = 64
+SENTENCE = "pick up the bowl"
+
+
+def picture(step: int, height: int = SIZE, width: int = SIZE) -> np.ndarray:
+    """Return a smooth image whose top is red, whose bottom is blue, and that moves."""
+    rows, columns = np.mgrid[0:height, 0:width]
+    red = 255 - rows * 3
+    return np.clip(np.stack([red, columns * 2 + step * 4, rows * 3], -1), 0, 255).astype(np.uint8)
+
+
+def libero(path: Path, episodes: int = 3) -> Path:
+    """Write LIBERO's form: numbers drawn from one seed, images upside down."""
+    draw = np.random.default_rng(3)
+    with h5py.File(path, "w") as file:
+        data = file.create_group("data")
+        data.attrs["problem_info"] = json.dumps({"language_instruction": SENTENCE.split()})
+        data.attrs["env_args"] = json.dumps({"env_kwargs": {"control_freq": 20, "robots": ["Panda"]}})
+        for index in range(episodes):
+            steps = 8 + index
+            group = data.create_group(f"demo_{index}")
+            group.attrs["num_samples"] = steps
+            group.attrs["init_state"] = np.arange(3.0)
+            moves = draw.uniform(-1, 1, (steps, 6))
+            group["actions"] = np.concatenate([moves, draw.choice([-1.0, 1.0], (steps, 1))], 1)
+            opening = draw.uniform(0, 0.04, (steps, 1))
+            group["obs/joint_states"] = draw.normal(size=(steps, 7))
+            group["obs/gripper_states"] = np.concatenate([opening, -opening], 1)
+            group["obs/ee_states"] = draw.uniform(-1, 1, (steps, 6))
+            group["dones"] = np.arange(steps, dtype=np.uint8) == steps - 1
+            for camera in ("agentview_rgb", "eye_in_hand_rgb"):
+                group[f"obs/{camera}"] = np.stack([picture(step)[::-1] for step in range(steps)])
+    return path
+
+
+def robotwin(folder: Path) -> Path:
+    """Write RoboTwin's form: JPEGs with red and blue exchanged, sentences beside."""
+    draw = np.random.default_rng(4)
+    (folder / "data").mkdir(parents=True)
+    (folder / "instructions").mkdir()
+    with h5py.File(folder / "data" / "episode0.hdf5", "w") as file:
+        vector = draw.normal(size=(6, 14))
+        vector[:, [6, 13]] = draw.uniform(0, 1, (6, 2))
+        file["joint_action/vector"] = vector
+        for side, first in (("left", 0), ("right", 7)):
+            file[f"joint_action/{side}_arm"] = vector[:, first : first + 6]
+            file[f"joint_action/{side}_gripper"] = vector[:, first + 6]
+        rows = [jpeg(picture(step)[..., ::-1]) for step in range(6)]
+        file.create_dataset("observation/head_camera/rgb", data=rows, dtype=f"S{max(map(len, rows))}")
+        file["observation/head_camera/intrinsic_cv"] = np.tile(np.eye(3), (6, 1, 1))
+    told = {"seen": ["stack them", "pile them up"], "unseen": ["build a tower"]}
+    (folder / "instructions" / "episode0.json").write_text(json.dumps(told), encoding="utf-8")
+    return folder
+
+
+def jpeg(image: np.ndarray) -> bytes:
+    """Return a JPEG without any mark."""
+    target = io.BytesIO()
+    Image.fromarray(image).save(target, "JPEG", quality=95)
+    return target.getvalue()
+
+
+def numbers(episode: Any) -> dict[str, np.ndarray]:
+    """Return all columns of an episode."""
+    return {name: episode.read(name) for name in episode.columns}
+
+
+def same(one: Any, other: Any) -> None:
+    """Hold two episodes against each other: names, types and numbers are the same."""
+    assert dict(one.columns) == dict(other.columns)
+    for name, rows in numbers(one).items():
+        np.testing.assert_array_equal(rows, other.read(name), err_msg=name)
+    assert set(one.cameras) == set(other.cameras)
+    assert (one.length, one.instructions) == (other.length, other.instructions)
