@@ -3,7 +3,8 @@
 The same commands are played by the environment package (reading the action, limits, conversion, observation, digest,
 judging) and by the benchmark's own `step`, by turns, in the benchmark's own Python; processor time of a control step,
 resets not counted, and the median round counts. With cameras: two or three of 128 x 128 by both. `experts` plays
-episodes of Meta-World's scripted policies through the server. What is not installed is `not_run`, with the reason.
+episodes of Meta-World's scripted policies and of ManiSkill's planners through the server. What is not installed is
+`not_run`, with the reason.
 """
 
 from __future__ import annotations
@@ -23,17 +24,24 @@ from xpl_cli.packages import environments
 
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = ROOT / "benchmarks" / "third_party_bench" / "side_by_side.py"
-NAMES = ("metaworld", "libero", "aloha")
+NAMES = ("metaworld", "libero", "aloha", "maniskill")
 STEPS = {  # of one round, without and with cameras
     "metaworld": {False: 400, True: 40},
     "libero": {False: 150, True: 40},
     "aloha": {False: 250, True: 20},
+    "maniskill": {False: 300, True: 30},
 }
 LEAST = {False: 0.9, True: 0.95}
 TEN = (
     *("reach", "push", "pick-place", "door-open", "drawer-open", "button-press-topdown", "peg-insert-side"),
     *("window-open", "assembly", "basketball"),
 )
+PLANNED = ("PickCube", "StackCube", "PushCube", "PullCubeTool")
+PLAYED = {
+    **dict.fromkeys(TEN, ("metaworld",)),
+    **dict.fromkeys(PLANNED, ("maniskill", "--setting", "planner", "--set", "action_type=joint")),
+}
+"""Tasks that experts play, with the environment and what else is asked for."""
 LIMIT_S = 1800.0
 
 
@@ -42,7 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=NAMES, help="one benchmark")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--experts", type=int, default=0, metavar="N", help="episodes of each of ten tasks")
+    parser.add_argument("--experts", type=int, default=0, metavar="N", help="episodes of each expert's tasks")
     parser.add_argument("--json", type=Path, help="write the figures to this file, too")
     options = parser.parse_args()
     print(f"{'benchmark':<12} {'cameras':>8} {'ours ms':>9} {'bare ms':>9} {'ratio':>6} {'target':>7}")
@@ -51,7 +59,11 @@ def main() -> None:
         for name in ([options.only] if options.only else NAMES)
         for is_drawn in (False, True)
     ]
-    experts = [_experts(task, options.experts) for task in TEN] if options.experts else []
+    experts = (
+        [_experts(task, options.experts) for task, (name, *_) in PLAYED.items() if options.only in (None, name)]
+        if options.experts
+        else []
+    )
     if options.json is not None:
         options.json.write_text(json.dumps({"rows": rows, "experts": experts}, indent=2) + "\n")
 
@@ -75,8 +87,9 @@ def _row(name: str, rounds: int, *, is_drawn: bool) -> dict[str, Any]:
 
 
 def _experts(task: str, episodes: int) -> dict[str, Any]:
-    command = [sys.executable, "-m", "xpl_cli", "eval", "policy/benchmark_expert", "--env", "metaworld", "--task", task]
-    told = _told([*command, "--episodes", str(episodes), "--json"])
+    name, *options = PLAYED[task]
+    command = [sys.executable, "-m", "xpl_cli", "eval", "policy/benchmark_expert", "--env", name, "--task", task]
+    told = _told([*command, *options, "--episodes", str(episodes), "--json"])
     played = told.get("episodes", [])
     row = {"task": task, "episodes": len(played), "solved": sum(bool(each["success"]) for each in played)}
     print(f"{task:<24} {row['solved']} of {row['episodes']}", flush=True)

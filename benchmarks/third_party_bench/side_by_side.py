@@ -26,7 +26,12 @@ from xpl.process.modules import load_module  # noqa: E402 - this Python has no x
 
 SIZE = (128, 128)
 SEED = 0
-TASKS = {"metaworld": "pick-place", "libero": "libero_spatial_0", "aloha": "transfer_cube"}
+TASKS = {
+    "metaworld": "pick-place",
+    "libero": "libero_spatial_0",
+    "aloha": "transfer_cube",
+    "maniskill": "StackCube",
+}
 
 # Numbers of the state that wander: a place, m, or joints, rad.
 WANDERING = {"ee_pose": 3, "left_arm_joint_state": 6, "right_arm_joint_state": 6}
@@ -122,7 +127,19 @@ def bare_aloha(_env: Any, size: tuple[int, int] | None) -> Loop:
     return lambda: env.reset(seed=SEED), env.step
 
 
-BARE = {"metaworld": bare_metaworld, "libero": bare_libero, "aloha": bare_aloha}
+def bare_maniskill(mine: Any, size: tuple[int, int] | None) -> Loop:
+    """Return ManiSkill's own reset and step, made without a wish but for pictures, the processor and poses."""
+    import gymnasium
+
+    del mine
+    options: dict[str, Any] = {"control_mode": "pd_ee_pose", "sim_backend": "physx_cpu", "render_backend": "cpu"}
+    if size:
+        options.update(obs_mode="rgb", sensor_configs={"height": size[0], "width": size[1]})
+    env = gymnasium.make(f"{TASKS['maniskill']}-v1", **options)
+    return lambda: env.reset(seed=SEED), env.step
+
+
+BARE = {"metaworld": bare_metaworld, "libero": bare_libero, "aloha": bare_aloha, "maniskill": bare_maniskill}
 
 
 def timed(reset: Callable[[], None], step: Callable[[Any], Any], commands: Sequence[Any]) -> float:

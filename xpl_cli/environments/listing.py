@@ -91,20 +91,27 @@ def _seeds(folder: Path, task: str, facts: Mapping[str, Any]) -> dict[str, list[
 
 def _lines(offer: Mapping[str, Any]) -> list[str]:
     width = max(map(len, offer["tasks"]))
-    every = offer["embodiments"]
     lines = [
         f"{offer['name']}: {offer['title']}",
-        f"  embodiments: {', '.join(every)}",
+        f"  embodiments: {', '.join(offer['embodiments'])}",
         f"  control: {', '.join(offer['action_types'])}; settings: {', '.join(offer['settings'])}",
         f"  cameras: {', '.join(offer['cameras']) or 'none'}",
         *_splits(offer["splits"]),
         *_common(list(offer["tasks"].values())),
     ]
     for task, entry in offer["tasks"].items():
-        missing = [robot for robot in every if robot not in entry["embodiments"]]
-        note = f" (not {', '.join(missing)})" if missing else ""
-        lines.append(f"  {task.ljust(width)}  {entry['max_steps']:>4} steps  {entry[sdk.Obs.INSTRUCTION]}{note}")
+        told = f"{entry[sdk.Obs.INSTRUCTION]}{_who(entry['embodiments'], entry['unsupported'])}"
+        lines.append(f"  {task.ljust(width)}  {entry['max_steps']:>4} steps  {told}")
     return lines
+
+
+def _who(offered: Sequence[str], missing: Mapping[str, str]) -> str:
+    """Return which robots a task is for, where that is not all of them."""
+    if not missing:
+        return ""
+    if not offered:
+        return f" (not offered: {next(iter(missing.values()))})"
+    return f" (only {', '.join(offered)})" if len(offered) < len(missing) else f" (not {', '.join(missing)})"
 
 
 def _splits(splits: Mapping[str, Sequence[str]]) -> Iterator[str]:

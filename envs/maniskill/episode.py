@@ -1,0 +1,178 @@
+"""One task of ManiSkill, played in its own simulator; its numbers become the standard's in arm.py and control.py."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.environment import Episode, NotInstalledError, Setup
+from xpl.episode import SUCCESS_SCORE, Simulated
+from xpl.kinematics import Chain
+from xpl.poses import compose
+
+from . import planner, vulkan
+from .arm import Arm
+from .control import control_of
+from .pictures import Pictures
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_PLANNED = "planner"
+_ROOM = 400  # steps: ManiSkill's planners need more than its limits for policies, and its own runs of them have none
+
+
+class ManiSkillEpisode(Episode):
+    """An episode of the task `NAME-v1`, in the control mode that action type and setting ask for."""
+
+    def __init__(self, setup: Setup) -> None:
+        words = setup.setting.split("_")
+        if _PLANNED in words:
+            setup = replace(setup, max_steps=max(setup.max_steps, _ROOM))
+        super().__init__(setup)
+        vulkan.choose_driver()
+        import torch
+        from gymnasium import make
+
+        importlib.import_module("mani_skill.envs")
+        _require_assets(setup)
+        self._torch = torch
+        controls = [control_of(setup.action_type, words, setup.embodiment.name) for _ in setup.embodiment.arms]
+        self._pictures = Pictures(setup, words)
+        self._env = self._made(make, controls[0].mode)
+        agents = getattr(self._env.agent, "agents", [self._env.agent])
+        self._arms = [
+            Arm(agent, arm.prefix, arm.dof, control)
+            for agent, arm, control in zip(agents, setup.embodiment.arms, controls, strict=True)
+        ]
+        solve = planner.solver(setup.task) if setup.privileged else None
+        self._planner = None if solve is None else planner.Planner(solve, self._env)
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode."""
+        self._torch.manual_seed(seed)  # what a task draws in its steps, it draws from the generator that all share
+        self._obs, info = self._env.reset(seed=seed)
+        self._random = self._torch.get_rng_state()
+        self._success, self._told = bool(info.get("success", False)), None
+        for arm in self._arms:
+            arm.begin()
+        if self._planner is not None:
+            self._planner.begin()
+
+    def state(self) -> dict[str, NDArray[np.float64]]:
+        """Return joints (rad), opening, the pose of the flange and of the point between the fingers, of each arm."""
+        return {f"{arm.prefix}{name}": value for arm in self._arms for name, value in arm.state.items()}
+
+    def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+        """Execute one action step."""
+        told = [arm.told(_of(arm, action)) for arm in self._arms]
+        commands = [command.astype(np.float32) for command, _ in told]
+        self._told = np.concatenate(commands)
+        self._torch.set_rng_state(self._random)
+        outcome = self._env.step(self._as_agents(commands))
+        self._random = self._torch.get_rng_state()
+        self._obs = outcome[0]
+        self._success = bool(outcome[4]["success"])
+        for arm in self._arms:
+            arm.look()
+        if self._planner is not None:
+            self._planner.stepped(outcome)
+        return {arm.prefix: found for arm, (_, found) in zip(self._arms, told, strict=True) if found}
+
+    def score(self) -> float:
+        """Return 1 on success, else 0: rewards of ManiSkill are no share of a task."""
+        return SUCCESS_SCORE if self._success else 0.0
+
+    def vision(self) -> dict[str, dict[str, Any]]:
+        """Return the pictures of the manifest's cameras that the task has."""
+        return self._pictures.seen(self._env)
+
+    def truth(self) -> dict[str, Any]:
+        """Return ManiSkill's own observation for policies of states: poses of objects and goals, [x, y, z, w, i, j, k].
+
+        A privileged policy is told, too, what the task's planner does, where there is one.
+        """
+        known = {"observation": _plain(self._obs)}
+        if self._planner is None or self._planner.command is None:
+            return known
+        return {**known, "expert": self._expert(self._planner.command)}
+
+    def simulated(self) -> Simulated:
+        """Return ManiSkill's own observation, and what its controllers were told last, one arm after the other."""
+        return Simulated(_plain(self._obs), self._told)
+
+    def close(self) -> None:
+        """Release the simulator."""
+        if self._planner is not None:
+            self._planner.end()
+        self._env.close()
+
+    def _made(self, make: Any, mode: str) -> Any:
+        try:
+            return make(
+                f"{self.setup.task}-v1",
+                obs_mode="state_dict",
+                reward_mode="sparse",
+                control_mode=mode,
+                sim_backend="physx_cpu",
+                render_backend="cpu",
+                sensor_configs=self._pictures.options(),
+            ).unwrapped
+        except RuntimeError as error:
+            if any(word in str(error) for word in vulkan.COMPLAINTS):
+                raise vulkan.missing(error) from error
+            raise
+
+    def _as_agents(self, commands: list[Any]) -> Any:
+        if len(self._arms) == 1:
+            return commands[0]
+        return dict(zip(self._env.agent.agents_dict, commands, strict=True))
+
+    def _expert(self, command: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Return what the planner does now, as an action step of the standard; planners move one arm."""
+        arm, dof = self._arms[0], self.setup.embodiment.arms[0].dof
+        angles, rest = command[:dof], command[dof:]
+        found = {spec.State.EE_JOINT_STATE: np.array([arm.gripper.opening_for(rest)])}
+        if self.setup.action_type == spec.ACTION_TYPES[0]:
+            return {**found, spec.State.ARM_JOINT_STATE: angles}
+        return {**found, spec.State.EE_POSE: compose(arm.base, self._chain().flange(angles))}
+
+    def _chain(self) -> Chain:
+        return Chain.from_embodiment(self.setup.embodiment.data)
+
+
+def _of(arm: Arm, action: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an arm's part of an action step."""
+    return {name: value for name, value in action.items() if name.startswith(arm.prefix)}
+
+
+def _plain(seen: Any) -> Any:
+    """Return maps of ManiSkill's batches of one as maps of arrays."""
+    if isinstance(seen, Mapping):
+        return {name: _plain(value) for name, value in seen.items()}
+    return np.asarray(seen)[0]
+
+
+def _require_assets(setup: Setup) -> None:
+    """Check that what a task is made of is there: ManiSkill would ask at the terminal whether to download it.
+
+    Raises:
+        NotInstalledError: it is not.
+    """
+    names = setup.facts.get("assets", ())
+    if not names:
+        return
+    from mani_skill.utils.assets import data
+
+    wanted = [each for name in names for each in data.DATA_GROUPS.get(name, [name])]
+    missing = [name for name in wanted if not data.is_data_source_downloaded(name)]
+    if missing:
+        raise NotInstalledError(
+            f"{setup.task} needs assets that are not in ManiSkill's package: `python -m "
+            f"mani_skill.utils.download_asset {' '.join(names)}`, in the Python of envs/maniskill, downloads them"
+        )
