@@ -1,0 +1,107 @@
+"""What a probe says: a value with its evidence and its margin, or that it cannot be known and what is missing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+MARGIN: Final = 1.5
+"""How many times worse the second best has to be. Chosen on the sets of tests/data/probe/written.py, then left alone."""
+
+MOST_MARGIN: Final = 1000.0
+"""Margins are told up to here: beyond it they say the same."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One convention.
+
+    Attributes:
+        topic: what it is about: `rate`, `reference`, `rotation form`; the words of native.schema.json where it has some.
+        subject: what it is a convention of: a column, a part of one (`action[0:7]`), a camera, or `set`.
+        value: the convention; None where it is unknown.
+        evidence: one sentence with the figure that it rests on; of what is unknown, why.
+        margin: how many times worse the second best explains the data; None where there is no second.
+        second: the second best.
+        needs: of what is unknown, what would tell.
+        said: the set says so itself, and nothing measures it.
+    """
+
+    topic: str
+    subject: str
+    value: Any
+    evidence: str
+    margin: float | None = None
+    second: str | None = None
+    needs: str | None = None
+    said: bool = False
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is a value."""
+        return self.value is not None
+
+    def document(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        margin = None if self.margin is None else round(min(self.margin, MOST_MARGIN), 2)
+        return {**vars(self), "margin": margin}
+
+
+def unknown(topic: str, subject: str, why: str, needs: str) -> Answer:
+    """Return that a convention cannot be known, why, and what would tell."""
+    return Answer(topic, subject, None, why, needs=needs)
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Hypotheses with their errors, from which the values of one facet after the other are judged.
+
+    Attributes:
+        errors: the error of each hypothesis, which is a tuple of (facet, value) pairs.
+        floor: errors below it are alike.
+    """
+
+    errors: Mapping[tuple[tuple[str, Any], ...], float]
+    floor: float = 1e-6
+    _best: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def best(self) -> dict[str, Any]:
+        """The values of the hypothesis that explains most; of those alike the one that was named first."""
+        if not self._best:
+            least = min(self.errors.values())
+            winner = next(key for key, error in self.errors.items() if error <= max(least, self.floor))
+            self._best.update(dict(winner))
+        return self._best
+
+    @property
+    def least(self) -> float:
+        """The error of the best."""
+        return min(self.errors.values())
+
+    def judged(self, facet: str) -> tuple[Any, float | None, Any]:
+        """Return the value of a facet, its margin over the best with another value, and that value.
+
+        Returns:
+            the margin is None where no hypothesis has another value.
+        """
+        value = self.best[facet]
+        others = {dict(key).get(facet): error for key, error in reversed(self.ranked()) if dict(key)[facet] != value}
+        if not others:
+            return value, None, None
+        second = min(others, key=lambda name: others[name])
+        own = min(error for key, error in self.errors.items() if dict(key)[facet] == value)
+        return value, max(others[second], self.floor) / max(own, self.floor), second
+
+    def ranked(self) -> list[tuple[tuple[tuple[str, Any], ...], float]]:
+        """Return hypotheses with their errors, the best first."""
+        return sorted(self.errors.items(), key=lambda entry: entry[1])
+
+
+def enough(margin: float | None) -> bool:
+    """Tell whether a margin is one."""
+    return margin is None or (math.isfinite(margin) and margin >= MARGIN) or margin == math.inf

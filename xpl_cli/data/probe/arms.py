@@ -1,0 +1,270 @@
+"""What the commands of an arm mean: readings of them, and how well each explains where the arm goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import rotation
+from xpl.convert import NativeError, rotations
+from xpl_cli.data.probe import tracking
+from xpl_cli.data.probe.answer import Contest
+from xpl_cli.data.probe.tracking import SHIFTS, Follow
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    Rows = Sequence[np.ndarray]
+
+ABSOLUTE, DELTA_STATE, DELTA_COMMAND = "absolute", "delta_state", "delta_command"
+FIXED, BODY, NUMBERS = "fixed", "body", "numbers"
+EULER: Final = tuple(
+    (one, other)
+    for axes in ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+    for one, other in (("euler", axes), ("euler", axes.upper()))
+)
+FORMS: Final[Mapping[int, tuple[tuple[str, str | None], ...]]] = {
+    3: (("axis_angle", None), *EULER),
+    4: (("quaternion_wxyz", None), ("quaternion_xyzw", None)),
+    6: (("rot6d_columns", None), ("rot6d_rows", None)),
+    9: (("matrix", None),),
+}
+"""The forms of rotations of each width, with the axes of Euler angles."""
+_SHARP: Final = 2.0
+"""How sharp the scale has to be at which summed steps stay with the state."""
+_EXACT: Final = 2e-3
+"""Errors below which each command is reached in its step: then it is one whether steps are counted from state or command."""
+
+
+def told(form: tuple[str, str | None], *, degrees: bool = False) -> str:
+    """Return a form as people read it."""
+    return " ".join([form[0], *([form[1]] if form[1] else []), *(["in degrees"] if degrees else [])])
+
+
+@dataclass(frozen=True)
+class Reference:
+    """From what steps are counted.
+
+    Attributes:
+        value: absolute, delta_state or delta_command; None where it cannot be told.
+        errors: of each.
+        follow: how the state follows the best.
+        margin: over the second best.
+        alike: whether steps explain the motion counted from the state and from the last command alike.
+    """
+
+    value: str | None
+    errors: Mapping[str, float]
+    follow: Follow
+    margin: float
+    alike: bool = False
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+def chosen(follows: Mapping[str, Follow], sharp: float) -> Reference:
+    """Return from what steps are counted, of how well each reading explains the motion.
+
+    Args:
+        follows: of absolute, delta_state and delta_command.
+        sharp: of summed steps, see `tracking.sharpness`.
+    """
+    errors = {name: one.error for name, one in follows.items()}
+    best = min(errors, key=lambda name: errors[name])
+    floor = 1e-4
+    if best != ABSOLUTE and errors[DELTA_COMMAND] <= tracking.PLAIN and sharp >= _SHARP:
+        if errors[DELTA_STATE] < _EXACT and abs(follows[DELTA_STATE].gain - 1) < 0.05:
+            return Reference(None, errors, follows[DELTA_STATE], 1.0, alike=True)
+        others = min(errors[ABSOLUTE] / max(errors[DELTA_COMMAND], floor), sharp)
+        return Reference(DELTA_COMMAND, errors, follows[DELTA_COMMAND], others)
+    second = min(error for name, error in errors.items() if name != best)
+    margin = second / max(errors[best], floor)
+    return Reference(best if errors[best] <= tracking.PLAIN else None, errors, follows[best], margin)
+
+
+def of_numbers(states: Rows, commands: Rows) -> Reference:
+    """Return from what commands (T, D) are counted that have the unit and order of the state, number by number."""
+    steps = [here + there for here, there in zip(states, commands, strict=True)]
+    summed = tracking.cumulated(states, commands)
+    follows = {
+        ABSOLUTE: tracking.follow(states, commands, shifts=SHIFTS),
+        DELTA_STATE: tracking.follow(states, steps),
+        DELTA_COMMAND: tracking.follow(states, summed, shifts=SHIFTS),
+    }
+    is_summed = follows[DELTA_COMMAND].error <= tracking.PLAIN
+    sharp = tracking.sharpness(states, commands, follows[DELTA_COMMAND].shift) if is_summed else 0.0
+    return chosen(follows, sharp)
+
+
+def of_scaled(states: Rows, commands: Rows) -> Reference:
+    """Return from what commands (T, D) are counted whose numbers are each scaled and shifted, as normalisation does."""
+    found: dict[str, list[Follow]] = {ABSOLUTE: [], DELTA_STATE: [], DELTA_COMMAND: []}
+    sharp, weights = [], []
+    for index in range(states[0].shape[1]):
+        here = [rows[:, index : index + 1] for rows in states]
+        there = [rows[:, index : index + 1] for rows in commands]
+        power = float(sum((np.diff(rows, axis=0) ** 2).sum() for rows in here))
+        if power <= 0 or np.ptp(np.concatenate(there)) <= 0:
+            continue
+        weights.append(power / float(np.var(np.concatenate(here)) or 1.0))
+        found[ABSOLUTE].append(tracking.follow(here, fitted(here, there), shifts=SHIFTS))
+        rest = usual(np.concatenate(there))
+        steps = [rows - rest for rows in there]
+        found[DELTA_STATE].append(tracking.follow(here, [a + b for a, b in zip(here, steps, strict=True)]))
+        if found[DELTA_STATE][-1].error > tracking.PLAIN:  # what sums up to the motion goes with it, too
+            found[DELTA_COMMAND].append(Follow(1.0, 0))
+            sharp.append(0.0)
+            continue
+        scale, follow = tracking.scaled(here, steps)
+        found[DELTA_COMMAND].append(follow)
+        sharp.append(tracking.sharpness(here, steps, follow.shift, scale))
+    if not weights:
+        return Reference(None, {ABSOLUTE: 1.0, DELTA_STATE: 1.0, DELTA_COMMAND: 1.0}, Follow(1.0, 0), 1.0)
+    follows = {
+        name: Follow(float(np.average([one.error for one in ones], weights=weights)), ones[0].shift, ones[0].gain)
+        for name, ones in found.items()
+    }
+    return chosen(follows, float(np.median(sharp)))
+
+
+def usual(values: np.ndarray) -> float:
+    """Return the number that comes most often: what steps are when nothing moves."""
+    edges = np.linspace(values.min(), values.max(), 201)
+    counts, _ = np.histogram(values, edges)
+    place = int(counts.argmax())
+    inside = values[(values >= edges[place]) & (values <= edges[place + 1])]
+    return float(np.median(inside))
+
+
+def fitted(states: Rows, commands: Rows) -> list[np.ndarray]:
+    """Return commands of one number (T, 1), scaled and shifted so that they lie nearest to the state some steps later."""
+    best: tuple[float, float, float] = (np.inf, 1.0, 0.0)
+    for lag in range(min(6, min(map(len, states)) // 2)):
+        x = np.concatenate([rows[: len(rows) - lag, 0] for rows in commands])
+        y = np.concatenate([rows[lag:, 0] for rows in states])
+        spread = float(np.var(x))
+        scale = float(np.cov(x, y, bias=True)[0, 1]) / spread if spread > 0 else 0.0
+        shift = float(y.mean() - scale * x.mean())
+        error = float(np.mean((y - scale * x - shift) ** 2))
+        if error < best[0]:
+            best = (error, scale, shift)
+    return [best[1] * rows + best[2] for rows in commands]
+
+
+def order_of(states: Rows, commands: Rows) -> tuple[tuple[int, ...], float]:
+    """Return which number of the commands moves which number of the state, and the margin over its own order's rivals.
+
+    Returns:
+        for each number of the state the place of its command; how many times worse the best other pairing explains the
+        number of which it is least sure.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    width = states[0].shape[1]
+    errors = np.ones((width, width))
+    for one in range(width):
+        here = [rows[:, one : one + 1] for rows in states]
+        for other in range(width):
+            there = [rows[:, other : other + 1] for rows in commands]
+            steps = [a + b - usual(np.concatenate(there)) for a, b in zip(here, there, strict=True)]
+            errors[one, other] = min(
+                tracking.follow(here, fitted(here, there)).error, tracking.follow(here, steps).error
+            )
+    rows, places = linear_sum_assignment(np.log(errors + 1e-4))
+    margins = [
+        (np.delete(errors[row], place).min() + 1e-4) / (errors[row, place] + 1e-4)
+        for row, place in zip(rows, places, strict=True)
+        if width > 1
+    ]
+    return tuple(map(int, places)), float(min(margins, default=np.inf))
+
+
+def of_poses(  # noqa: PLR0913 - a pose has two halves, in state and command
+    positions: Rows, turns: Mapping[tuple[str, str | None], Rows], moves: Rows, spins: Rows, forms: Sequence[Any]
+) -> tuple[Contest, Contest]:
+    """Return how well each reading of pose commands explains the motion, of positions and of rotations.
+
+    Args:
+        positions: of the state, (T, 3).
+        turns: its rotations (T, 4), in each form in which they may be written.
+        moves, spins: position (T, 3) and rotation (T, width) of the commands.
+        forms: in which the rotations of the commands may be written.
+    """
+    errors: dict[tuple[tuple[str, Any], ...], float] = {}
+    for form, quaternions in turns.items():
+        body = [rotation.rotate(q, move) for q, move in zip(quaternions, moves, strict=True)]
+        for applied, steps in ((FIXED, moves), (BODY, body)):
+            reference = of_numbers(positions, steps)
+            for name, error in reference.errors.items():
+                if name == ABSOLUTE and applied == BODY:
+                    continue
+                if name == DELTA_COMMAND and reference.value != DELTA_COMMAND:
+                    error = max(error, 1.0)  # noqa: PLW2901 - steps that are summed at any scale say nothing
+                if name == DELTA_STATE and (reference.value == DELTA_COMMAND or reference.alike):
+                    error = max(error, 1.0) if not reference.alike else error  # noqa: PLW2901 - as for the above
+                errors[("reference", name), ("applied", applied), ("state", form)] = error
+    spun: dict[tuple[tuple[str, Any], ...], float] = {}
+    for form, quaternions in turns.items():
+        for own in forms:
+            spun |= _spun(quaternions, spins, own, form)
+    return Contest(errors, 1e-4), Contest(spun, 1e-4)
+
+
+def _spun(states: Rows, commands: Rows, form: tuple[str, str | None], state: Any) -> dict[Any, float]:
+    """Return the errors of the readings of rotations (T, width) in one form."""
+    try:
+        said = [rotations.decode(rows, *form) for rows in commands]
+    except NativeError:
+        return {}
+    found: dict[Any, float] = {}
+    follows: dict[tuple[str, str], Follow] = {}
+    summed_fixed = [_summed(here, steps, body=False) for here, steps in zip(states, said, strict=True)]
+    summed_body = [_summed(here, steps, body=True) for here, steps in zip(states, said, strict=True)]
+    readings: dict[tuple[str, str], list[np.ndarray]] = {
+        (ABSOLUTE, FIXED): said,
+        (DELTA_STATE, FIXED): [rotation.multiply(step, here) for here, step in zip(states, said, strict=True)],
+        (DELTA_STATE, BODY): [rotation.multiply(here, step) for here, step in zip(states, said, strict=True)],
+        (DELTA_COMMAND, FIXED): summed_fixed,
+        (DELTA_COMMAND, BODY): summed_body,
+    }
+    for (reference, applied), there in readings.items():
+        shifts = (0,) if reference == DELTA_STATE else (0, 1, 2)
+        follow = tracking.follow(states, there, tracking.turns, shifts)
+        key = (("reference", reference), ("applied", applied), ("form", form), ("state", state))
+        found[key] = follow.error
+        follows[reference, applied] = follow
+    for applied, summed in ((FIXED, False), (BODY, True)):
+        _unsum(found, follows, states, said, applied, body=summed, form=form, state=state)
+    return found
+
+
+def _unsum(  # noqa: PLR0913 - what a reading consists of
+    found: dict[Any, float],
+    follows: Mapping[tuple[str, str], Follow],
+    states: Rows,
+    said: Rows,
+    applied: str,
+    *,
+    body: bool,
+    form: Any,
+    state: Any,
+) -> None:
+    """Where summed turns stay with the state at their own scale only, do not count them as counted from the state."""
+    key = (("reference", DELTA_STATE), ("applied", applied), ("form", form), ("state", state))
+    summed, counted = follows[DELTA_COMMAND, applied], follows[DELTA_STATE, applied]
+    if summed.error > tracking.PLAIN or (counted.error < _EXACT and abs(counted.gain - 1) < 0.05):
+        return
+    longer = [rotation.from_axis_angle(1.25 * rotation.to_axis_angle(rows)) for rows in said]
+    other = [_summed(here, steps, body=body) for here, steps in zip(states, longer, strict=True)]
+    if tracking.follow(states, other, tracking.turns, (summed.shift,)).error > _SHARP * summed.error:
+        found[key] = max(found[key], 1.0)
+
+
+def _summed(states: np.ndarray, steps: np.ndarray, *, body: bool) -> np.ndarray:
+    """Return rotations (T, 4) that begin at the state and go on by a step each."""
+    at, found = states[0], []
+    for step in steps:
+        at = rotation.multiply(at, step) if body else rotation.multiply(step, at)
+        found.append(at)
+    return np.stack(found)

@@ -1,0 +1,155 @@
+"""Cameras: which are on a wrist, and of which arm; which are upside down; whether blue and red are exchanged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl_cli.data.probe.answer import MARGIN, Answer, unknown
+from xpl_cli.data.probe.sample import spread, words
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from xpl_cli.data.sets.interface import Episode
+
+_EPISODES: Final = 6
+_FRAMES: Final = 40
+"""Frames of an episode that are looked at."""
+_EDGE: Final = 48
+"""Pixels that a picture is made smaller to."""
+_SEEN: Final = 10
+"""Steps of 256 that a pixel has to change by."""
+_CLIP: Final = 2000
+"""Frames of an episode that are decoded at most."""
+
+
+def answers(
+    episodes: Sequence[Episode],
+    arms: Mapping[str, Sequence[np.ndarray]],
+    heights: Mapping[str, Sequence[np.ndarray]],
+    told: Callable[[str], None],
+) -> list[Answer]:
+    """Return what is known of the cameras.
+
+    Args:
+        episodes: of the set.
+        arms: of each arm, by episode, its joints or positions (T, D).
+        heights: of each arm, by episode, how high it is in the world (T,); empty where that is unknown.
+        told: is told what is going on.
+    """
+    places = spread(len(episodes), _EPISODES)
+    names = [name for name, camera in episodes[0].cameras.items() if camera.kind == "color"] if episodes else []
+    found: list[Answer] = []
+    for name in names:
+        told(f"camera {name}")
+        shown: list[tuple[int, np.ndarray, np.ndarray]] = []
+        for place in places:
+            steps, frames = _frames(episodes[place], name)
+            if len(steps) > 4:
+                shown.append((place, steps, frames))
+        if not shown:
+            continue
+        found.append(_mounted(name, shown, arms))
+        found.append(_upright(name, shown, heights, is_wrist=_is_wrist(found[-1])))
+        found.append(_colour(name, shown, episodes))
+    return found
+
+
+def _is_wrist(answer: Answer) -> bool:
+    return bool(answer.value and answer.value != "fixed")
+
+
+def _frames(episode: Episode, camera: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and pictures (N, h, w, 3) of some frames, evenly spread over the first ones."""
+    wanted = set(spread(min(episode.length, _CLIP), _FRAMES))
+    kept = []
+    for place, frame in enumerate(episode.frames(camera, 0, max(wanted) + 1)):
+        if place in wanted:
+            step = max(1, -(-max(frame.shape[:2]) // _EDGE))
+            kept.append((place, np.asarray(frame[::step, ::step, :3], np.int16)))
+    return np.array([place for place, _ in kept]), np.stack([image for _, image in kept]) if kept else np.zeros(0)
+
+
+def _mounted(name: str, shown: Sequence[Any], arms: Mapping[str, Sequence[np.ndarray]]) -> Answer:
+    """Return whether a camera stands still or moves with an arm."""
+    changes, moves = [], {arm: [] for arm in arms}
+    for place, steps, frames in shown:
+        changes.append((np.abs(np.diff(frames, axis=0)).max(-1) > _SEEN).mean((1, 2)))
+        for arm, rows in arms.items():
+            moves[arm].append(np.linalg.norm(np.diff(rows[place][steps], axis=0), axis=1))
+    change = np.concatenate(changes)
+    if not arms:
+        return unknown("camera", name, "no arm is known that it could move with", "columns of joints or poses")
+    moved = {arm: np.concatenate(rows) for arm, rows in moves.items()}
+    every = np.sum([rows / max(float(rows.max()), 1e-9) for rows in moved.values()], axis=0)
+    fast = every >= np.quantile(every, 0.6)
+    share = float(np.median(change[fast]))
+    if share < 0.2:
+        said = f"while the arm moves, {100 * share:.0f} % of its picture change"
+        return Answer("camera", name, "fixed", said, 0.2 / max(share, 0.01))
+    links = {arm: float(np.corrcoef(change, np.sqrt(rows))[0, 1]) for arm, rows in moved.items() if rows.std() > 0}
+    best = max(links, key=lambda arm: links[arm], default=None)
+    if share < 0.35 or best is None or links[best] < 0.4:
+        why = f"while the arm moves, {100 * share:.0f} % of its picture change: neither few nor most"
+        return unknown("camera", name, why, "extrinsics of the camera")
+    others = [link for arm, link in links.items() if arm != best]
+    said = f"{100 * share:.0f} % of its picture change while the arm moves, correlated by {links[best]:.2f}"
+    if not others:
+        return Answer("camera", name, "wrist", said, share / 0.2)
+    margin = (1 - max(others)) / max(1 - links[best], 0.02)
+    if margin < MARGIN:
+        return Answer("camera", name, "wrist", f"{said}; with both arms alike, so which wrist is open", share / 0.2)
+    return Answer("camera", name, f"wrist of {best}", f"{said} with {best}, by {max(others):.2f} with the other", margin)
+
+
+def _upright(name: str, shown: Sequence[Any], heights: Mapping[str, Sequence[np.ndarray]], *, is_wrist: bool) -> Answer:
+    """Return whether a fixed camera sees the arm go up where it goes up."""
+    if is_wrist or not heights:
+        why = "it moves with the arm" if is_wrist else "how high the arm is, is unknown"
+        return unknown("orientation", name, why, "a marked picture, or extrinsics")
+    rows_seen, climbs = [], []
+    for place, steps, frames in shown:
+        background = np.median(frames, axis=0)
+        there = (np.abs(frames - background).max(-1) > 2 * _SEEN).astype(float)
+        weight = there.sum((1, 2))
+        rows = (there.sum(2) * np.arange(frames.shape[1])).sum(1) / np.maximum(weight, 1)
+        height = np.mean([entry[place][steps] for entry in heights.values()], axis=0)
+        kept = weight > 3
+        if kept.sum() > 5 and np.ptp(height[kept]) > 0.03:
+            rows_seen.append(rows[kept] - rows[kept].mean())
+            climbs.append(height[kept] - height[kept].mean())
+    if not rows_seen or np.concatenate(rows_seen).std() == 0:
+        return unknown("orientation", name, "nothing in it goes up and down", "episodes in which the arm is lifted")
+    link = float(np.corrcoef(np.concatenate(rows_seen), np.concatenate(climbs))[0, 1])
+    if abs(link) < 0.4:
+        why = f"what moves in it goes up and down with the arm by a correlation of {-link:.2f} only"
+        return unknown("orientation", name, why, "a marked picture, or extrinsics")
+    value = "upright" if link < 0 else "upside down"
+    said = f"what moves in it goes {'up' if link < 0 else 'down'} as the arm goes up, correlated by {abs(link):.2f}"
+    return Answer("orientation", name, value, said, (1 + abs(link)) / (1 - abs(link) + 1e-3))
+
+
+def _colour(name: str, shown: Sequence[Any], episodes: Sequence[Episode]) -> Answer:
+    """Return whether red things are red, where instructions speak of one and of no blue thing, or the other way round."""
+    red_first, blue_first = 0.0, 0.0
+    for place, _, frames in shown:
+        said = {word for text in episodes[place].instructions for word in words(text.replace(" ", "_"))}
+        if ("red" in said) == ("blue" in said):
+            continue
+        first = frames[0].astype(float)
+        strong = first.max(-1) > 60
+        red = float((strong & (first[..., 0] > 1.8 * first[..., 1:].max(-1))).mean())
+        blue = float((strong & (first[..., 2] > 1.8 * first[..., :2].max(-1))).mean())
+        if "blue" in said:
+            red, blue = blue, red
+        red_first, blue_first = red_first + red, blue_first + blue
+    floor = 0.002 * max(len(shown), 1)
+    if max(red_first, blue_first) < floor or max(red_first, blue_first) < 4 * min(red_first, blue_first):
+        why = "nothing in it is known to be red or blue"
+        return unknown("channels", name, why, "instructions that name one red or blue thing, or a marked picture")
+    value = "rgb" if red_first > blue_first else "bgr"
+    share = max(red_first, blue_first) / max(min(red_first, blue_first), floor / 4)
+    said = "what the instruction calls red or blue has that colour, read so"
+    return Answer("channels", name, value, said, share)

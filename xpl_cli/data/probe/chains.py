@@ -1,0 +1,153 @@
+"""Forward kinematics of many rows at once, and which robot, order of joints, point and frame explain poses."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import get_embodiment, poses, robots, rotation
+from xpl.convert import NativeError, frames
+from xpl.embodiment import UnknownEmbodimentError, embodiment_names
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from xpl import Embodiment
+
+FITS_MM: Final = 5.0
+"""Errors up to which a robot explains positions: calibration, rounding, and clocks that are not quite one."""
+_FEW: Final = 12
+_PLENTY: Final = 120
+_STILL: Final = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+_LENGTHS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_MOST_PERMUTED: Final = 7
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read joints and the position that was recorded beside them.
+
+    Attributes:
+        robot: name of the embodiment.
+        side: arm, in the standard's words.
+        order: which of the recorded numbers is which joint of the embodiment: joint j is number order[j].
+        point, frame, length: of the position.
+        error: root mean square, mm.
+    """
+
+    robot: str
+    side: str
+    order: tuple[int, ...]
+    point: str
+    frame: str
+    length: str
+    error: float
+
+
+def flange(data: Mapping[str, Any], joints: np.ndarray) -> np.ndarray:
+    """Return poses (..., 7) of the flange in the arm's base, of joint angles (..., dof), rad."""
+    at = np.broadcast_to(_STILL, (*joints.shape[:-1], 7))
+    for index, (origin, axis) in enumerate(_frames(data["name"])):
+        turned = rotation.from_axis_angle(joints[..., index, None] * axis)
+        at = poses.compose(poses.compose(at, origin), np.concatenate([np.zeros((*turned.shape[:-1], 3)), turned], -1))
+    return at
+
+
+@cache
+def _frames(name: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    data = get_embodiment(name).data
+    return tuple(
+        (poses.pose(one["origin"]["xyz"], rotation.from_rpy(one["origin"]["rpy"])), np.array(one["axis"], np.float64))
+        for one in data["arm"]["joints"]
+    )
+
+
+def candidates(dof: int, name: str | None) -> list[Embodiment]:
+    """Return the robots with kinematics and so many joints; the one that is named, if it is one of them."""
+    names = [name] if name else embodiment_names()
+    found = []
+    for one in names:
+        try:
+            robot = get_embodiment(one)
+        except UnknownEmbodimentError:
+            continue
+        if robots.has_frames(robot.data) and robot.arms[0].dof == dof:
+            found.append(robot)
+    return found
+
+
+def places(robot: Embodiment, side: str) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+    """Return for each point and frame that the standard knows of an arm what lies outside and inside of its flange."""
+    found = {}
+    for point, frame in itertools.product(("flange", "tcp"), ("world", "base")):
+        try:
+            outer = frames.mount(robot, side) if frame == "world" else _STILL
+            inner = frames.tool(robot) if point == "tcp" else _STILL
+        except NativeError:
+            continue
+        found[point, frame] = (outer, inner)
+    return found
+
+
+def readings(
+    joints: np.ndarray, position: np.ndarray, names: list[Embodiment], *, orders: bool = False
+) -> list[Reading]:
+    """Return every way to read joints (N, dof) rad and positions (N, 3) together, the best first.
+
+    Args:
+        joints, position: recorded together.
+        names: robots.
+        orders: whether joints may be in another order than the embodiment's.
+    """
+    dof = joints.shape[1]
+    plain = tuple(range(dof))
+    few = np.linspace(0, len(joints) - 1, _PLENTY).astype(int)
+    found = [one for robot in names for one in _tried(robot, joints[few], position[few], np.array([plain]))]
+    found.sort(key=lambda one: one.error)
+    if orders and dof <= _MOST_PERMUTED:
+        every = np.array(list(itertools.permutations(range(dof))))
+        sparse = np.linspace(0, len(joints) - 1, _FEW).astype(int)
+        for robot in names:
+            near = sorted(_tried(robot, joints[sparse], position[sparse], every), key=lambda one: one.error)[:24]
+            kept = np.array(list({one.order for one in near}))
+            found += _tried(robot, joints[few], position[few], kept)
+        found.sort(key=lambda one: one.error)
+    return found
+
+
+def _tried(robot: Embodiment, joints: np.ndarray, position: np.ndarray, orders: np.ndarray) -> list[Reading]:
+    """Return how well some orders of a robot's joints explain positions, in each place that the standard knows."""
+    ends = flange(robot.data, np.moveaxis(joints[:, orders], 0, 1))
+    found = []
+    for side in robot.data["arms"]:
+        for (point, frame), (outer, inner) in places(robot, side).items():
+            if frame == "base" and side != robot.data["arms"][0]:
+                continue  # it says nothing of the side
+            there = poses.compose(poses.compose(outer, ends), inner)[..., :3]
+            for length, scale in _LENGTHS.items():
+                off = there - scale * position
+                errors = 1000 * np.sqrt((off * off).sum(-1).mean(-1))
+                best = range(len(orders)) if len(orders) == 1 else np.argsort(errors)[:24]
+                found += [
+                    Reading(robot.name, side, tuple(map(int, orders[k])), point, frame, length, float(errors[k]))
+                    for k in best
+                ]
+    return found
+
+
+def begins_at_home(rows: Sequence[np.ndarray]) -> str | None:
+    """Return the robot at whose home pose most episodes begin, to 0.05 rad or as many degrees; None if there is none."""
+    first = np.stack([episode[0] for episode in rows])
+    for unit in (1.0, np.pi / 180):
+        for robot in candidates(first.shape[1], None):
+            home = robot.arms[0].home
+            if home is None or np.linalg.norm(home) < 0.3:
+                continue
+            if (np.abs(first * unit - home).max(1) < 0.05).mean() > 0.5:
+                return robot.name
+    return None
+

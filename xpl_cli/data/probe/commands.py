@@ -1,0 +1,276 @@
+"""What the commands of one arm are: kind, order, unit, form, and from what they are counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl_cli.data.probe import tracking
+from xpl_cli.data.probe.answer import MARGIN, Answer, Contest, enough, unknown
+from xpl_cli.data.probe.arms import FORMS, of_numbers, of_poses, of_scaled, order_of, told
+from xpl_cli.data.probe.parts import ARM, JOINTS, POSITION, ROTATION, THREE, Part
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl_cli.data.probe.arms import Reference
+    from xpl_cli.data.probe.states import ArmState
+
+_ROWS: Final = 1500
+_NO_STATE: Final = "states of the same kind beside the commands"
+_DEGREES: Final = np.pi / 180
+_TURN: Final = 1.2 * 2 * np.pi
+"""More than a turn in radians, with room for numbers that go on beyond it: degrees."""
+
+
+@dataclass
+class Plot:
+    """Two lines of one number: where the command leads, and where the robot goes."""
+
+    title: str
+    state: np.ndarray
+    command: np.ndarray
+
+
+@dataclass
+class Commands:
+    """What was found out of an arm's commands.
+
+    Attributes:
+        answers: the conventions.
+        plots: what shows them.
+    """
+
+    answers: list[Answer] = field(default_factory=list)
+    plots: list[Plot] = field(default_factory=list)
+
+
+def of_arm(parts: Sequence[Part], state: ArmState, *, normalised: bool) -> Commands:
+    """Return what an arm's commands are.
+
+    Args:
+        parts: its commands.
+        state: the arm's state.
+        normalised: whether commands or states are.
+    """
+    found = Commands()
+    joints = next((part for part in parts if part.kind in (JOINTS, ARM)), None)
+    place = next((part for part in parts if part.kind in (POSITION, THREE)), None)
+    turn = next((part for part in parts if part.kind == ROTATION), None)
+    if joints is not None and joints.kind == ARM and _is_pose(joints, state, normalised=normalised):
+        place, turn, joints = joints.cut(POSITION, 0, 3), joints.cut(ROTATION, 3, 6), None
+    if joints is not None:
+        _numbers(found, joints, state, normalised=normalised)
+    if place is not None:
+        _pose(found, place, turn, state, normalised=normalised)
+    return found
+
+
+def _cut(rows: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return whole episodes up to a number of rows, the longest of a set's own length."""
+    kept, count = [], 0
+    for episode in rows:
+        if count and count + len(episode) > _ROWS:
+            break
+        kept.append(episode[:_ROWS])
+        count += len(episode)
+    return kept
+
+
+def _is_pose(part: Part, state: ArmState, *, normalised: bool) -> bool:
+    """Tell whether six numbers of a command are a pose: where joints explain them less."""
+    pose_error = np.inf
+    if state.position is not None and state.rotation is not None and not normalised:
+        moved, spun = _contests(part.cut(POSITION, 0, 3), part.cut(ROTATION, 3, 6), state)
+        pose_error = moved.least + (spun.least if spun.errors else 1.0)
+    joint_error = np.inf
+    beside = state.joints if state.joints is not None and state.joints.width == part.width else state.unsure
+    if beside is not None:
+        rows = _cut(beside.rows)
+        reference = (of_scaled if normalised else of_numbers)(rows, _cut(part.rows))
+        joint_error = 2 * min(reference.errors.values())
+    return bool(pose_error < joint_error)
+
+
+def _numbers(found: Commands, part: Part, state: ArmState, *, normalised: bool) -> None:
+    """Tell what commands are that are joints, or six numbers of which nobody knows what they are."""
+    beside = state.joints if state.joints is not None else state.unsure
+    if beside is None or beside.width != part.width:
+        why = f"no column of the state has {part.width} numbers of joints"
+        found.answers.append(unknown("kind", part.subject, why, _NO_STATE))
+        return
+    here, there = _cut(beside.rows), _cut(part.rows)
+    order, margin = order_of(here, there)
+    plain = order == tuple(range(part.width))
+    if margin >= MARGIN:
+        said = "each number moves its own of the state" if plain else "its numbers move those of the state in this order"
+        value = "as the state" if plain else list(order)
+        found.answers.append(Answer("order", part.subject, value, said, margin))
+        there = [rows[:, list(order)] for rows in there]
+    else:
+        why = "several numbers move alike"
+        found.answers.append(unknown("order", part.subject, why, "episodes in which each joint moves by itself"))
+    if state.joints is not None:
+        said = f"they move the joints of {state.joints.subject}"
+        found.answers.append(Answer("kind", part.subject, JOINTS, said))
+    reference = of_scaled(here, there) if normalised else _in_unit(found, part, state, here, there)
+    _refer(found, part, reference)
+    if reference.value is not None and not normalised:
+        _late(found, part, here, there, reference)
+    found.plots.append(Plot(f"{part.subject}, number {part.start}", here[0][:, 0], there[0][:, 0]))
+
+
+def _in_unit(
+    found: Commands, part: Part, state: ArmState, here: list[np.ndarray], there: list[np.ndarray]
+) -> Reference:
+    """Return from what commands are counted, read in the unit in which they explain the motion; tell that unit."""
+    tried = {
+        unit: of_numbers([rows * (state.unit or 1.0) for rows in here], [rows * unit for rows in there])
+        for unit in (1.0, _DEGREES)
+    }
+    contest: dict[float, float] = {}
+    for unit, one in tried.items():
+        error = min(one.errors.values()) if one.value is None else one.errors[one.value]
+        contest[unit] = max(error, 1e-4) if _is_gain(one) else 1.0
+    best = min(contest, key=lambda unit: contest[unit])
+    margin = max(contest.values()) / contest[best]
+    known = {1.0: "rad", _DEGREES: "deg"}
+    if state.unit is not None and margin >= MARGIN and tried[best].value is not None:
+        said = f"so they explain where the joints go, but for {contest[best]:.2g} of the motion"
+        found.answers.append(Answer("angle unit", part.subject, known[best], said, margin))
+    for rows in there:
+        rows *= best / (state.unit or 1.0)
+    return tried[best]
+
+
+def _is_gain(reference: Reference) -> bool:
+    """Tell whether a robot goes a sensible part of the way in a step: a wrong unit makes it go none, or far too much."""
+    return 0.02 < reference.follow.gain < 1.6
+
+
+def _refer(found: Commands, part: Part, reference: Reference) -> None:
+    """Tell from what commands are counted."""
+    names = {"absolute": "absolute", "delta_state": "from the state", "delta_command": "from the last command"}
+    errors = ", ".join(f"{names[name]} {error:.2g}" for name, error in reference.errors.items())
+    if reference.alike:
+        why = "each command is reached in its step, so that counting from the state and from the last command is one"
+        answer = unknown("reference", part.subject, why, "a robot that lags behind its commands")
+    elif reference.value is None:
+        why = f"no reading explains where the robot goes (left unexplained: {errors})"
+        answer = unknown("reference", part.subject, why, _NO_STATE)
+    elif not enough(reference.margin):
+        why = f"two readings explain the motion nearly alike (left unexplained: {errors})"
+        answer = unknown("reference", part.subject, why, "longer or faster motion")
+    else:
+        said = f"left unexplained of the motion: {errors}"
+        if reference.value == "delta_command":
+            said += "; summed over an episode they stay with the state"
+        ranked = sorted(reference.errors, key=lambda name: reference.errors[name])
+        second = next(name for name in ranked if name != reference.value)
+        answer = Answer("reference", part.subject, reference.value, said, reference.margin, second)
+    found.answers.append(answer)
+
+
+def _late(found: Commands, part: Part, here: list[np.ndarray], there: list[np.ndarray], reference: Reference) -> None:
+    """Tell after how many steps commands are reached."""
+    if reference.value == "absolute":
+        lead = there
+    elif reference.value == "delta_state":
+        lead = [a + b for a, b in zip(here, there, strict=True)]
+    else:
+        lead = tracking.cumulated(here, there)
+    steps, off = tracking.reached(here, lead)
+    if off > 0.5:
+        return
+    said = f"the state is nearest to a command {steps:.1f} steps later, {100 * off:.2g} % of the motion off"
+    if steps < 0.2 and off < 1e-3:
+        said = "commands are a copy of the state of their own step"
+    elif abs(steps - 1) < 0.1 and off < 1e-3:
+        said = "commands are the state of the next step"
+    found.answers.append(Answer("latency", part.subject, round(steps, 1), said))
+
+
+def _contests(place: Part, turn: Part | None, state: ArmState) -> tuple[Contest, Contest]:
+    """Return how well readings of pose commands explain the motion."""
+    assert state.position is not None  # noqa: S101 - asked only then
+    positions = _cut(state.position.rows)
+    turns = {form: _cut(rows) for form, rows in state.turns().items()}
+    if not turns:
+        still = [np.tile([1.0, 0.0, 0.0, 0.0], (len(rows), 1)) for rows in positions]
+        turns = {("none", None): still}
+    spins = _cut(turn.rows) if turn is not None else []
+    forms = list(FORMS[turn.width]) if turn is not None else []
+    known = len(turns) == 1
+    if not known and turn is not None:  # of a form that is open those are tried that go together
+        forms = [form for form in forms if form[0] in ("axis_angle",) or form in turns]
+    unit = _DEGREES if turn is not None and turn.width == 3 and np.abs(turn.stacked).max() > _TURN else 1.0
+    return of_poses(positions, turns, _cut(place.rows), [rows * unit for rows in spins], forms)
+
+
+def _pose(found: Commands, place: Part, turn: Part | None, state: ArmState, *, normalised: bool) -> None:
+    """Tell what commands are that are poses."""
+    if state.position is None:
+        why = "no column of the state says where the arm is"
+        found.answers.append(unknown("kind", place.subject, why, _NO_STATE))
+        return
+    if normalised:
+        here, there = _cut(state.position.rows), _cut(place.rows)
+        _refer(found, place, of_scaled(here, there))
+        return
+    moved, spun = _contests(place, turn, state)
+    if moved.least <= tracking.PLAIN:
+        found.answers.append(Answer("kind", place.subject, POSITION, f"they move {state.position.subject}"))
+    _judged(found, place, moved, ("reference", "applied"))
+    value = moved.best["reference"]
+    here, there = _cut(state.position.rows), _cut(place.rows)
+    if moved.least <= tracking.PLAIN and not (value != "absolute" and moved.best["applied"] == "body"):
+        _late(found, place, here, there, of_numbers(here, there))
+    if turn is not None and spun.errors:
+        if spun.least <= tracking.PLAIN:
+            subject = state.rotation.subject if state.rotation is not None else place.subject
+            found.answers.append(Answer("kind", turn.subject, ROTATION, f"they turn {subject}"))
+        _judged(found, turn, spun, ("reference", "applied", "form"))
+        if len(state.forms) > 1 and state.rotation is not None and spun.least <= tracking.PLAIN:
+            form, margin, second = spun.judged("state")
+            if margin is not None and margin >= MARGIN:
+                said = f"so the commands explain how it turns, but for {spun.least:.2g}"
+                answer = Answer("rotation form", state.rotation.subject, told(form), said, margin, told(second))
+                state.answers[:] = [
+                    one
+                    for one in state.answers
+                    if (one.topic, one.subject) != ("rotation form", state.rotation.subject)
+                ]
+                state.answers.append(answer)
+                state.forms = (form,)
+    found.plots.append(Plot(f"{place.subject}, number {place.start}", here[0][:, 0], there[0][:, 0]))
+
+
+def _judged(found: Commands, part: Part, contest: Contest, facets: Sequence[str]) -> None:
+    """Tell each facet of the reading that explains most, where it is far enough ahead."""
+    for facet in facets:
+        topic = {"form": "rotation form"}.get(facet, facet)
+        if contest.least > tracking.PLAIN:
+            why = f"no reading explains where the robot goes; the best leaves {contest.least:.2g} of the motion"
+            found.answers.append(unknown(topic, part.subject, why, _NO_STATE))
+            continue
+        value, margin, second = contest.judged(facet)
+        if facet == "applied" and contest.best["reference"] == "absolute":
+            continue
+        degrees = facet == "form" and part.width == 3 and np.abs(part.stacked).max() > _TURN
+        name, other = (told(one, degrees=bool(degrees)) if isinstance(one, tuple) else one for one in (value, second))
+        if margin is not None and margin >= MARGIN:
+            left = _left(contest, facet, second)
+            said = f"read so, commands leave {contest.least:.2g} of the motion unexplained; {other} leaves {left:.2g}"
+            found.answers.append(Answer(topic, part.subject, name, said, margin, other))
+        elif margin is None:
+            found.answers.append(Answer(topic, part.subject, name, "there is no other form of so many numbers"))
+        else:
+            why = f"{name} and {other} explain the motion nearly alike ({contest.least:.2g})"
+            found.answers.append(unknown(topic, part.subject, why, "larger turns, or a robot that lags behind"))
+
+
+def _left(contest: Contest, facet: str, value: Any) -> float:
+    return min(error for key, error in contest.errors.items() if dict(key)[facet] == value)
+

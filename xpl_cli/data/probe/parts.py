@@ -1,0 +1,251 @@
+"""Which numbers of a column are joints, positions, rotations, grippers: by what only these can be.
+
+A rotation of four, six or nine numbers is told by its lengths and right angles. A gripper is told by how it moves: all
+of its motion lies in few steps. What is left are six or seven numbers of an arm.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from xpl_cli.data.probe.sample import words
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from xpl_cli.data.probe.sample import Series
+
+JOINTS, POSITION, ROTATION, GRIPPER, ARM, THREE, UNKNOWN = (
+    "joints",
+    "position",
+    "rotation",
+    "gripper",
+    "arm",
+    "three",
+    "unknown",
+)
+"""Kinds of parts. `arm` are six numbers, joints or a pose; `three` are a position or a rotation."""
+_UNIT: Final = 2e-3
+"""How far lengths and right angles may be off: numbers are stored with three digits and more."""
+_GAP: Final = 1.5
+"""How many times less of the steps a gripper moves in than any number of an arm."""
+_ARMS: Final = (7, 6, 5)
+_ONE: Final = (JOINTS, ARM, POSITION, ROTATION, GRIPPER)
+"""Kinds of which an arm has one in its state, and one in its commands."""
+_STILL: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some numbers of a column.
+
+    Attributes:
+        kind: what they are.
+        series: the column.
+        start, stop: which of its numbers.
+        arm: which arm, counted in the order of the columns.
+        side: left, right, or None where no name says it.
+        forms: of a rotation how it may be written, as far as its width tells.
+    """
+
+    kind: str
+    series: Series
+    start: int
+    stop: int
+    arm: int = 0
+    side: str | None = None
+    forms: tuple[str, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """How many numbers."""
+        return self.stop - self.start
+
+    @property
+    def rows(self) -> list[np.ndarray]:
+        """The numbers by episode, (T, width)."""
+        return [rows[:, self.start : self.stop] for rows in self.series.rows]
+
+    @property
+    def stacked(self) -> np.ndarray:
+        """The numbers of all episodes."""
+        return self.series.stacked[:, self.start : self.stop]
+
+    @property
+    def subject(self) -> str:
+        """How it is told: `action[0:7]`; the column's name alone where it is all of it."""
+        if self.width == self.series.width:
+            return self.series.name
+        return f"{self.series.name}[{self.start}:{self.stop}]"
+
+    def cut(self, kind: str, start: int, stop: int, forms: tuple[str, ...] = ()) -> Part:
+        """Return some of its numbers as a part of another kind; places count within it."""
+        return replace(self, kind=kind, start=self.start + start, stop=self.start + stop, forms=forms)
+
+
+def split(columns: Sequence[Series]) -> list[Part]:
+    """Return the parts of columns of one role, in their order, with their arms."""
+    found = [part for series in columns if np.isfinite(series.stacked).all() for part in _of(series)]
+    count = max((sum(part.kind == kind and _side(part) is None for part in found) for kind in _ONE), default=0)
+    threes = [part for part in found if part.kind == THREE and _side(part) is None]
+    kinds: dict[str, int] = {}
+    sides: dict[str, int] = {}
+    numbered = []
+    for part in found:
+        side = _side(part)
+        if side is not None:
+            arm = sides.setdefault(side, len(sides))
+        elif part.kind == THREE:  # an arm may have two of them, a position and a rotation
+            arm = threes.index(part) * max(count, 1) // len(threes)
+        else:
+            arm = kinds.get(part.kind, 0)
+            kinds[part.kind] = arm + 1
+        numbered.append(replace(part, arm=arm, side=side))
+    return numbered
+
+
+def concentration(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Return for each number (D,) in which share of the steps nine tenths of its motion lie.
+
+    Steps in which a number begins again at the other end, as angles do, are left out, with those of its neighbours.
+    """
+    steps = np.abs(np.concatenate([np.diff(episode, axis=0) for episode in rows]))
+    steps[begins_again(rows)] = 0.0
+    steps = np.sort(steps, axis=0)[::-1]
+    total = steps.sum(0)
+    reached = (np.cumsum(steps, 0) < 0.9 * total).sum(0) + 1
+    share: np.ndarray = np.where(total > _STILL, reached / len(steps), 0.0)
+    return share
+
+
+def begins_again(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Return in which steps (N, D) numbers that may be angles begin again at the other end, or stand beside such a one."""
+    steps = np.abs(np.concatenate([np.diff(episode, axis=0) for episode in rows]))
+    most = np.abs(np.concatenate(rows)).max(0)
+    begun = np.zeros(steps.shape, bool)
+    for turn in (2 * np.pi, 360.0):
+        begun |= (steps > 0.6 * turn) & (steps < 1.02 * turn) & (most > 0.4 * turn) & (most <= 0.52 * turn)
+    beside = begun.copy()
+    for shift in (1, 2):
+        beside[:, shift:] |= begun[:, :-shift]
+        beside[:, :-shift] |= begun[:, shift:]
+    return beside
+
+
+def _of(series: Series) -> Iterator[Part]:
+    """Yield the parts of one column."""
+    rotations = list(_rotations(series.stacked))
+    shares = concentration(series.rows)
+    edges = [(0, 0), *((start, stop) for start, stop, _ in rotations), (series.width, series.width)]
+    for place, ((_, begin), (end, after)) in enumerate(itertools.pairwise(edges)):
+        is_before = place < len(rotations)
+        yield from _run(series, begin, end, shares, is_before=is_before)
+        if is_before:
+            yield Part(ROTATION, series, end, after, forms=rotations[place][2])
+
+
+def _rotations(rows: np.ndarray) -> Iterator[tuple[int, int, tuple[str, ...]]]:
+    """Yield the places of rotations that their lengths tell, with the forms that they may have."""
+    at, width = 0, rows.shape[1]
+    while at < width:
+        for size, forms in (
+            (9, ("matrix",)),
+            (6, ("rot6d_columns", "rot6d_rows")),
+            (4, ("quaternion_wxyz", "quaternion_xyzw")),
+        ):
+            if at + size <= width and _is_rotation(rows[:, at : at + size]):
+                yield at, at + size, forms
+                at += size
+                break
+        else:
+            at += 1
+
+
+def _is_rotation(rows: np.ndarray) -> bool:
+    """Tell whether rows are quaternions, or the first two or all three axes of a rotation."""
+    width = rows.shape[1]
+    if width == 4:
+        lengths = np.linalg.norm(rows, axis=1)
+        moves = (np.ptp(rows, axis=0) > _STILL).sum()
+        return bool(np.abs(lengths - 1).max() < _UNIT and (moves >= 2 or _is_turn(rows[0])))
+    axes = rows.reshape(len(rows), -1, 3)
+    products = np.einsum("nij,nkj->nik", axes, axes)
+    return bool(np.abs(products - np.eye(width // 3)).max() < 2 * _UNIT)
+
+
+def _is_turn(row: np.ndarray) -> bool:
+    """Tell whether a quaternion that never changes is one that nobody writes otherwise: not all but one are zero."""
+    return bool((np.abs(row) > _UNIT).sum() >= 2)
+
+
+def _run(series: Series, begin: int, end: int, shares: np.ndarray, *, is_before: bool) -> Iterator[Part]:
+    """Yield the parts of numbers between rotations that are known."""
+    width = end - begin
+    if not width:
+        return
+    place = 3 if is_before and width >= 3 else 0
+    rest = width - place
+    layout = _layout(shares[begin : begin + rest], followed=bool(place), preceded=begin > 0)
+    if begins_again([rows[:, begin : begin + rest] for rows in series.rows]).any():
+        layout = [(UNKNOWN if kind == JOINTS else kind, size) for kind, size in layout]  # no joint does that
+    at = begin
+    for kind, size in layout:
+        yield Part(kind, series, at, at + size)
+        at += size
+    if place:
+        yield Part(POSITION, series, at, at + place)
+
+
+def _layout(shares: np.ndarray, *, followed: bool, preceded: bool) -> list[tuple[str, int]]:
+    """Return what numbers are, of which the shares of steps in which they move are known.
+
+    Args:
+        shares: of each.
+        followed: whether a pose comes behind them.
+        preceded: whether a rotation stands before them.
+    """
+    width = len(shares)
+    if not width:
+        return []
+    if width <= 2 and (preceded or followed):
+        return [(GRIPPER, width)]
+    found: list[tuple[float, list[tuple[str, int]]]] = []
+    for layout in _layouts(width):
+        gripping = np.concatenate([np.full(size, kind == GRIPPER) for kind, size in layout])
+        if gripping.all() or not gripping.any():
+            continue
+        gap = float(shares[~gripping].min() / max(shares[gripping].max(), _STILL))
+        found.append((gap, layout))
+    gap, layout = max(found, key=lambda entry: entry[0], default=(0.0, []))
+    if gap >= _GAP:
+        return layout
+    plain = {1: [(GRIPPER, 1)], 2: [(GRIPPER, 2)], 3: [(THREE, 3)], 6: [(ARM, 6)], 12: [(ARM, 6)] * 2}
+    plain |= {5: [(JOINTS, 5)], 7: [(JOINTS, 7)], 14: [(JOINTS, 7)] * 2}
+    if width <= 2 and shares.max() > 0.25:  # noqa: PLR2004 - no gripper moves as often
+        return [(UNKNOWN, width)]
+    return plain.get(width, [(UNKNOWN, width)])
+
+
+def _layouts(width: int) -> Iterator[list[tuple[str, int]]]:
+    """Yield arms with grippers that have so many numbers in all: one, two in turn, or two arms and then two grippers."""
+    if width == 4:
+        yield [(THREE, 3), (GRIPPER, 1)]
+    for size, fingers in itertools.product(_ARMS, (1, 2)):
+        arm = (ARM if size == 6 else JOINTS, size)
+        hand = (GRIPPER, fingers)
+        for layout in ([arm, hand], [hand, arm], [arm, hand] * 2, [hand, arm] * 2, [arm, arm, hand, hand]):
+            if sum(count for _, count in layout) == width:
+                yield layout
+
+
+def _side(part: Part) -> str | None:
+    """Return the side that the name of a column, or those of its numbers, say."""
+    said = set(words(part.series.name))
+    for name in part.series.names[part.start : part.stop]:
+        said |= set(words(name))
+    sides = said & {"left", "right"}
+    return sides.pop() if len(sides) == 1 else None

@@ -1,0 +1,131 @@
+"""What a probe reads: the numbers of some episodes, evenly spread, and what each column is for."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from xpl_cli.data.sets.interface import Demonstrations, Episode
+
+STATE, COMMAND, OTHER = "state", "command", "other"
+_COMMANDS: Final = frozenset(("action", "actions", "command", "commands", "target", "targets", "ctrl", "desired"))
+_CLOCKS: Final = frozenset(("timestamp", "timestamps", "time", "times", "stamp"))
+_OTHERS: Final = frozenset(
+    "reward rewards done dones success index discount terminal last first velocity velocities vel qvel effort torque "
+    "force current wrench progress subtask intrinsic intrinsics extrinsic extrinsics mask valid padding".split()
+)
+"""Words of columns that say neither where the robot is nor where it is to go."""
+_WIDEST: Final = 64
+_ROWS: Final = 6000
+"""Rows that are looked at in all: more tell nothing new, and 6,000 are 4 minutes at 25 Hz."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One column of the episodes that were read.
+
+    Attributes:
+        name: the file's.
+        role: state, command or other.
+        rows: of each episode, (T, D) float64.
+        names: what the file calls each number, if it does.
+    """
+
+    name: str
+    role: str
+    rows: tuple[np.ndarray, ...]
+    names: tuple[str, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """Numbers of a row."""
+        return int(self.rows[0].shape[1])
+
+    @property
+    def stacked(self) -> np.ndarray:
+        """The rows of all episodes, (N, D)."""
+        return np.concatenate(self.rows)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What was read of a set.
+
+    Attributes:
+        series: its columns of numbers.
+        episodes: the episodes.
+        whole: whether these are all of the set.
+    """
+
+    series: tuple[Series, ...]
+    episodes: tuple[Episode, ...]
+    whole: bool
+
+    def of(self, role: str) -> list[Series]:
+        """Return the columns of a role."""
+        return [one for one in self.series if one.role == role]
+
+
+def spread(count: int, most: int) -> list[int]:
+    """Return up to `most` places of `count`, evenly spread, the first and the last included."""
+    if count <= most:
+        return list(range(count))
+    return sorted({round(place) for place in np.linspace(0, count - 1, most)})
+
+
+def words(name: str) -> list[str]:
+    """Return the words of a name: `observation.state.left_arm` has four."""
+    return [word.lower() for word in re.split(r"[^A-Za-z0-9]+|_", name) if word]
+
+
+def role_of(name: str) -> str:
+    """Return what a column is for, by the words of its name."""
+    found = words(name)
+    if set(found) & (_OTHERS | _CLOCKS):
+        return OTHER
+    return COMMAND if set(found) & _COMMANDS else STATE
+
+
+def is_clock(name: str) -> bool:
+    """Tell whether a column is one of times, by the words of its name."""
+    return bool(set(words(name)) & _CLOCKS)
+
+
+def take(demonstrations: Demonstrations, most: int, told: Callable[[str], None] = lambda _: None) -> Sample:
+    """Read the numbers of up to `most` episodes, evenly spread; images are not read.
+
+    Raises:
+        DataError: a column cannot be read.
+    """
+    places = spread(len(demonstrations), most)
+    episodes: list[Episode] = []
+    rows: dict[str, list[np.ndarray]] = {}
+    names: dict[str, tuple[str, ...]] = {}
+    read = 0
+    for place in places:
+        episode = demonstrations[place]
+        if read >= _ROWS or episode.length < 2:
+            continue
+        told(f"{episode.key}: numbers")
+        for name, column in episode.columns.items():
+            if not np.issubdtype(np.dtype(column.dtype), np.number) and column.dtype != "bool":
+                continue
+            values = np.asarray(episode.read(name), np.float64).reshape(episode.length, -1)
+            if values.shape[1] <= _WIDEST:
+                rows.setdefault(name, []).append(values)
+                names.setdefault(name, column.names)
+        episodes.append(episode)
+        read += episode.length
+    series = [
+        Series(name, role_of(name), tuple(values), names[name])
+        for name, values in rows.items()
+        if len(values) == len(episodes) and len({entry.shape[1] for entry in values}) == 1
+    ]
+    return Sample(tuple(series), tuple(episodes), len(episodes) == len(demonstrations))
+

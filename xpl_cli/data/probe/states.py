@@ -1,0 +1,388 @@
+"""What an arm's state is: joints, poses, their units and forms; by kinematics where joints and poses are both there."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import get_embodiment, poses, rotation
+from xpl.convert import NativeError, rotations
+from xpl_cli.data.probe import chains
+from xpl_cli.data.probe.answer import MARGIN, Answer, Contest, enough, unknown
+from xpl_cli.data.probe.arms import FORMS, told
+from xpl_cli.data.probe.chains import FITS_MM, Reading
+from xpl_cli.data.probe.parts import ARM, JOINTS, POSITION, ROTATION, THREE, Part
+from xpl_cli.data.probe.sample import words
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DEGREES: Final = np.pi / 180
+_TURN: Final = 2 * np.pi
+_FITS_DEGREES: Final = 1.5
+_JUMP: Final = 2.5
+"""A change of an angle in one step, rad, that no arm makes: the number begins again at the other end."""
+_LEAST_MOTION: Final = 0.02
+_BESIDE: Final = "the same arm's joints beside its pose, and a robot that `xpl spec show` knows (--robot)"
+
+
+@dataclass
+class ArmState:
+    """An arm's state, as far as it was found out.
+
+    Attributes:
+        joints: the part with its joints; angles are those times `unit`.
+        unit: rad of one of its numbers; None where that is unknown.
+        position: the part with its position.
+        rotation: the part with its rotation.
+        forms: in which the rotation may be written; one where it is known.
+        reading: what kinematics says.
+        angles: rad of one number of a rotation of three numbers.
+    """
+
+    joints: Part | None = None
+    unit: float | None = None
+    position: Part | None = None
+    rotation: Part | None = None
+    forms: tuple[tuple[str, str | None], ...] = ()
+    reading: Reading | None = None
+    angles: float = 1.0
+    unsure: Part | None = None
+    answers: list[Answer] = field(default_factory=list)
+
+    def turns(self) -> dict[tuple[str, str | None], list[np.ndarray]]:
+        """Return the rotations (T, 4) of each episode, in each form in which they may be written."""
+        found = {}
+        for form in self.forms:
+            rows = self.rotation.rows if self.rotation is not None else []
+            try:
+                found[form] = [rotations.decode(episode * self.angles, *form) for episode in rows]
+            except NativeError:
+                continue
+        return found
+
+
+def of_arm(parts: Sequence[Part], robot: str | None) -> ArmState:
+    """Return what the parts of one arm's state are."""
+    arm = ArmState()
+    joints = [part for part in parts if part.kind in (JOINTS, ARM)]
+    places = [part for part in parts if part.kind in (POSITION, THREE)]
+    places += [part.cut(POSITION, 0, 3) for part in parts if part.kind == ARM]
+    _witness(arm, joints, places, robot)
+    for part in parts:
+        _settled(arm, part)
+    if arm.joints is not None:
+        arm.answers.append(_kind(arm.joints, JOINTS, arm))
+        arm.answers += _angles(arm)
+    if arm.position is not None:
+        arm.answers.append(_kind(arm.position, POSITION, arm))
+        arm.answers += _place(arm)
+    if arm.rotation is not None:
+        arm.answers += [_turning(arm.rotation), *_form(arm)]
+    if arm.unsure is not None:
+        why = "six numbers that are no quaternion, matrix or 6D form: joints or a pose, and nothing tells which"
+        arm.answers.append(unknown("kind", arm.unsure.subject, why, f"names of the numbers, or {_BESIDE}"))
+    return arm
+
+
+def plain(parts: Sequence[Part]) -> ArmState:
+    """Return an arm's state of which nothing can be told but its numbers, as normalised ones are."""
+    arm = ArmState()
+    arm.unsure = next((part for part in parts if part.kind in (JOINTS, ARM)), None)
+    arm.position = next((part for part in parts if part.kind == POSITION), None)
+    if arm.unsure is not None:
+        why = "its numbers are normalised, which hides what they are"
+        arm.answers.append(unknown("kind", arm.unsure.subject, why, "the statistics that they were normalised by"))
+    return arm
+
+
+def _witness(arm: ArmState, joints: Sequence[Part], places: Sequence[Part], robot: str | None) -> None:
+    """Let kinematics tell which parts are joints and which are a position, and of which robot."""
+    best = None
+    for orders in (False, True):
+        for part, place in itertools.product(joints, places):
+            overlap = place.series is part.series and place.start < part.stop and part.start < place.stop
+            names = chains.candidates(part.width, robot)
+            if overlap or not names or np.ptp(place.stacked, axis=0).max() < 1e-9:
+                continue
+            for unit in _units(part.stacked) if orders else (1.0, DEGREES):
+                found = chains.readings(part.stacked * unit, place.stacked, names, orders=orders)
+                if found and (best is None or found[0].error < best[0]):
+                    best = (found[0].error, part, place, found[0], unit, found)
+        if best is not None and best[0] <= FITS_MM:
+            break
+    if best is None or best[0] > FITS_MM:
+        return
+    error, part, place, reading, unit, found = best
+    span = float(np.linalg.norm(np.ptp(place.stacked, axis=0)))
+    if span * {"m": 1000.0, "cm": 10.0, "mm": 1.0}[reading.length] < 4 * FITS_MM:
+        return  # it hardly moves: any robot would do
+    arm.joints, arm.unit, arm.position, arm.reading = part, unit, place, reading
+    others = [one for one in found if one.robot != reading.robot]
+    said = f"its kinematics puts the {reading.point} within {error:.2g} mm of what was recorded"
+    subject = part.subject
+    if others and others[0].error < MARGIN * max(error, 0.5):
+        names = sorted({reading.robot, *(one.robot for one in others if one.error < MARGIN * max(error, 0.5))})
+        why = f"{' and '.join(names)} explain the poses alike"
+        arm.answers.append(unknown("robot", subject, why, "the robot's name: --robot"))
+    else:
+        margin = others[0].error / max(error, 0.5) if others else None
+        second = others[0].robot if others else None
+        arm.answers.append(Answer("robot", subject, reading.robot, said, margin, second))
+    rivals = [one for one in found if one.robot == reading.robot and one.order != reading.order]
+    names = get_embodiment(reading.robot).arms[0].joint_names or ()
+    value = [names[reading.order.index(place)] for place in range(part.width)]
+    plain = reading.order == tuple(range(part.width))
+    margin = rivals[0].error / max(error, 0.5) if rivals else None
+    if margin is None or margin >= MARGIN:
+        told = "in the embodiment's order they explain the poses" if plain else "only in this order they do"
+        arm.answers.append(Answer("joint order", subject, value, f"{told}, to {error:.2g} mm", margin))
+    else:
+        why = f"other orders explain the poses within {rivals[0].error:.2g} mm too"
+        arm.answers.append(unknown("joint order", subject, why, "episodes in which each joint moves"))
+    for facet in ("frame", "point", "side"):
+        value = getattr(reading, facet)
+        other = [one for one in found if one.robot == reading.robot and getattr(one, facet) != value]
+        margin = other[0].error / max(error, 0.5) if other else None
+        second = getattr(other[0], facet) if other else None
+        if facet == "side" and (reading.frame == "base" or value == "single"):
+            continue
+        if enough(margin):
+            arm.answers.append(Answer(facet, place.subject, value, said, margin, second))
+        else:
+            why = f"{value} and {second} explain the poses alike"
+            arm.answers.append(unknown(facet, place.subject, why, "poses that turn the tool"))
+
+
+def _units(rows: np.ndarray) -> tuple[float, ...]:
+    """Return the unit that joints most likely have."""
+    return (DEGREES,) if np.abs(rows).max() > _TURN * 1.2 else (1.0,)
+
+
+def _settled(arm: ArmState, part: Part) -> None:
+    """Take a part for what it can only be."""
+    if part.kind == JOINTS and arm.joints is None:
+        arm.joints = part
+    elif part.kind == POSITION and arm.position is None:
+        arm.position = part
+    elif part.kind == ROTATION and arm.rotation is None:
+        arm.rotation, arm.forms = part, FORMS[part.width]
+    elif part.kind == ARM and part is not arm.joints:
+        is_place = arm.position is not None and arm.position.start == part.start and arm.position.series is part.series
+        begins = bool(_wraps(part.cut(ROTATION, 3, 6)))
+        said = _said(part)
+        if is_place or (arm.joints is not None and arm.joints.width >= 5) or begins or said == POSITION:
+            arm.position = part.cut(POSITION, 0, 3)
+            arm.rotation, arm.forms = part.cut(ROTATION, 3, 6), FORMS[3]
+        elif said == JOINTS or chains.begins_at_home(part.rows):
+            arm.joints = part
+        else:
+            arm.unsure = part
+    elif part.kind == THREE and (arm.position is None or part.subject != arm.position.subject):
+        if arm.position is None and not _wraps(part):
+            arm.position = part
+        elif arm.rotation is None:
+            arm.rotation, arm.forms = part, FORMS[3]
+
+
+def _said(part: Part) -> str | None:
+    """Return whether the file's own names say joints or a pose."""
+    names = [words(name) for name in part.series.names[part.start : part.stop]] or [words(part.series.name)]
+    every = {word for name in names for word in name}
+    if every & {"joint", "joints", "qpos"} or any(word.startswith("joint") for word in every):
+        return JOINTS
+    last = [name[-1] for name in names if name]
+    if last[:3] == ["x", "y", "z"] or every & {"pose", "eef", "tcp", "cartesian"}:
+        return POSITION
+    return None
+
+
+def _kind(part: Part, kind: str, arm: ArmState) -> Answer:
+    """Return what a part is, with what tells it."""
+    if arm.reading is not None:
+        said = f"kinematics of {arm.reading.robot} explains them to {arm.reading.error:.2g} mm"
+        return Answer("kind", part.subject, kind, said)
+    if kind == POSITION:
+        return Answer("kind", part.subject, kind, "three numbers beside a rotation")
+    home = chains.begins_at_home(part.rows)
+    if home is not None:
+        return Answer("kind", part.subject, kind, f"episodes begin at the home pose of {home}, to 0.05 rad")
+    if _said(part) == JOINTS:
+        return Answer("kind", part.subject, kind, "the names in the file say so", said=True)
+    return Answer("kind", part.subject, kind, f"{part.width} numbers of an arm, and no rotation among them")
+
+
+def _turning(part: Part) -> Answer:
+    """Return that a part is a rotation, with what tells it."""
+    if part.forms:
+        what = {4: "a length of 1", 6: "two unit vectors at a right angle", 9: "three unit vectors at right angles"}
+        return Answer("kind", part.subject, ROTATION, f"its {part.width} numbers have {what[part.width]} in every row")
+    if _wraps(part):
+        return Answer("kind", part.subject, ROTATION, "it begins again at the other end, as no joint does")
+    if _said(part) is not None:
+        return Answer("kind", part.subject, ROTATION, "the names in the file say so", said=True)
+    return Answer("kind", part.subject, ROTATION, "three numbers behind the position")
+
+
+def _angles(arm: ArmState) -> list[Answer]:
+    """Return the unit of joints."""
+    part = arm.joints
+    assert part is not None  # noqa: S101 - asked only then
+    rows = part.stacked
+    most, span = float(np.abs(rows).max()), float(np.ptp(rows, axis=0).max())
+    if arm.reading is not None:
+        value = "deg" if arm.unit == DEGREES else "rad"
+        said = f"so they explain the poses, to {arm.reading.error:.2g} mm"
+        return [Answer("angle unit", part.subject, value, said, _TURN)]
+    if most > _TURN * 1.2:
+        arm.unit = DEGREES
+        said = f"a joint stands at {most:.4g}, which is {most / _TURN:.1f} turns in radians"
+        return [Answer("angle unit", part.subject, "deg", said, most / _TURN)]
+    if span > 0.15:
+        arm.unit = 1.0
+        said = f"the joint that moves most moves through {span:.3g}, which in degrees would be hardly any motion"
+        return [Answer("angle unit", part.subject, "rad", said, min(57.3, 10 * span / 0.15))]
+    return [unknown("angle unit", part.subject, f"no joint moves through more than {span:.2g}", "longer motion")]
+
+
+def _place(arm: ArmState) -> list[Answer]:
+    """Return the unit of a position, and its frame where kinematics does not know it."""
+    part = arm.position
+    assert part is not None  # noqa: S101 - asked only then
+    if arm.reading is not None:
+        said = f"so kinematics explains it, to {arm.reading.error:.2g} mm"
+        return [Answer("length unit", part.subject, arm.reading.length, said, 10.0)]
+    most = float(np.abs(part.stacked).max())
+    found: list[Answer] = []
+    if 0.08 <= most <= 3:
+        said = f"the farthest it is from its origin is {most:.3g}; an arm reaches as far in metres"
+        found.append(Answer("length unit", part.subject, "m", said, 3 / most + 1))
+    elif most > 80:
+        said = f"the farthest it is from its origin is {most:.4g}; an arm reaches as far in millimetres"
+        found.append(Answer("length unit", part.subject, "mm", said, most / 40))
+    else:
+        found.append(unknown("length unit", part.subject, f"the farthest it is from its origin is {most:.3g}", _BESIDE))
+    for facet in ("frame", "point"):
+        found.append(unknown(facet, part.subject, "there are no joints that say where the arm is", _BESIDE))
+    return found
+
+
+def _form(arm: ArmState) -> list[Answer]:
+    """Return how a rotation is written: by kinematics, or by where its numbers begin again."""
+    part = arm.rotation
+    assert part is not None  # noqa: S101 - asked only then
+    if arm.reading is not None and arm.joints is not None:
+        return _by_kinematics(arm, part)
+    if part.width == 9:
+        return [Answer("rotation form", part.subject, "matrix", "three unit vectors at right angles, row by row")]
+    if part.width == 3:
+        rows = part.stacked
+        if float(np.abs(rows).max()) > _TURN * 1.2:
+            arm.angles = DEGREES
+        found = _wraps(part)
+        if found:
+            form, said, margin = found
+            kept = tuple(one for one in FORMS[3] if one[0] == form)
+            arm.forms = kept
+            if form == "axis_angle":
+                return [Answer("rotation form", part.subject, form, said, margin)]
+            return _smoothest(arm, part, said)
+    why = {
+        3: "no number begins again at the other end, and three angles look alike in all forms until one does",
+        4: "a quaternion turns as far in either order",
+        6: "columns and rows are at right angles alike",
+    }[part.width]
+    return [unknown("rotation form", part.subject, why, f"{_BESIDE}; or commands that are deltas")]
+
+
+def _by_kinematics(arm: ArmState, part: Part) -> list[Answer]:
+    """Return the form in which a rotation agrees with the joints."""
+    reading = arm.reading
+    assert reading is not None  # noqa: S101 - asked only then
+    assert arm.joints is not None  # noqa: S101 - likewise
+    robot = get_embodiment(reading.robot)
+    joints = arm.joints.stacked[:, list(reading.order)] * (arm.unit or 1.0)
+    few = np.linspace(0, len(joints) - 1, 200).astype(int)
+    outer, inner = chains.places(robot, reading.side)[reading.point, reading.frame]
+    expected = poses.compose(poses.compose(outer, chains.flange(robot.data, joints[few])), inner)[:, 3:]
+    rows = part.stacked[few]
+    errors: dict[Any, float] = {}
+    for form in FORMS[part.width]:
+        for unit in (1.0, DEGREES) if part.width == 3 else (1.0,):
+            try:
+                read = rotations.decode(rows * unit, *form)
+            except NativeError:
+                continue
+            off = np.rad2deg(rotation.angle_between(read, expected))
+            errors[("form", form), ("unit", unit)] = float(np.sqrt(np.mean(off * off)))
+    contest = Contest(errors, 0.1)
+    form, margin, second = contest.judged("form")
+    if contest.least > _FITS_DEGREES or not enough(margin):
+        turned = _turned(rows, expected, part.width)
+        if turned is not None:
+            arm.forms = (turned[0],)
+            said = f"with a fixed turn of the tool it agrees with the joints to {turned[1]:.2g} degrees"
+            return [Answer("rotation form", part.subject, told(turned[0]), said, turned[2])]
+        why = f"no form agrees with the joints by less than {contest.least:.2g} degrees"
+        return [unknown("rotation form", part.subject, why, "the frame and the tool that poses are of")]
+    arm.forms, arm.angles = (form,), contest.best["unit"]
+    said = f"so it agrees with the joints to {contest.least:.2g} degrees"
+    name = told(form, degrees=arm.angles != 1.0)
+    return [Answer("rotation form", part.subject, name, said, margin, told(second) if second else None)]
+
+
+def _turned(rows: np.ndarray, expected: np.ndarray, width: int) -> tuple[Any, float, float] | None:
+    """Return the form in which a rotation agrees with the joints but for one fixed turn of the tool, error and margin."""
+    errors: dict[Any, float] = {}
+    for form in FORMS[width]:
+        try:
+            read = rotations.decode(rows, *form)
+        except NativeError:
+            continue
+        between = rotation.multiply(rotation.conjugate(expected), read)
+        _, vectors = np.linalg.eigh(between.T @ between)
+        off = np.rad2deg(rotation.angle_between(between, rotation.normalise(vectors[:, -1])))
+        errors[form] = float(np.sqrt(np.mean(off * off)))
+    ranked = sorted(errors.items(), key=lambda entry: entry[1])
+    if not ranked or ranked[0][1] > _FITS_DEGREES:
+        return None
+    margin = ranked[1][1] / max(ranked[0][1], 0.1) if len(ranked) > 1 else 10.0
+    return (ranked[0][0], ranked[0][1], margin) if margin >= MARGIN else None
+
+
+def _wraps(part: Part) -> tuple[str, str, float] | None:
+    """Return what the places where numbers begin again tell of the form of three angles, None without any."""
+    for unit in (1.0, DEGREES):
+        count, off = 0, np.zeros(2)
+        for rows in part.rows:
+            angles = rows * unit
+            steps = np.diff(angles, axis=0)
+            for row in np.flatnonzero((np.abs(steps) > _JUMP).any(1)):
+                before, after = angles[row], angles[row + 1]
+                length = float(np.linalg.norm(before))
+                jumped = np.abs(steps[row]) > _JUMP
+                turned = -before * (_TURN - length) / max(length, 1e-9)
+                begun = before - _TURN * np.sign(before) * jumped
+                here = np.array([np.linalg.norm(after - turned), np.linalg.norm(after - begun)])
+                if here.min() < 0.5:
+                    count += 1
+                    off += here
+        if not count:
+            continue
+        margin = float(off.max() / max(off.min(), 0.02))
+        if margin < 2 * MARGIN:
+            return None
+        form = "axis_angle" if off[0] < off[1] else "euler"
+        what = "one angle begins again at the other end" if form == "euler" else "the vector turns round at half a turn"
+        return form, f"{what} {count} times, and other forms do not fit there by {off.max() / count:.2g} rad", margin
+    return None
+
+
+def _smoothest(arm: ArmState, part: Part, said: str) -> list[Answer]:
+    """Return that the axes of Euler angles are open: every order begins again alike."""
+    why = f"{said}; which axes they are about it does not tell"
+    answer = unknown("rotation form", part.subject, why, _BESIDE)
+    return [answer]

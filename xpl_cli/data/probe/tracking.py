@@ -1,0 +1,157 @@
+"""How well a reading of commands explains where the robot goes next.
+
+A robot follows its command: each step it goes part of the way from where it is to where it was told to be. So of a
+right reading C of commands the differences C[t-i] - S[t] explain the next step S[t+1] - S[t] with gains that are not
+negative, and of a wrong one they do not. What stays unexplained, a share of the step's squares, is the error of the
+reading; 1 is what a command explains that says nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from xpl import rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    Minus = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+SHIFTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, -1, -2, -3)
+"""Steps by which a command may come into effect late, or be written down late."""
+PLAIN: Final = 0.3
+"""Errors up to which a reading explains the motion."""
+_SCALES: Final = tuple(float(scale) for scale in 2.0 ** np.arange(-10, 10.1, 0.25))
+_SHARP: Final = (0.8, 1.25)
+_LAGS: Final = 3
+_LONGEST: Final = 15
+"""Steps within which a command is reached."""
+
+
+def numbers(there: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """Return the way from one vector to another, number by number."""
+    difference: np.ndarray = there - here
+    return difference
+
+
+def turns(there: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """Return the way from one rotation (..., 4) to another as a rotation vector (..., 3) in the fixed frame."""
+    return rotation.to_axis_angle(rotation.multiply(there, rotation.conjugate(here)))
+
+
+@dataclass(frozen=True)
+class Follow:
+    """How a state follows a reading of its commands.
+
+    Attributes:
+        error: share of the motion that it leaves unexplained.
+        shift: steps by which commands come into effect late; below zero where they are written down late.
+        gain: which part of the way to its command it goes in a step.
+    """
+
+    error: float
+    shift: int
+    gain: float = 0.0
+
+
+def follow(
+    states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus = numbers, shifts: Sequence[int] = (0,)
+) -> Follow:
+    """Return how states follow commands.
+
+    Args:
+        states, commands: by episode, (T, D) of the same unit and frame.
+        minus: the way between two of them.
+        shifts: how late commands may come into effect, steps.
+    """
+    found = [_followed(states, commands, minus, shift) for shift in shifts]
+    least = min(one.error for one in found)
+    return next(one for one in found if one.error <= 1.02 * least + 1e-9)
+
+
+def reached(states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus = numbers) -> tuple[float, float]:
+    """Return after how many steps commands are reached, and how far off they still are then, a share of the motion.
+
+    Both are means: the first is where a parabola through the least error and its neighbours has its bottom.
+    """
+    errors = []
+    longest = min(_LONGEST, min(len(rows) for rows in states) // 2)
+    for lag in range(longest):
+        off = [minus(c[: len(c) - lag], s[lag:]) for s, c in zip(states, commands, strict=True)]
+        errors.append(float(np.mean(np.concatenate(off) ** 2)))
+    about = [minus(rows, np.broadcast_to(rows[len(rows) // 2], rows.shape)) for rows in states]
+    span = float(np.mean(np.concatenate(about) ** 2)) or 1.0
+    best = int(np.argmin(errors))
+    share = float(np.sqrt(errors[best] / span))
+    if not 0 < best < longest - 1:
+        return float(best), share
+    before, here, after = errors[best - 1 : best + 2]
+    bend = before - 2 * here + after
+    return best + (0.5 * (before - after) / bend if bend > 0 else 0.0), share
+
+
+def cumulated(states: Sequence[np.ndarray], steps: Sequence[np.ndarray], scale: float = 1.0) -> list[np.ndarray]:
+    """Return commands (T, D) that begin at the state and go on by a step each."""
+    return [here[:1] + scale * np.cumsum(step, axis=0) for here, step in zip(states, steps, strict=True)]
+
+
+def sharpness(states: Sequence[np.ndarray], steps: Sequence[np.ndarray], shift: int, scale: float = 1.0) -> float:
+    """Return how much better summed steps explain the motion than the same steps a fifth shorter or a quarter longer.
+
+    Steps that are counted from the state explain motion at any scale, as gains are free. Summed over an episode they
+    stay with the state at one scale only.
+    """
+    own = _followed(states, cumulated(states, steps, scale), numbers, shift).error
+    others = [
+        follow(states, cumulated(states, steps, scale * other), numbers, (shift, shift + 1)).error for other in _SHARP
+    ]
+    return min(others) / max(own, 1e-6)
+
+
+def scaled(states: Sequence[np.ndarray], steps: Sequence[np.ndarray]) -> tuple[float, Follow]:
+    """Return the scale at which summed steps explain one number (T, 1) best, and how well."""
+    tried = [(scale, follow(states, cumulated(states, steps, scale), numbers, (0, 1))) for scale in _SCALES]
+    about, _ = min(tried, key=lambda entry: entry[1].error)
+    near = [about * factor for factor in np.linspace(0.86, 1.16, 31)]
+    tried = [(scale, follow(states, cumulated(states, steps, scale), numbers, (0, 1))) for scale in near]
+    return min(tried, key=lambda entry: entry[1].error)
+
+
+def _followed(states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus, shift: int) -> Follow:
+    """Return the share of the motion that commands leave unexplained, and their gain."""
+    begin, late = max(shift + _LAGS - 1, _LAGS - 1), max(-shift, 0)
+    gram, moment, power = np.zeros((_LAGS, _LAGS)), np.zeros(_LAGS), 0.0
+    for state, command in zip(states, commands, strict=True):
+        last = len(state) - 1 - late
+        if last - begin < 2:
+            continue
+        here, after = state[begin:last], state[begin + 1 : last + 1]
+        step = minus(after, here)
+        reasons = [minus(command[begin - shift - lag : last - shift - lag], here) for lag in range(_LAGS)]
+        columns = np.stack([reason.ravel() for reason in reasons])
+        gram += columns @ columns.T
+        moment += columns @ step.ravel()
+        power += float((step * step).sum())
+    if power <= 0:
+        return Follow(1.0, shift)
+    left, gain = _left(gram, moment, power)
+    return Follow(left, shift, gain)
+
+
+def _left(gram: np.ndarray, moment: np.ndarray, power: float) -> tuple[float, float]:
+    """Return what the best gains that are not negative leave of a power, and their sum; all sets of gains are tried."""
+    best, gain = power, 0.0
+    size = len(moment)
+    ridge = 1e-9 * float(np.trace(gram)) / size + 1e-300
+    for count in range(1, size + 1):
+        for chosen in itertools.combinations(range(size), count):
+            part = gram[np.ix_(chosen, chosen)] + ridge * np.eye(count)
+            gains = np.linalg.solve(part, moment[list(chosen)])
+            left = power - float(gains @ moment[list(chosen)])
+            if (gains >= 0).all() and left < best:
+                best, gain = left, float(gains.sum())
+    return max(best, 0.0) / power, gain
