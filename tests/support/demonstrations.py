@@ -145,7 +145,10 @@ def _episode(motion: Motion, how: Convention, index: int) -> MemoryEpisode:
         seen = {name: rows[kept] for name, rows in seen.items()}
         wanted = {name: rows[kept] for name, rows in wanted.items()}
         if how.late:
-            wanted = {name: np.concatenate([rows[how.late :], np.repeat(rows[-1:], how.late, 0)]) for name, rows in wanted.items()}
+            wanted = {
+                name: np.concatenate([rows[how.late :], np.repeat(rows[-1:], how.late, 0)])
+                for name, rows in wanted.items()
+            }
         said = _counted(seen, wanted, how)
         written = {name: _written(name, rows, how, how.gripper, how.order) for name, rows in seen.items()}
         order = how.action_order or how.order
@@ -157,7 +160,9 @@ def _episode(motion: Motion, how: Convention, index: int) -> MemoryEpisode:
         if how.beside:
             columns[f"observation.{prefix}joints"] = written["joints"]
         for name in how.action:
-            numbers.setdefault("action", []).append(_written(name, said[name], how, how.action_gripper, order, said=True))
+            numbers.setdefault("action", []).append(
+                _written(name, said[name], how, how.action_gripper, order, said=True)
+            )
     columns |= {name: np.concatenate(parts, axis=1) for name, parts in numbers.items()}
     if how.stamps:
         name, scale = how.stamps
@@ -187,12 +192,20 @@ def _names(motion: Motion, how: Convention) -> dict[str, tuple[str, ...]]:
 
 def _arm(motion: Motion, side: str, how: Convention, role: str) -> dict[str, np.ndarray]:
     joints, opening, flange = (
-        (motion.joints, motion.opening, motion.poses) if role == "state" else (motion.commands, motion.grip, motion.targets)
+        (motion.joints, motion.opening, motion.poses)
+        if role == "state"
+        else (motion.commands, motion.grip, motion.targets)
     )
     robot = get_embodiment(motion.robot)
     pose = frames.Frame(robot, side, how.point, how.frame).encode(flange[side])
     grip = np.asarray(opening[side], np.float64)[:, None]
-    return {"joints": joints[side].astype(np.float64), "position": pose[:, :3], "rotation": pose[:, 3:], "gripper": grip, "fingers": grip}
+    return {
+        "joints": joints[side].astype(np.float64),
+        "position": pose[:, :3],
+        "rotation": pose[:, 3:],
+        "gripper": grip,
+        "fingers": grip,
+    }
 
 
 def _counted(seen: dict[str, np.ndarray], wanted: dict[str, np.ndarray], how: Convention) -> dict[str, np.ndarray]:
@@ -227,4 +240,3 @@ def _written(
     if name == "fingers":
         return np.concatenate([value / 2, -value / 2], axis=1)
     return value
-

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 WIDTHS = {"position": 3, "gripper": 1, "fingers": 2}
 FORMS = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9, "rot6d_columns": 6, "rot6d_rows": 6}
-ANY = object()
-"""A value that nobody is told here: right whatever it is."""
 
 
 def expected(motions: Sequence[Motion], how: Convention) -> dict[tuple[str, str], Any]:
@@ -55,20 +53,22 @@ def expected(motions: Sequence[Motion], how: Convention) -> dict[tuple[str, str]
     return truth
 
 
-def _of_side(truth: dict[Any, Any], where: dict[Any, str], how: Convention, *, robot: str, side: str, names: list[str]) -> None:
+def _of_side(
+    truth: dict[Any, Any], where: dict[Any, str], how: Convention, *, robot: str, side: str, names: list[str]
+) -> None:
     for (role, part), subject in where.items():
         kind = {"fingers": "gripper"}.get(part, part)
-        if kind != "gripper":
-            truth["kind", subject] = kind
-        ends = how.gripper if role == "s" else how.action_gripper
         if kind == "gripper":
+            ends = how.gripper if role == "s" else how.action_gripper
             truth["gripper direction", subject] = "larger is open" if ends[1] > ends[0] else "smaller is open"
+            continue
+        truth["kind", subject] = kind
         if part == "joints" and not (role == "a" and how.normalise):
             truth["angle unit", subject] = "deg" if how.unit < 1 else "rad"
         if part == "rotation":
             name = how.form + (f" {how.euler}" if how.euler else "") + (" in degrees" if how.degrees else "")
             truth["rotation form", subject] = name
-        if role == "a" and kind != "gripper":
+        if role == "a":
             truth["reference", subject] = how.reference
             if part in {"position", "rotation"} and how.reference != "absolute":
                 truth["applied", subject] = how.applied
@@ -77,12 +77,18 @@ def _of_side(truth: dict[Any, Any], where: dict[Any, str], how: Convention, *, r
         found = [list(other).index(joint) for joint in own]
         truth["order", where["a", "joints"]] = "as the state" if found == sorted(found) else found
     if ("s", "position") in where:
-        subject = where["s", "position"]
-        truth["length unit", subject] = {1.0: "m", 0.01: "cm", 0.001: "mm"}[how.length]
-        truth["frame", subject], truth["point", subject] = how.frame, how.point
-        if side != "single" and how.frame == "world":
-            truth["side", subject] = side
-    if ("s", "position") in where and ("s", "joints") in where:
+        _of_pose(truth, where, how, robot=robot, side=side, names=names)
+
+
+def _of_pose(
+    truth: dict[Any, Any], where: dict[Any, str], how: Convention, *, robot: str, side: str, names: list[str]
+) -> None:
+    subject = where["s", "position"]
+    truth["length unit", subject] = {1.0: "m", 0.01: "cm", 0.001: "mm"}[how.length]
+    truth["frame", subject], truth["point", subject] = how.frame, how.point
+    if side != "single" and how.frame == "world":
+        truth["side", subject] = side
+    if ("s", "joints") in where:
         truth["robot", where["s", "joints"]] = robot
         truth["joint order", where["s", "joints"]] = [names[joint] for joint in how.order or range(len(names))]
 
@@ -102,10 +108,14 @@ def judge(found: Found, motions: Sequence[Motion], how: Convention) -> tuple[lis
         told = f"{answer.topic} of {answer.subject}: {answer.value}"
         if key not in truth:
             wrong.append(f"{told}, of which nothing is so")
-        elif truth[key] == answer.value or (isinstance(truth[key], float) and np.isclose(truth[key], answer.value, rtol=0.01)):
+        elif truth[key] == answer.value or (
+            isinstance(truth[key], float) and np.isclose(truth[key], answer.value, rtol=0.01)
+        ):
             right.append(told)
         else:
             wrong.append(f"{told}, and it is {truth[key]}")
     known = {(answer.topic, answer.subject) for answer in found.answers if answer.is_known}
-    missing = [f"{topic} of {subject}: {value}" for (topic, subject), value in truth.items() if (topic, subject) not in known]
+    missing = [
+        f"{topic} of {subject}: {value}" for (topic, subject), value in truth.items() if (topic, subject) not in known
+    ]
     return right, wrong, missing

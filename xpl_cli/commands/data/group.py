@@ -6,8 +6,10 @@ import typer
 
 from xpl_cli.commands.data.convert import convert
 from xpl_cli.commands.data.listing import list_
+from xpl_cli.commands.data.probe import probe
 
 app = typer.Typer(help="Look at demonstrations, check and convert them.", no_args_is_help=True)
 
 app.command("list")(list_)
 app.command()(convert)
+app.command()(probe)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MARGIN: Final = 1.5
-"""How many times worse the second best has to be. Chosen on the sets of tests/data/probe/written.py, then left alone."""
+"""How many times worse the second best has to be. Chosen on the sets of tests/data/probe/written.py, and left alone."""
 
 MOST_MARGIN: Final = 1000.0
 """Margins are told up to here: beyond it they say the same."""
@@ -21,7 +21,7 @@ class Answer:
     """One convention.
 
     Attributes:
-        topic: what it is about: `rate`, `reference`, `rotation form`; the words of native.schema.json where it has some.
+        topic: what it is about: `rate`, `reference`, `rotation form`; words of native.schema.json where it has some.
         subject: what it is a convention of: a column, a part of one (`action[0:7]`), a camera, or `set`.
         value: the convention; None where it is unknown.
         evidence: one sentence with the figure that it rests on; of what is unknown, why.

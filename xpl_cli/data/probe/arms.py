@@ -35,7 +35,7 @@ FORMS: Final[Mapping[int, tuple[tuple[str, str | None], ...]]] = {
 _SHARP: Final = 2.0
 """How sharp the scale has to be at which summed steps stay with the state."""
 _EXACT: Final = 2e-3
-"""Errors below which each command is reached in its step: then it is one whether steps are counted from state or command."""
+"""Errors below which each command is reached in its step: counting from state and from command is one then."""
 
 
 def told(form: tuple[str, str | None], *, degrees: bool = False) -> str:
@@ -98,7 +98,7 @@ def of_numbers(states: Rows, commands: Rows) -> Reference:
 
 
 def of_scaled(states: Rows, commands: Rows) -> Reference:
-    """Return from what commands (T, D) are counted whose numbers are each scaled and shifted, as normalisation does."""
+    """Return from what commands (T, D) are counted whose numbers are each scaled and shifted, as if normalised."""
     found: dict[str, list[Follow]] = {ABSOLUTE: [], DELTA_STATE: [], DELTA_COMMAND: []}
     sharp, weights = [], []
     for index in range(states[0].shape[1]):
@@ -138,7 +138,7 @@ def usual(values: np.ndarray) -> float:
 
 
 def fitted(states: Rows, commands: Rows) -> list[np.ndarray]:
-    """Return commands of one number (T, 1), scaled and shifted so that they lie nearest to the state some steps later."""
+    """Return commands of one number (T, 1), scaled and shifted to lie nearest to the state some steps later."""
     best: tuple[float, float, float] = (np.inf, 1.0, 0.0)
     for lag in range(min(6, min(map(len, states)) // 2)):
         x = np.concatenate([rows[: len(rows) - lag, 0] for rows in commands])
@@ -180,7 +180,7 @@ def order_of(states: Rows, commands: Rows) -> tuple[tuple[int, ...], float]:
     return tuple(map(int, places)), float(min(margins, default=np.inf))
 
 
-def of_poses(  # noqa: PLR0913 - a pose has two halves, in state and command
+def of_poses(
     positions: Rows, turns: Mapping[tuple[str, str | None], Rows], moves: Rows, spins: Rows, forms: Sequence[Any]
 ) -> tuple[Contest, Contest]:
     """Return how well each reading of pose commands explains the motion, of positions and of rotations.
@@ -188,7 +188,8 @@ def of_poses(  # noqa: PLR0913 - a pose has two halves, in state and command
     Args:
         positions: of the state, (T, 3).
         turns: its rotations (T, 4), in each form in which they may be written.
-        moves, spins: position (T, 3) and rotation (T, width) of the commands.
+        moves: position (T, 3) of the commands.
+        spins: their rotation (T, width).
         forms: in which the rotations of the commands may be written.
     """
     errors: dict[tuple[tuple[str, Any], ...], float] = {}

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from xpl_cli.data.probe.answer import MARGIN, Answer, unknown
+from xpl_cli.data.probe.answer import Answer, unknown
 from xpl_cli.data.probe.sample import spread, words
 
 if TYPE_CHECKING:
@@ -21,6 +21,14 @@ _EDGE: Final = 48
 """Pixels that a picture is made smaller to."""
 _SEEN: Final = 10
 """Steps of 256 that a pixel has to change by."""
+_EDGES: Final = 24
+"""Steps of 256 between neighbours that make an edge."""
+_FEWEST: Final = 30
+_PAIRS: Final = 8
+_MOVING, _FIXED = 0.3, 0.38
+"""Shares of its edges that a camera keeps which moves with an arm, at most, and which stands still, at least."""
+_STILL: Final = 0.05
+"""Way, rad or m, below which an arm has not moved."""
 _CLIP: Final = 2000
 """Frames of an episode that are decoded at most."""
 
@@ -73,35 +81,70 @@ def _frames(episode: Episode, camera: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _mounted(name: str, shown: Sequence[Any], arms: Mapping[str, Sequence[np.ndarray]]) -> Answer:
-    """Return whether a camera stands still or moves with an arm."""
-    changes, moves = [], {arm: [] for arm in arms}
-    for place, steps, frames in shown:
-        changes.append((np.abs(np.diff(frames, axis=0)).max(-1) > _SEEN).mean((1, 2)))
-        for arm, rows in arms.items():
-            moves[arm].append(np.linalg.norm(np.diff(rows[place][steps], axis=0), axis=1))
-    change = np.concatenate(changes)
+    """Return whether a camera stands still or moves with an arm: what becomes of its edges once the arm has moved."""
     if not arms:
         return unknown("camera", name, "no arm is known that it could move with", "columns of joints or poses")
-    moved = {arm: np.concatenate(rows) for arm, rows in moves.items()}
-    every = np.sum([rows / max(float(rows.max()), 1e-9) for rows in moved.values()], axis=0)
-    fast = every >= np.quantile(every, 0.6)
-    share = float(np.median(change[fast]))
-    if share < 0.2:
-        said = f"while the arm moves, {100 * share:.0f} % of its picture change"
-        return Answer("camera", name, "fixed", said, 0.2 / max(share, 0.01))
-    links = {arm: float(np.corrcoef(change, np.sqrt(rows))[0, 1]) for arm, rows in moved.items() if rows.std() > 0}
-    best = max(links, key=lambda arm: links[arm], default=None)
-    if share < 0.35 or best is None or links[best] < 0.4:
-        why = f"while the arm moves, {100 * share:.0f} % of its picture change: neither few nor most"
-        return unknown("camera", name, why, "extrinsics of the camera")
-    others = [link for arm, link in links.items() if arm != best]
-    said = f"{100 * share:.0f} % of its picture change while the arm moves, correlated by {links[best]:.2f}"
-    if not others:
-        return Answer("camera", name, "wrist", said, share / 0.2)
-    margin = (1 - max(others)) / max(1 - links[best], 0.02)
-    if margin < MARGIN:
-        return Answer("camera", name, "wrist", f"{said}; with both arms alike, so which wrist is open", share / 0.2)
-    return Answer("camera", name, f"wrist of {best}", f"{said} with {best}, by {max(others):.2f} with the other", margin)
+    moved: list[list[float]] = []
+    kept, changed, edges = [], [], []
+    for place, steps, frames in shown:
+        lines = _edges(frames)
+        ways = [np.linalg.norm(rows[place][steps] - rows[place][steps[0]], axis=1) for rows in arms.values()]
+        for far in {int(way.argmax()) for way in ways} | set(spread(len(steps), _PAIRS)):
+            both, either = (lines[0] & lines[far]).sum(), (lines[0] | lines[far]).sum()
+            kept.append(both / max(either, 1))
+            changed.append(float((np.abs(frames[0] - frames[far]).max(-1) > _SEEN).mean()))
+            moved.append([float(way[far]) for way in ways])
+        edges.append(int(lines[0].sum()))
+    most = np.array(moved).max(0)
+    if np.median(edges) < _FEWEST:
+        return unknown("camera", name, "its picture has hardly any edges", "extrinsics of the camera")
+    if most.min() < _STILL:
+        still = list(arms)[int(most.argmin())]
+        return unknown("camera", name, f"{still} never moves, and it could be its wrist camera", f"motion of {still}")
+    return _judged(name, list(arms), np.array(moved), np.array(kept), np.array(changed))
+
+
+def _judged(name: str, arms: Sequence[str], ways: np.ndarray, left: np.ndarray, seen: np.ndarray) -> Answer:
+    """Return whether a camera stands still or moves with an arm.
+
+    Args:
+        name: the camera's.
+        arms: names of the arms.
+        ways: of each pair of frames how far each arm moved, (N, arms).
+        left: which share of the edges stayed, (N,).
+        seen: which share of the picture changed, (N,).
+    """
+    most = ways.max(0)
+    far = ways > 0.6 * most
+    shares = [(float(np.median(left[far[:, k]])), float(np.median(seen[far[:, k]]))) for k in range(len(most))]
+    stays, changes = min(shares)
+    said = f"where an arm is far from its start {100 * stays:.0f} % of its edges stay where they are"
+    if stays >= _FIXED and max(share for _, share in shares) <= 0.2:
+        return Answer("camera", name, "fixed", said, stays / _MOVING)
+    if stays > _MOVING or changes < 0.25:
+        return unknown("camera", name, f"{said}, neither few nor most", "extrinsics of the camera")
+    if len(most) == 1:
+        return Answer("camera", name, "wrist", said, _FIXED / max(stays, 0.02))
+    alone = [far[:, k] & (ways[:, 1 - k] < 0.1 * most[1 - k]) for k in (0, 1)]
+    own = [float(np.median(left[rows])) if rows.any() else None for rows in alone]
+    for k, mine in enumerate(own):
+        other = own[1 - k]
+        if mine is None:
+            continue
+        told = f"{said}; where only {arms[k]} moved, {100 * mine:.0f} %"
+        if mine <= _MOVING and (other is None or other >= _FIXED):
+            return Answer("camera", name, f"wrist of {arms[k]}", told, (other or _FIXED) / max(mine, 0.02))
+        if mine >= 2 * _FIXED and other is None:
+            return Answer("camera", name, f"wrist of {arms[1 - k]}", told, mine / max(stays, 0.02))
+    return Answer("camera", name, "wrist", f"{said}; the arms move together, so which wrist is open", _FIXED / _MOVING)
+
+
+def _edges(frames: np.ndarray) -> np.ndarray:
+    """Return where pictures (N, h, w, 3) have edges, (N, h - 1, w - 1)."""
+    grey = frames.astype(float).mean(-1)
+    across, down = np.abs(np.diff(grey, axis=2))[:, :-1], np.abs(np.diff(grey, axis=1))[:, :, :-1]
+    found: np.ndarray = across + down > _EDGES
+    return found
 
 
 def _upright(name: str, shown: Sequence[Any], heights: Mapping[str, Sequence[np.ndarray]], *, is_wrist: bool) -> Answer:
@@ -115,7 +158,7 @@ def _upright(name: str, shown: Sequence[Any], heights: Mapping[str, Sequence[np.
         there = (np.abs(frames - background).max(-1) > 2 * _SEEN).astype(float)
         weight = there.sum((1, 2))
         rows = (there.sum(2) * np.arange(frames.shape[1])).sum(1) / np.maximum(weight, 1)
-        height = np.mean([entry[place][steps] for entry in heights.values()], axis=0)
+        height = max((entry[place][steps] for entry in heights.values()), key=np.ptp)
         kept = weight > 3
         if kept.sum() > 5 and np.ptp(height[kept]) > 0.03:
             rows_seen.append(rows[kept] - rows[kept].mean())
@@ -123,7 +166,7 @@ def _upright(name: str, shown: Sequence[Any], heights: Mapping[str, Sequence[np.
     if not rows_seen or np.concatenate(rows_seen).std() == 0:
         return unknown("orientation", name, "nothing in it goes up and down", "episodes in which the arm is lifted")
     link = float(np.corrcoef(np.concatenate(rows_seen), np.concatenate(climbs))[0, 1])
-    if abs(link) < 0.4:
+    if abs(link) < 0.6:
         why = f"what moves in it goes up and down with the arm by a correlation of {-link:.2f} only"
         return unknown("orientation", name, why, "a marked picture, or extrinsics")
     value = "upright" if link < 0 else "upside down"
@@ -132,7 +175,7 @@ def _upright(name: str, shown: Sequence[Any], heights: Mapping[str, Sequence[np.
 
 
 def _colour(name: str, shown: Sequence[Any], episodes: Sequence[Episode]) -> Answer:
-    """Return whether red things are red, where instructions speak of one and of no blue thing, or the other way round."""
+    """Return whether red things are red, where instructions speak of one and of no blue thing, or vice versa."""
     red_first, blue_first = 0.0, 0.0
     for place, _, frames in shown:
         said = {word for text in episodes[place].instructions for word in words(text.replace(" ", "_"))}

@@ -99,7 +99,8 @@ def readings(
     """Return every way to read joints (N, dof) rad and positions (N, 3) together, the best first.
 
     Args:
-        joints, position: recorded together.
+        joints: of the arm.
+        position: recorded beside them.
         names: robots.
         orders: whether joints may be in another order than the embodiment's.
     """
@@ -140,7 +141,7 @@ def _tried(robot: Embodiment, joints: np.ndarray, position: np.ndarray, orders: 
 
 
 def begins_at_home(rows: Sequence[np.ndarray]) -> str | None:
-    """Return the robot at whose home pose most episodes begin, to 0.05 rad or as many degrees; None if there is none."""
+    """Return the robot at whose home pose most episodes begin, to 0.05 rad; None if there is none."""
     first = np.stack([episode[0] for episode in rows])
     for unit in (1.0, np.pi / 180):
         for robot in candidates(first.shape[1], None):
@@ -150,4 +151,3 @@ def begins_at_home(rows: Sequence[np.ndarray]) -> str | None:
             if (np.abs(first * unit - home).max(1) < 0.05).mean() > 0.5:
                 return robot.name
     return None
-

@@ -105,7 +105,7 @@ def _numbers(found: Commands, part: Part, state: ArmState, *, normalised: bool) 
     order, margin = order_of(here, there)
     plain = order == tuple(range(part.width))
     if margin >= MARGIN:
-        said = "each number moves its own of the state" if plain else "its numbers move those of the state in this order"
+        said = "each number moves its own of the state" if plain else "its numbers move the state's in this order"
         value = "as the state" if plain else list(order)
         found.answers.append(Answer("order", part.subject, value, said, margin))
         there = [rows[:, list(order)] for rows in there]
@@ -140,13 +140,13 @@ def _in_unit(
     if state.unit is not None and margin >= MARGIN and tried[best].value is not None:
         said = f"so they explain where the joints go, but for {contest[best]:.2g} of the motion"
         found.answers.append(Answer("angle unit", part.subject, known[best], said, margin))
-    for rows in there:
-        rows *= best / (state.unit or 1.0)
+    for place, rows in enumerate(there):
+        there[place] = rows * (best / (state.unit or 1.0))
     return tried[best]
 
 
 def _is_gain(reference: Reference) -> bool:
-    """Tell whether a robot goes a sensible part of the way in a step: a wrong unit makes it go none, or far too much."""
+    """Tell whether a robot goes a sensible part of the way in a step: in a wrong unit it goes none, or too much."""
     return 0.02 < reference.follow.gain < 1.6
 
 
@@ -204,7 +204,7 @@ def _contests(place: Part, turn: Part | None, state: ArmState) -> tuple[Contest,
     forms = list(FORMS[turn.width]) if turn is not None else []
     known = len(turns) == 1
     if not known and turn is not None:  # of a form that is open those are tried that go together
-        forms = [form for form in forms if form[0] in ("axis_angle",) or form in turns]
+        forms = [form for form in forms if form[0] == "axis_angle" or form in turns]
     unit = _DEGREES if turn is not None and turn.width == 3 and np.abs(turn.stacked).max() > _TURN else 1.0
     return of_poses(positions, turns, _cut(place.rows), [rows * unit for rows in spins], forms)
 
@@ -273,4 +273,3 @@ def _judged(found: Commands, part: Part, contest: Contest, facets: Sequence[str]
 
 def _left(contest: Contest, facet: str, value: Any) -> float:
     return min(error for key, error in contest.errors.items() if dict(key)[facet] == value)
-

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from xpl_cli.data.probe.parts import Part
 
 LARGER, SMALLER = "larger is open", "smaller is open"
-_GRASPS: Final = frozenset("pick lift grasp take grab stack place put pull hand handover hold".split())
+_GRASPS: Final = frozenset(
+    ["pick", "lift", "grasp", "take", "grab", "stack", "place", "put", "pull", "hand", "handover", "hold"]
+)
 _LEAST: Final = 3
 """Changes of the gripper that are needed."""
 _AGREE: Final = 0.9
@@ -25,7 +27,8 @@ def answers(state: Part | None, command: Part | None, instructions: Sequence[Seq
     """Return what is known of an arm's gripper.
 
     Args:
-        state, command: its numbers, if there are any.
+        state: its numbers, if there are any.
+        command: likewise.
         instructions: of each episode.
     """
     found = [_range(part) for part in (state, command) if part is not None]
@@ -104,7 +107,7 @@ def _goes_with(state: Part | None, command: Part | None) -> int:
 
 
 def _stops(state: Part, command: Part) -> tuple[str, str, float] | None:
-    """Return which end is open by where the gripper does not get: at the closed end something is between its fingers."""
+    """Return which end is open by where the gripper does not get: something is between its fingers there."""
     low, high = float(command.stacked[:, 0].min()), float(command.stacked[:, 0].max())
     span = high - low
     seen = state.stacked[:, 0]
@@ -126,7 +129,8 @@ def _stops(state: Part, command: Part) -> tuple[str, str, float] | None:
     if off[closed] < 0.08 or other > 0.03:  # where both ends are off, the two have other units
         return None
     at = low if closed == "low" else high
-    said = f"commanded to {at:.3g} it stops {100 * off[closed]:.0f} % of its range short, at the other end {100 * other:.0f} %"
+    short_by = f"{100 * off[closed]:.0f} % of its range short, at the other end {100 * other:.0f} %"
+    said = f"commanded to {at:.3g} it stops {short_by}"
     return LARGER if closed == "low" else SMALLER, said, off[closed] / max(other, 0.02)
 
 

@@ -7,11 +7,13 @@ of its motion lies in few steps. What is left are six or seven numbers of an arm
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from xpl_cli.data.probe.answer import MARGIN
 from xpl_cli.data.probe.sample import words
 
 if TYPE_CHECKING:
@@ -33,10 +35,12 @@ _UNIT: Final = 2e-3
 """How far lengths and right angles may be off: numbers are stored with three digits and more."""
 _GAP: Final = 1.5
 """How many times less of the steps a gripper moves in than any number of an arm."""
+_JUMP: Final = 2.5
+"""A change of an angle in one step, rad, that no arm makes: the number begins again at the other end."""
+_TURN: Final = 2 * np.pi
 _ARMS: Final = (7, 6, 5)
-_ONE: Final = (JOINTS, ARM, POSITION, ROTATION, GRIPPER)
-"""Kinds of which an arm has one in its state, and one in its commands."""
 _STILL: Final = 1e-9
+_NUMBERED: Final = re.compile(r"(robot|arm)\d")
 
 
 @dataclass(frozen=True)
@@ -90,21 +94,13 @@ class Part:
 def split(columns: Sequence[Series]) -> list[Part]:
     """Return the parts of columns of one role, in their order, with their arms."""
     found = [part for series in columns if np.isfinite(series.stacked).all() for part in _of(series)]
-    count = max((sum(part.kind == kind and _side(part) is None for part in found) for kind in _ONE), default=0)
-    threes = [part for part in found if part.kind == THREE and _side(part) is None]
-    kinds: dict[str, int] = {}
-    sides: dict[str, int] = {}
+    sides = list(dict.fromkeys(side for part in found if (side := _side(part)) is not None))
     numbered = []
     for part in found:
         side = _side(part)
-        if side is not None:
-            arm = sides.setdefault(side, len(sides))
-        elif part.kind == THREE:  # an arm may have two of them, a position and a rotation
-            arm = threes.index(part) * max(count, 1) // len(threes)
-        else:
-            arm = kinds.get(part.kind, 0)
-            kinds[part.kind] = arm + 1
-        numbered.append(replace(part, arm=arm, side=side))
+        own = [one for one in found if one.series is part.series and one.kind == part.kind]
+        arm = sides.index(side) if side is not None else 0 if part.kind == THREE else own.index(part)
+        numbered.append(replace(part, arm=arm, side=side if side in {"left", "right"} else None))
     return numbered
 
 
@@ -123,7 +119,7 @@ def concentration(rows: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def begins_again(rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Return in which steps (N, D) numbers that may be angles begin again at the other end, or stand beside such a one."""
+    """Return in which steps (N, D) numbers that may be angles begin again at the other end, or stand beside one."""
     steps = np.abs(np.concatenate([np.diff(episode, axis=0) for episode in rows]))
     most = np.abs(np.concatenate(rows)).max(0)
     begun = np.zeros(steps.shape, bool)
@@ -134,6 +130,34 @@ def begins_again(rows: Sequence[np.ndarray]) -> np.ndarray:
         beside[:, shift:] |= begun[:, :-shift]
         beside[:, :-shift] |= begun[:, shift:]
     return beside
+
+
+def wraps(part: Part) -> tuple[str, str, float] | None:
+    """Return what the places where numbers begin again tell of the form of three angles, None without any."""
+    for unit in (1.0, np.pi / 180):
+        count, off = 0, np.zeros(2)
+        for rows in part.rows:
+            angles = rows * unit
+            steps = np.diff(angles, axis=0)
+            for row in np.flatnonzero((np.abs(steps) > _JUMP).any(1)):
+                before, after = angles[row], angles[row + 1]
+                length = float(np.linalg.norm(before))
+                jumped = np.abs(steps[row]) > _JUMP
+                turned = -before * (_TURN - length) / max(length, 1e-9)
+                begun = before - _TURN * np.sign(before) * jumped
+                here = np.array([np.linalg.norm(after - turned), np.linalg.norm(after - begun)])
+                if here.min() < 0.5:
+                    count += 1
+                    off += here
+        if not count:
+            continue
+        margin = float(off.max() / max(off.min(), 0.02))
+        if margin < 2 * MARGIN:
+            return None
+        form = "axis_angle" if off[0] < off[1] else "euler"
+        what = "one angle begins again at the other end" if form == "euler" else "the vector turns round at half a turn"
+        return form, f"{what} {count} times, and other forms do not fit there by {off.max() / count:.2g} rad", margin
+    return None
 
 
 def _of(series: Series) -> Iterator[Part]:
@@ -225,13 +249,13 @@ def _layout(shares: np.ndarray, *, followed: bool, preceded: bool) -> list[tuple
         return layout
     plain = {1: [(GRIPPER, 1)], 2: [(GRIPPER, 2)], 3: [(THREE, 3)], 6: [(ARM, 6)], 12: [(ARM, 6)] * 2}
     plain |= {5: [(JOINTS, 5)], 7: [(JOINTS, 7)], 14: [(JOINTS, 7)] * 2}
-    if width <= 2 and shares.max() > 0.25:  # noqa: PLR2004 - no gripper moves as often
+    if width <= 2 and shares.max() > 0.25:  # no gripper moves as often
         return [(UNKNOWN, width)]
     return plain.get(width, [(UNKNOWN, width)])
 
 
 def _layouts(width: int) -> Iterator[list[tuple[str, int]]]:
-    """Yield arms with grippers that have so many numbers in all: one, two in turn, or two arms and then two grippers."""
+    """Yield arms with grippers of so many numbers in all: one, two in turn, or two arms and then two grippers."""
     if width == 4:
         yield [(THREE, 3), (GRIPPER, 1)]
     for size, fingers in itertools.product(_ARMS, (1, 2)):
@@ -243,9 +267,9 @@ def _layouts(width: int) -> Iterator[list[tuple[str, int]]]:
 
 
 def _side(part: Part) -> str | None:
-    """Return the side that the name of a column, or those of its numbers, say."""
+    """Return which arm the name of a column, or those of its numbers, say: left, right, or such as robot1."""
     said = set(words(part.series.name))
     for name in part.series.names[part.start : part.stop]:
         said |= set(words(name))
-    sides = said & {"left", "right"}
+    sides = said & {"left", "right"} or {word for word in said if _NUMBERED.fullmatch(word)}
     return sides.pop() if len(sides) == 1 else None

@@ -10,7 +10,7 @@ import numpy as np
 from xpl.embodiment import embodiment_names
 from xpl_cli.data.probe import cameras, commands, grippers, parts, states
 from xpl_cli.data.probe.answer import Answer, unknown
-from xpl_cli.data.probe.parts import GRIPPER
+from xpl_cli.data.probe.parts import GRIPPER, POSITION, ROTATION
 from xpl_cli.data.probe.sample import COMMAND, STATE, Sample, is_clock, take
 
 if TYPE_CHECKING:
@@ -89,10 +89,10 @@ def probe(
         told(f"arm {arm + 1}")
         own = [part for part in state if part.arm == arm]
         their = [part for part in command if part.arm == arm]
-        seen = states.of_arm(own, named) if scaled[STATE] is None else states.plain(own)
+        seen, *others = _states(own, named) if scaled[STATE] is None else [states.plain(own)]
         found.arms[arm] = seen
         said = commands.of_arm(their, seen, normalised=is_normalised)
-        found.answers += [*seen.answers, *said.answers]
+        found.answers += [*seen.answers, *_new(seen, others), *said.answers]
         found.plots += said.plots
         pair = [next((part for part in ones if part.kind == GRIPPER), None) for ones in (own, their)]
         found.answers += grippers.answers(pair[0], pair[1], names)
@@ -103,6 +103,24 @@ def probe(
     found.answers.append(_idle(found))
     found.answers += cameras.answers(sample.episodes, _moving(found), _heights(found), told)
     return found
+
+
+def _states(own: list[Part], robot: str | None) -> list[ArmState]:
+    """Return what an arm's state is: once for each pose of it that has its own column, such as flange and tcp."""
+    posed = {part.series.name for part in own if part.kind == POSITION}
+    posed &= {part.series.name for part in own if part.kind == ROTATION}
+    if len(posed) < 2:
+        return [states.of_arm(own, robot)]
+    rest = [part for part in own if part.series.name not in posed]
+    return [
+        states.of_arm([*rest, *(part for part in own if part.series.name == name)], robot) for name in sorted(posed)
+    ]
+
+
+def _new(seen: ArmState, others: list[ArmState]) -> list[Answer]:
+    """Return what other poses of an arm tell that the first does not."""
+    known = {(answer.topic, answer.subject) for answer in seen.answers}
+    return [answer for one in others for answer in one.answers if (answer.topic, answer.subject) not in known]
 
 
 def _rate(sample: Sample, demonstrations: Demonstrations) -> Answer:
@@ -145,7 +163,8 @@ def _normalised(sample: Sample, role: str) -> Answer | None:
             return Answer("normalize", series.name, "min_max", said, float(touched.sum()))
         mean, deviation = np.abs(moving.mean(0)), moving.std(0)
         if (mean < 0.1).mean() > 0.8 and (np.abs(deviation - 1) < 0.1).mean() > 0.8:
-            said = f"means are within {mean.max():.2g} of 0 and deviations within {np.abs(deviation - 1).max():.2g} of 1"
+            off = np.abs(deviation - 1).max()
+            said = f"means are within {mean.max():.2g} of 0 and deviations within {off:.2g} of 1"
             return Answer("normalize", series.name, "mean_std", said, 1 / max(float(np.median(mean)), 0.01))
     return None
 
@@ -156,7 +175,8 @@ def _moving(found: Found) -> dict[str, list[np.ndarray]]:
     for arm, seen in found.arms.items():
         part = seen.joints or seen.position or seen.unsure
         if part is not None:
-            side = (seen.reading.side if seen.reading is not None and seen.reading.frame == "world" else None) or part.side
+            is_placed = seen.reading is not None and seen.reading.frame == "world"
+            side = seen.reading.side if seen.reading is not None and is_placed else part.side
             moving[side if side in {"left", "right"} else f"arm {arm + 1}"] = part.rows
     return moving
 
@@ -184,4 +204,3 @@ def _idle(found: Found) -> Answer:
     middle = int(np.median(waits))
     said = f"the arm stands still for {middle} steps in the middle of {len(waits)} episodes, for {max(waits)} at most"
     return Answer("idle start", "set", middle, said)
-

@@ -17,8 +17,45 @@ STATE, COMMAND, OTHER = "state", "command", "other"
 _COMMANDS: Final = frozenset(("action", "actions", "command", "commands", "target", "targets", "ctrl", "desired"))
 _CLOCKS: Final = frozenset(("timestamp", "timestamps", "time", "times", "stamp"))
 _OTHERS: Final = frozenset(
-    "reward rewards done dones success index discount terminal last first velocity velocities vel qvel effort torque "
-    "force current wrench progress subtask intrinsic intrinsics extrinsic extrinsics mask valid padding".split()
+    [
+        "reward",
+        "rewards",
+        "done",
+        "dones",
+        "success",
+        "index",
+        "discount",
+        "terminal",
+        "last",
+        "first",
+        "velocity",
+        "velocities",
+        "vel",
+        "qvel",
+        "effort",
+        "torque",
+        "force",
+        "current",
+        "wrench",
+        "progress",
+        "subtask",
+        "intrinsic",
+        "intrinsics",
+        "extrinsic",
+        "extrinsics",
+        "mask",
+        "info",
+        "additional",
+        "meta",
+        "env",
+        "asked",
+        "steps",
+        "delta",
+        "twist",
+        "twists",
+        "valid",
+        "padding",
+    ]
 )
 """Words of columns that say neither where the robot is nor where it is to go."""
 _WIDEST: Final = 64
@@ -87,9 +124,11 @@ def words(name: str) -> list[str]:
 def role_of(name: str) -> str:
     """Return what a column is for, by the words of its name."""
     found = words(name)
-    if set(found) & (_OTHERS | _CLOCKS):
+    is_command = bool(set(found) & _COMMANDS)
+    others = _OTHERS | _CLOCKS
+    if set(found) & (others - {"delta"} if is_command else others):
         return OTHER
-    return COMMAND if set(found) & _COMMANDS else STATE
+    return COMMAND if is_command else STATE
 
 
 def is_clock(name: str) -> bool:
@@ -128,4 +167,3 @@ def take(demonstrations: Demonstrations, most: int, told: Callable[[str], None] 
         if len(values) == len(episodes) and len({entry.shape[1] for entry in values}) == 1
     ]
     return Sample(tuple(series), tuple(episodes), len(episodes) == len(demonstrations))
-

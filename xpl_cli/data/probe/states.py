@@ -14,17 +14,17 @@ from xpl_cli.data.probe import chains
 from xpl_cli.data.probe.answer import MARGIN, Answer, Contest, enough, unknown
 from xpl_cli.data.probe.arms import FORMS, told
 from xpl_cli.data.probe.chains import FITS_MM, Reading
-from xpl_cli.data.probe.parts import ARM, JOINTS, POSITION, ROTATION, THREE, Part
+from xpl_cli.data.probe.parts import ARM, JOINTS, POSITION, ROTATION, THREE, Part, wraps
 from xpl_cli.data.probe.sample import words
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 DEGREES: Final = np.pi / 180
 _TURN: Final = 2 * np.pi
 _FITS_DEGREES: Final = 1.5
-_JUMP: Final = 2.5
-"""A change of an angle in one step, rad, that no arm makes: the number begins again at the other end."""
+_EXACT_MM: Final = 0.5
+"""Errors below it are alike: arms are not built more exactly than that."""
 _LEAST_MOTION: Final = 0.02
 _BESIDE: Final = "the same arm's joints beside its pose, and a robot that `xpl spec show` knows (--robot)"
 
@@ -101,13 +101,15 @@ def plain(parts: Sequence[Part]) -> ArmState:
 
 def _witness(arm: ArmState, joints: Sequence[Part], places: Sequence[Part], robot: str | None) -> None:
     """Let kinematics tell which parts are joints and which are a position, and of which robot."""
+    pairs = [
+        (part, place)
+        for part, place in itertools.product(joints, places)
+        if not _overlap(part, place) and np.ptp(place.stacked, axis=0).max() > 1e-9
+    ]
     best = None
     for orders in (False, True):
-        for part, place in itertools.product(joints, places):
-            overlap = place.series is part.series and place.start < part.stop and part.start < place.stop
+        for part, place in pairs:
             names = chains.candidates(part.width, robot)
-            if overlap or not names or np.ptp(place.stacked, axis=0).max() < 1e-9:
-                continue
             for unit in _units(part.stacked) if orders else (1.0, DEGREES):
                 found = chains.readings(part.stacked * unit, place.stacked, names, orders=orders)
                 if found and (best is None or found[0].error < best[0]):
@@ -116,45 +118,64 @@ def _witness(arm: ArmState, joints: Sequence[Part], places: Sequence[Part], robo
             break
     if best is None or best[0] > FITS_MM:
         return
-    error, part, place, reading, unit, found = best
+    _, part, place, reading, unit, found = best
     span = float(np.linalg.norm(np.ptp(place.stacked, axis=0)))
     if span * {"m": 1000.0, "cm": 10.0, "mm": 1.0}[reading.length] < 4 * FITS_MM:
         return  # it hardly moves: any robot would do
     arm.joints, arm.unit, arm.position, arm.reading = part, unit, place, reading
+    arm.answers += [_robot(part, reading, found), _order(part, reading, found), *_placed(place, reading, found)]
+
+
+def _overlap(one: Part, other: Part) -> bool:
+    return one.series is other.series and one.start < other.stop and other.start < one.stop
+
+
+def _robot(part: Part, reading: Reading, found: Sequence[Reading]) -> Answer:
+    """Return which robot explains the poses."""
+    least = max(reading.error, _EXACT_MM)
     others = [one for one in found if one.robot != reading.robot]
-    said = f"its kinematics puts the {reading.point} within {error:.2g} mm of what was recorded"
-    subject = part.subject
-    if others and others[0].error < MARGIN * max(error, 0.5):
-        names = sorted({reading.robot, *(one.robot for one in others if one.error < MARGIN * max(error, 0.5))})
-        why = f"{' and '.join(names)} explain the poses alike"
-        arm.answers.append(unknown("robot", subject, why, "the robot's name: --robot"))
-    else:
-        margin = others[0].error / max(error, 0.5) if others else None
-        second = others[0].robot if others else None
-        arm.answers.append(Answer("robot", subject, reading.robot, said, margin, second))
+    alike = {one.robot for one in others if one.error < MARGIN * least}
+    if alike:
+        why = f"{' and '.join(sorted({reading.robot, *alike}))} explain the poses alike"
+        return unknown("robot", part.subject, why, "the robot's name: --robot")
+    margin = others[0].error / least if others else None
+    second = others[0].robot if others else None
+    return Answer("robot", part.subject, reading.robot, _explains(reading), margin, second)
+
+
+def _order(part: Part, reading: Reading, found: Sequence[Reading]) -> Answer:
+    """Return which number is which joint."""
+    least = max(reading.error, _EXACT_MM)
     rivals = [one for one in found if one.robot == reading.robot and one.order != reading.order]
-    names = get_embodiment(reading.robot).arms[0].joint_names or ()
-    value = [names[reading.order.index(place)] for place in range(part.width)]
-    plain = reading.order == tuple(range(part.width))
-    margin = rivals[0].error / max(error, 0.5) if rivals else None
-    if margin is None or margin >= MARGIN:
-        told = "in the embodiment's order they explain the poses" if plain else "only in this order they do"
-        arm.answers.append(Answer("joint order", subject, value, f"{told}, to {error:.2g} mm", margin))
-    else:
+    margin = rivals[0].error / least if rivals else None
+    if not enough(margin):
         why = f"other orders explain the poses within {rivals[0].error:.2g} mm too"
-        arm.answers.append(unknown("joint order", subject, why, "episodes in which each joint moves"))
+        return unknown("joint order", part.subject, why, "episodes in which each joint moves")
+    names = get_embodiment(reading.robot).arms[0].joint_names or tuple(map(str, reading.order))
+    value = [names[reading.order.index(place)] for place in range(part.width)]
+    is_plain = reading.order == tuple(range(part.width))
+    what = "in the embodiment's order they explain the poses" if is_plain else "only in this order they do"
+    return Answer("joint order", part.subject, value, f"{what}, to {reading.error:.2g} mm", margin)
+
+
+def _placed(place: Part, reading: Reading, found: Sequence[Reading]) -> Iterator[Answer]:
+    """Yield frame, point and arm of a position."""
     for facet in ("frame", "point", "side"):
         value = getattr(reading, facet)
-        other = [one for one in found if one.robot == reading.robot and getattr(one, facet) != value]
-        margin = other[0].error / max(error, 0.5) if other else None
-        second = getattr(other[0], facet) if other else None
         if facet == "side" and (reading.frame == "base" or value == "single"):
             continue
+        other = [one for one in found if one.robot == reading.robot and getattr(one, facet) != value]
+        margin = other[0].error / max(reading.error, _EXACT_MM) if other else None
+        second = getattr(other[0], facet) if other else None
         if enough(margin):
-            arm.answers.append(Answer(facet, place.subject, value, said, margin, second))
+            yield Answer(facet, place.subject, value, _explains(reading), margin, second)
         else:
             why = f"{value} and {second} explain the poses alike"
-            arm.answers.append(unknown(facet, place.subject, why, "poses that turn the tool"))
+            yield unknown(facet, place.subject, why, "poses that turn the tool")
+
+
+def _explains(reading: Reading) -> str:
+    return f"its kinematics puts the {reading.point} within {reading.error:.2g} mm of what was recorded"
 
 
 def _units(rows: np.ndarray) -> tuple[float, ...]:
@@ -172,7 +193,7 @@ def _settled(arm: ArmState, part: Part) -> None:
         arm.rotation, arm.forms = part, FORMS[part.width]
     elif part.kind == ARM and part is not arm.joints:
         is_place = arm.position is not None and arm.position.start == part.start and arm.position.series is part.series
-        begins = bool(_wraps(part.cut(ROTATION, 3, 6)))
+        begins = bool(wraps(part.cut(ROTATION, 3, 6)))
         said = _said(part)
         if is_place or (arm.joints is not None and arm.joints.width >= 5) or begins or said == POSITION:
             arm.position = part.cut(POSITION, 0, 3)
@@ -182,7 +203,7 @@ def _settled(arm: ArmState, part: Part) -> None:
         else:
             arm.unsure = part
     elif part.kind == THREE and (arm.position is None or part.subject != arm.position.subject):
-        if arm.position is None and not _wraps(part):
+        if arm.position is None and not wraps(part):
             arm.position = part
         elif arm.rotation is None:
             arm.rotation, arm.forms = part, FORMS[3]
@@ -220,7 +241,7 @@ def _turning(part: Part) -> Answer:
     if part.forms:
         what = {4: "a length of 1", 6: "two unit vectors at a right angle", 9: "three unit vectors at right angles"}
         return Answer("kind", part.subject, ROTATION, f"its {part.width} numbers have {what[part.width]} in every row")
-    if _wraps(part):
+    if wraps(part):
         return Answer("kind", part.subject, ROTATION, "it begins again at the other end, as no joint does")
     if _said(part) is not None:
         return Answer("kind", part.subject, ROTATION, "the names in the file say so", said=True)
@@ -265,9 +286,8 @@ def _place(arm: ArmState) -> list[Answer]:
         found.append(Answer("length unit", part.subject, "mm", said, most / 40))
     else:
         found.append(unknown("length unit", part.subject, f"the farthest it is from its origin is {most:.3g}", _BESIDE))
-    for facet in ("frame", "point"):
-        found.append(unknown(facet, part.subject, "there are no joints that say where the arm is", _BESIDE))
-    return found
+    why = "there are no joints that say where the arm is"
+    return [*found, *(unknown(facet, part.subject, why, _BESIDE) for facet in ("frame", "point"))]
 
 
 def _form(arm: ArmState) -> list[Answer]:
@@ -282,14 +302,14 @@ def _form(arm: ArmState) -> list[Answer]:
         rows = part.stacked
         if float(np.abs(rows).max()) > _TURN * 1.2:
             arm.angles = DEGREES
-        found = _wraps(part)
+        found = wraps(part)
         if found:
             form, said, margin = found
             kept = tuple(one for one in FORMS[3] if one[0] == form)
             arm.forms = kept
             if form == "axis_angle":
                 return [Answer("rotation form", part.subject, form, said, margin)]
-            return _smoothest(arm, part, said)
+            return _smoothest(part, said)
     why = {
         3: "no number begins again at the other end, and three angles look alike in all forms until one does",
         4: "a quaternion turns as far in either order",
@@ -335,7 +355,7 @@ def _by_kinematics(arm: ArmState, part: Part) -> list[Answer]:
 
 
 def _turned(rows: np.ndarray, expected: np.ndarray, width: int) -> tuple[Any, float, float] | None:
-    """Return the form in which a rotation agrees with the joints but for one fixed turn of the tool, error and margin."""
+    """Return the form in which a rotation agrees with the joints but for one fixed turn of the tool; error, margin."""
     errors: dict[Any, float] = {}
     for form in FORMS[width]:
         try:
@@ -353,35 +373,7 @@ def _turned(rows: np.ndarray, expected: np.ndarray, width: int) -> tuple[Any, fl
     return (ranked[0][0], ranked[0][1], margin) if margin >= MARGIN else None
 
 
-def _wraps(part: Part) -> tuple[str, str, float] | None:
-    """Return what the places where numbers begin again tell of the form of three angles, None without any."""
-    for unit in (1.0, DEGREES):
-        count, off = 0, np.zeros(2)
-        for rows in part.rows:
-            angles = rows * unit
-            steps = np.diff(angles, axis=0)
-            for row in np.flatnonzero((np.abs(steps) > _JUMP).any(1)):
-                before, after = angles[row], angles[row + 1]
-                length = float(np.linalg.norm(before))
-                jumped = np.abs(steps[row]) > _JUMP
-                turned = -before * (_TURN - length) / max(length, 1e-9)
-                begun = before - _TURN * np.sign(before) * jumped
-                here = np.array([np.linalg.norm(after - turned), np.linalg.norm(after - begun)])
-                if here.min() < 0.5:
-                    count += 1
-                    off += here
-        if not count:
-            continue
-        margin = float(off.max() / max(off.min(), 0.02))
-        if margin < 2 * MARGIN:
-            return None
-        form = "axis_angle" if off[0] < off[1] else "euler"
-        what = "one angle begins again at the other end" if form == "euler" else "the vector turns round at half a turn"
-        return form, f"{what} {count} times, and other forms do not fit there by {off.max() / count:.2g} rad", margin
-    return None
-
-
-def _smoothest(arm: ArmState, part: Part, said: str) -> list[Answer]:
+def _smoothest(part: Part, said: str) -> list[Answer]:
     """Return that the axes of Euler angles are open: every order begins again alike."""
     why = f"{said}; which axes they are about it does not tell"
     answer = unknown("rotation form", part.subject, why, _BESIDE)

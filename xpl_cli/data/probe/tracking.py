@@ -64,7 +64,8 @@ def follow(
     """Return how states follow commands.
 
     Args:
-        states, commands: by episode, (T, D) of the same unit and frame.
+        states: by episode, (T, D).
+        commands: likewise, of the same unit and frame.
         minus: the way between two of them.
         shifts: how late commands may come into effect, steps.
     """
@@ -73,7 +74,9 @@ def follow(
     return next(one for one in found if one.error <= 1.02 * least + 1e-9)
 
 
-def reached(states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus = numbers) -> tuple[float, float]:
+def reached(
+    states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus = numbers
+) -> tuple[float, float]:
     """Return after how many steps commands are reached, and how far off they still are then, a share of the motion.
 
     Both are means: the first is where a parabola through the least error and its neighbours has its bottom.
