@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import shutil
@@ -17,7 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.support import forked
+from tests.support import forked, renders, schedule
 from tests.support.peer import MARK, processes, wait_until
 from xpl_cli.serving import nursery
 from xpl_cli.serving.launch import RunningServer, serving
@@ -28,6 +29,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 forked.remember()
+renders.remember()
+# What is imported and collected stays: searching it for garbage again and again took a tenth of the time.
+gc.disable()
 
 # How long an example takes, or its making, depends on what else the machine does.
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -49,6 +53,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for index, (item, _) in enumerate(group):
             if index not in kept:
                 item.add_marker(pytest.mark.slow)
+    schedule.order(items)
+
+
+def pytest_collection_finish() -> None:
+    """Go on searching for garbage, among what tests leave."""
+    gc.freeze()
+    gc.enable()
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep the tests of a file in one process, where several run them."""
+    return schedule.ByFile(config, log)
 
 
 @pytest.fixture(scope="session", autouse=True)

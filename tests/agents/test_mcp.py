@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Talk = Callable[[Client], Awaitable[Any]]
 
 # One process of the tests, and only when it comes to them, imports the client: a second and more.
-pytestmark = [pytest.mark.xdist_group("mcp"), pytest.mark.usefixtures("_client")]
+pytestmark = pytest.mark.usefixtures("_client")
 
 
 @pytest.fixture(scope="module")

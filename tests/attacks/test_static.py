@@ -201,7 +201,7 @@ def test_rules_share_the_time_that_a_package_has(
     assert [result.outcome for result in results] == [Outcome.NOT_RUN] * 3
     assert given[0] == 0.05
     assert given == sorted(given, reverse=True)
-    assert len(set(given)) == 3
+    assert given[1] < given[0]  # and the third may get as little as the second: on a busy machine nothing is left
 
 
 def test_what_goes_wrong_with_one_package_costs_no_other_its_verdict(

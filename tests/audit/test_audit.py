@@ -50,7 +50,7 @@ def _green(workspace: Path, *rules: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "rules",
     [
-        pytest.param([], marks=[pytest.mark.slow, pytest.mark.xdist_group("one audit of the scaffold")], id="all"),
+        pytest.param([], marks=pytest.mark.slow, id="all"),
         pytest.param(["--select", "XPL1", "--select", "batch-order", "--select", "closed-loop"], id="some"),
     ],
 )
@@ -93,7 +93,6 @@ def test_the_offline_gate_shows_what_the_broken_copy_answers(rules: list[str], w
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("one audit of the scaffold")
 def test_equal_adapters_have_equal_digests_and_changed_behaviour_another(
     workspace: Path, green: dict[str, Any]
 ) -> None:

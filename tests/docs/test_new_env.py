@@ -23,9 +23,6 @@ def _blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", PAGE, flags=re.DOTALL)
 
 
-pytestmark = pytest.mark.xdist_group("the page of new environments")  # what is made once serves all
-
-
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder in which every command of the page has run, line by line."""

@@ -20,9 +20,6 @@ from xpl_cli.audit.rules.gates import Gate
 SVG = "{http://www.w3.org/2000/svg}"
 PICTURE = ROOT / "docs" / "assets" / "architecture.svg"
 
-# One build for all tests of the module.
-pytestmark = pytest.mark.xdist_group("site")
-
 
 def _build(config: Path, out: Path) -> subprocess.CompletedProcess[str]:
     """Build a site as `./dev docs` does."""

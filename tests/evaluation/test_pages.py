@@ -20,9 +20,6 @@ from xpl_cli.evaluation.report import live, written
 LOOKS = [(width, dark) for width in (1280, 390) for dark in (False, True)]
 HOSTILE = '</script><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">'
 
-# One browser for all.
-pytestmark = pytest.mark.xdist_group("browser")
-
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:

@@ -33,9 +33,6 @@ UNSTEADY = ("started", "wall_seconds", "inference", "server", "worker", "machine
 OPTIONS = ("--task", "all", "--episodes", "4", "--horizon", "2", "--json")
 
 
-pytestmark = pytest.mark.xdist_group("suite")  # what is made once serves all
-
-
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """Return a folder with a run of two tasks in it, played by two lanes, and what the command told."""

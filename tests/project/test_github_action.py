@@ -29,9 +29,6 @@ INSTALL, AUDIT, UPLOAD = ACTION["runs"]["steps"]
 PLANTED = ("json.py", "pip/__init__.py", "sitecustomize.py", "typing.py", "usercustomize.py", "venv.py", "yaml.py")
 """Modules that a stranger puts where the action runs, in the hope that Python imports them."""
 
-# What the action installs is installed once, in one worker.
-pytestmark = pytest.mark.xdist_group("github action")
-
 
 @dataclass(frozen=True)
 class Done:

@@ -61,9 +61,6 @@ JUNK = {
 }
 """Files that using a checkout leaves behind, most of them in the content rooms."""
 
-# The module's distributions are built once for all tests, in one worker.
-pytestmark = pytest.mark.xdist_group("packaging")
-
 
 def _run(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     """Run a command that has to succeed; a failure shows all it printed."""

@@ -93,7 +93,7 @@ def test_equal_audits_end_in_equal_finish_lines(package: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name == "mujoco" else ()) for name in OURS]
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in {"mujoco", "robodojo"} else ()) for name in OURS]
 )
 def test_our_own_environments_pass_their_audit(name: str) -> None:
     """What we ask of others; those over the code of others are played where that is (tests/environments)."""

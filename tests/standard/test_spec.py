@@ -119,10 +119,6 @@ def _sources(*patterns: str) -> list[Path]:
     return [path for path in paths if not any(path.relative_to(ROOT).match(name) for name in EXEMPT)]
 
 
-# Three tests read the same thousand modules, each of which is parsed once, in one process.
-_of_all_sources = pytest.mark.xdist_group("sources")
-
-
 @cache
 def _constants(path: Path) -> tuple[ast.Constant, ...]:
     """Return the constants of a module, without its docstrings."""
@@ -136,7 +132,6 @@ def _constants(path: Path) -> tuple[ast.Constant, ...]:
     return tuple(node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in prose)
 
 
-@_of_all_sources
 def test_no_name_of_the_standard_is_repeated_in_code() -> None:
     """A key, camera, robot, message, error, setting or file name is written in `spec/` and nowhere else."""
     words = _words()
@@ -151,7 +146,6 @@ def test_no_name_of_the_standard_is_repeated_in_code() -> None:
     assert not found, "use xpl._spec, or read the spec:\n" + "\n".join(found)
 
 
-@_of_all_sources
 def test_no_dimension_or_default_of_the_standard_is_repeated_in_the_engine() -> None:
     """A pose's length, a limit or a time is written in `spec/` and nowhere else."""
     numbers = _numbers()
@@ -165,7 +159,6 @@ def test_no_dimension_or_default_of_the_standard_is_repeated_in_the_engine() -> 
     assert not found, "use xpl._spec, or read the spec:\n" + "\n".join(found)
 
 
-@_of_all_sources
 def test_every_exception_is_needed() -> None:
     """A word that nobody uses any more does not stay on the list of exceptions."""
     paths = _sources("xpl/**/*.py", "xpl_cli/**/*.py", "conformance/*/*/rule.py", "envs/**/*.py", "policy/**/*.py")

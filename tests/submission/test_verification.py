@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.evaluation.records.records import Line, Run
 
-pytestmark = pytest.mark.xdist_group("verification")  # one run for all
-
 EXPERT = ROOT / "policy" / "scripted_expert"
 UNAUDITED = "the audit ran without the gates offline, mujoco"
 """What is wrong with the bundles of these tests, which spare the time of a whole audit."""

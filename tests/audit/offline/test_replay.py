@@ -99,9 +99,6 @@ def xpl(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return forked.run(*arguments)
 
 
-pytestmark = pytest.mark.xdist_group("replay")  # what is made once serves all
-
-
 @pytest.fixture(scope="module")
 def recorded(write_adapter: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """An adapter, and a recording of it."""

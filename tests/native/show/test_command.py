@@ -80,7 +80,6 @@ def test_the_page_the_picture_and_the_numbers_are_written(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("browser")
 def test_a_browser_shows_the_page_without_asking_anybody(tmp_path: Path) -> None:
     """On paper that is light and dark, on a desk and on a phone."""
     what = subject(package.load(sights.made(tmp_path / "P", sights.block())), {})

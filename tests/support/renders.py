@@ -1,0 +1,82 @@
+"""Templates are read once in a process: hundreds of tests scaffold the same packages, and most of that is compiling.
+
+Nothing of the tool is passed over but work that it did before: a template's code, which depends on its text and on the
+settings of its environment, and a whole render, which is the same whenever its arguments are.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import jinja2
+
+from xpl_cli.scaffold import template
+
+_SETTINGS: Final = (
+    "block_start_string",
+    "block_end_string",
+    "variable_start_string",
+    "variable_end_string",
+    "comment_start_string",
+    "comment_end_string",
+    "line_statement_prefix",
+    "line_comment_prefix",
+    "trim_blocks",
+    "lstrip_blocks",
+    "newline_sequence",
+    "keep_trailing_newline",
+    "optimized",
+    "sandboxed",
+    "is_async",
+)
+
+
+def remember() -> None:
+    """Let this process, and those forked from it, compile each text and make each render once."""
+    jinja2.Environment.compile = _compiled_once(jinja2.Environment.compile)  # type: ignore[method-assign]
+    template.render = _rendered_once(template.render)
+
+
+def _compiled_once(compile_text: Any) -> Any:
+    kept: dict[Any, Any] = {}
+
+    @functools.wraps(compile_text)
+    def compiled(
+        self: jinja2.Environment, source: Any, name: str | None = None, filename: str | None = None, **options: Any
+    ) -> Any:
+        if not isinstance(source, str) or options.get("raw"):
+            return compile_text(self, source, name, filename, **options)
+        # The file's name is left out: copier's templates lie in a new folder each time, and it is for tracebacks only.
+        settings = tuple(getattr(self, setting) for setting in _SETTINGS)
+        key = (source, name, *options.items(), type(self), settings, self.autoescape, *sorted(self.extensions))
+        if key not in kept:
+            kept[key] = compile_text(self, source, name, filename, **options)
+        return kept[key]
+
+    return compiled
+
+
+def _rendered_once(render: Any) -> Any:
+    kept: dict[Any, template.Files] = {}
+    usual = (template.room, template.repairs, template.spec.lineage)
+    places = (template.room("templates"), template.room("spec"))
+
+    @functools.wraps(render)
+    def rendered(
+        name: str,
+        context: Mapping[str, Any],
+        leave_out: Sequence[str] = (),
+        kind: str | None = None,
+        repaired: int | None = None,
+    ) -> template.Files:
+        now = (template.room, template.repairs, template.spec.lineage)
+        if now != usual or (template.room("templates"), template.room("spec")) != places:
+            return render(name, context, leave_out, kind, repaired)  # type: ignore[no-any-return]  # by other templates
+        key = (name, repr(sorted(context.items())), tuple(leave_out), kind, repaired)
+        if key not in kept:
+            kept[key] = render(name, context, leave_out, kind, repaired)
+        return dict(kept[key])
+
+    return rendered
