@@ -2,9 +2,9 @@
 
 The same commands are played by the environment package (reading the action, limits, conversion, observation, digest,
 judging) and by the benchmark's own `step`, by turns, in the benchmark's own Python; processor time of a control step,
-resets not counted, and the median round counts. With cameras: two or three of 128 x 128 by both. `experts` plays
-episodes of Meta-World's scripted policies and of ManiSkill's planners through the server. What is not installed is
-`not_run`, with the reason.
+resets not counted, and of each step the median of all rounds counts. With cameras: two or three of 128 x 128 by both.
+`experts` plays episodes of Meta-World's scripted policies and of ManiSkill's planners through the server. What is not
+installed is `not_run`, with the reason.
 """
 
 from __future__ import annotations

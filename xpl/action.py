@@ -183,5 +183,7 @@ def _vector(value: Any, dim: int, what: str) -> np.ndarray:
         raise ActionError(f"{what} must be {dim} numbers, got {type(value).__name__} of {array.dtype}")
     if array.shape != (dim,):
         raise ActionError(f"{what} must have shape ({dim},), got {array.shape}")
+    if array.dtype == np.float32:
+        return array
     with np.errstate(over="ignore"):  # becomes infinity, which the callers look for
         return array.astype(np.float32)

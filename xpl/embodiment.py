@@ -7,6 +7,7 @@ The facts are `spec/<version>/embodiments/*.yml`, `spec/robots/*.yml` and, in a 
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -73,14 +74,20 @@ class Embodiment:
         Raises:
             ValueError: if `action_type` is not one of the standard's.
         """
-        if action_type not in spec.ACTION_KEYS:
-            raise ValueError(f"action_type must be one of {', '.join(spec.ACTION_TYPES)}, got {action_type!r}")
-        arm_key, ee_key = spec.ACTION_KEYS[action_type]
-        result = {}
-        for arm in self.arms:
-            result[arm.prefix + arm_key] = spec.POSE_DIM if arm_key == spec.State.EE_POSE else arm.dof
-            result[arm.prefix + ee_key] = arm.ee_dim
-        return result
+        return dict(_dims(self, action_type))
+
+
+@functools.cache
+def _dims(embodiment: Embodiment, action_type: str) -> Mapping[str, int]:
+    """Return what `Embodiment.dims` does; each control step asks for it more than once."""
+    if action_type not in spec.ACTION_KEYS:
+        raise ValueError(f"action_type must be one of {', '.join(spec.ACTION_TYPES)}, got {action_type!r}")
+    arm_key, ee_key = spec.ACTION_KEYS[action_type]
+    result = {}
+    for arm in embodiment.arms:
+        result[arm.prefix + arm_key] = spec.POSE_DIM if arm_key == spec.State.EE_POSE else arm.dof
+        result[arm.prefix + ee_key] = arm.ee_dim
+    return result
 
 
 def embodiment_names() -> list[str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 SUCCESS, MAX_STEPS, NON_FINITE_STATE = "success", "max_steps", "non_finite_state"
 SUCCESS_SCORE = 1.0
 END_REASON, CORRECTIONS = "end_reason", "corrections"
+_FLOAT64 = np.dtype(np.float64)
+_FEW = 256  # numbers that are copied faster than they are handed over
 
 Corrections = dict[str, dict[str, float]]
 """How commands differed from what was executed in one control step: by arm prefix, the largest amount of each kind.
@@ -158,6 +161,7 @@ class Referee:
     def __init__(self, episode: Episode, env_idx: int) -> None:
         self._episode, self._env_idx = episode, env_idx
         setup = episode.setup
+        self._frequency = setup.frequency
         # Where a robot starts is the author's choice, and a simulator may be told any pose.
         self._safety = Supervisor(setup.embodiment, setup.action_type, setup.frequency, first_steps=math.inf)
 
@@ -168,8 +172,9 @@ class Referee:
         self._corrections: Counter[str] = Counter()
         self._digest = hashlib.sha256()
         self.end_reason: str | None = None
-        self._safety.begin({spec.Obs.STATE: self._episode.state()})
-        self._note()
+        state = self._episode.state()
+        self._safety.begin({spec.Obs.STATE: state})
+        self._note(state)
 
     def observe(self) -> dict[str, Any]:
         """Return the present observation; a new one each time, which the caller may change."""
@@ -178,7 +183,7 @@ class Referee:
             spec.Obs.DATA_FORMAT_VERSION: spec.DATA_FORMAT_VERSION,
             spec.Obs.INSTRUCTION: episode.instruction,
             spec.Obs.ENV_IDX: self._env_idx,
-            spec.Obs.ADDITIONAL_INFO: {spec.Obs.FREQUENCY: setup.frequency},
+            spec.Obs.ADDITIONAL_INFO: {spec.Obs.FREQUENCY: self._frequency},
             spec.Obs.VISION: dict(episode.vision()) if setup.cameras else {},
             spec.Obs.STATE: {key: np.array(value, dtype=np.float32) for key, value in episode.state().items()},
         }
@@ -207,9 +212,11 @@ class Referee:
         for prefix, found in (self._episode.step(step) or {}).items():
             corrections.setdefault(prefix, {}).update(found)
         self._steps += 1
-        self._note()
-        self._judge()
-        self._corrections.update(kind for kinds in corrections.values() for kind in kinds)
+        state = self._episode.state()
+        self._note(state)
+        self._judge(state)
+        if corrections:
+            self._corrections.update(kind for kinds in corrections.values() for kind in kinds)
         return self._report(corrections)
 
     def vision(self) -> dict[str, Mapping[str, Any]]:
@@ -239,14 +246,14 @@ class Referee:
         """Release what the simulator holds."""
         self._episode.close()
 
-    def _note(self) -> None:
-        """Add the present state to the digest."""
-        for part in (self._episode.state(), self._episode.truth()):
-            _digest_into(self._digest, part)
+    def _note(self, state: Mapping[str, Any]) -> None:
+        """Add the present state to the digest, and the truth about it."""
+        _digest_into(self._digest, state)
+        _digest_into(self._digest, self._episode.truth())
 
-    def _judge(self) -> None:
+    def _judge(self, state: Mapping[str, Any]) -> None:
         self._score = min(max(float(self._episode.score()), 0.0), SUCCESS_SCORE)
-        if not _is_finite(self._episode.state()):
+        if not _is_finite(state):
             self.end_reason = NON_FINITE_STATE
         elif self._score >= SUCCESS_SCORE:
             self.end_reason = SUCCESS
@@ -273,23 +280,33 @@ def _by_arm(verdict: Verdict) -> Corrections:
 
 
 def _is_finite(state: Mapping[str, Any]) -> bool:
-    parts = [np.ravel(value) for value in state.values()]
-    return not parts or bool(np.isfinite(np.concatenate(parts, dtype=np.float64)).all())
+    # A robot has few numbers: one by one they cost less than what numpy does before the first.
+    return all(all(map(math.isfinite, np.asarray(value).ravel().tolist())) for value in state.values())
 
 
 def _digest_into(digest: hashlib._Hash, value: Any) -> None:
     """Add a value to a digest: maps by sorted keys, numbers and arrays as float64, anything else part by part."""
     if isinstance(value, Mapping):
         for key in sorted(value):
-            digest.update(f"{key}\0".encode())
-            _digest_into(digest, value[key])
+            part = value[key]
+            if type(part) is np.ndarray and part.dtype is _FLOAT64 and part.size <= _FEW:  # what most are
+                digest.update(b"".join((_word(key), _word(part.shape), part.tobytes())))
+            else:
+                digest.update(_word(key))
+                _digest_into(digest, part)
         return
     array = np.asarray(value)
     if array.dtype.kind in "biuf":
-        digest.update(f"{array.shape}\0".encode())
+        digest.update(_word(array.shape))
         digest.update(np.ascontiguousarray(array, dtype=np.float64).data)
     elif isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
         for part in value:
             _digest_into(digest, part)
     else:
         digest.update(f"{value}\0".encode())
+
+
+@functools.lru_cache(maxsize=1024, typed=True)
+def _word(value: Hashable) -> bytes:
+    """Return a key or a shape as a digest takes it; the same few come in every control step."""
+    return f"{value}\0".encode()

@@ -12,7 +12,7 @@ simulation does that models them, needs no supervisor.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +40,8 @@ FIRST_STEPS = 3.0
 other units, another order of joints, another robot."""
 
 _SLACK = 1e-5  # rounding of float32 actions is no violation
+_INSIDE = 0.999  # of a bound: what is nearer to it is looked at exactly
+_FLOAT32 = np.dtype(np.float32)
 _LEAST_NORM = 1e-3  # below it a quaternion has no direction
 
 
@@ -115,7 +117,7 @@ class Supervisor:
         self.max_age_s = AGE_STEPS * self.period if max_age_s is None else max_age_s
         self._first_steps = first_steps
         self._parts = _parts(embodiment, action_type, self.period)
-        self._held: NDArray[np.float64] | None = None
+        self._held: list[float] | None = None
         self._is_first = True
 
     def begin(self, obs: Mapping[str, Any]) -> None:
@@ -124,7 +126,7 @@ class Supervisor:
         Raises:
             ObservationError: the state lacks what actions command.
         """
-        self._held = pack_state(obs, self._embodiment, self._action_type).astype(np.float64)
+        self._held = pack_state(obs, self._embodiment, self._action_type).tolist()
         self._is_first = True
 
     def read(self, action: Mapping[str, Any]) -> NDArray[np.float64]:
@@ -137,9 +139,7 @@ class Supervisor:
         if extra:
             raise ActionError(f"the action has {', '.join(extra)}; send exactly {', '.join(self._dims)}")
         flat = pack(action, self._embodiment, self._action_type).astype(np.float64)
-        for part in self._parts:
-            if isinstance(part, _Pose) and part.norm(flat) < _LEAST_NORM:
-                raise ActionError(f"{part.key} must hold a unit quaternion, got {flat[part.turn].tolist()}")
+        self._with_direction(flat.tolist())
         return flat
 
     def check(self, action: Mapping[str, Any], age_s: float = 0.0) -> Verdict:
@@ -155,26 +155,49 @@ class Supervisor:
         """
         if self._held is None:
             raise RuntimeError("no episode has begun: call begin with its first observation")
-        flat = self.read(action)
-        if not _finite(flat):
-            bad = [key for key, part in unpack(flat, self._embodiment, self._action_type).items() if not _finite(part)]
-            return self._hold(Correction(NON_FINITE, "", bad[0], float((~np.isfinite(flat)).sum())), ends=True)
+        values = self._numbers(action)
+        if not all(map(math.isfinite, values)):
+            bad = [
+                key for key, part in unpack(values, self._embodiment, self._action_type).items() if not _finite(part)
+            ]
+            return self._hold(Correction(NON_FINITE, "", bad[0], float((~np.isfinite(values)).sum())), ends=True)
         if age_s > self.max_age_s:
             return self._hold(Correction(ACTION_AGE, "", "", age_s - self.max_age_s))
         if self._is_first:
-            far = [part.excess(flat, self._held, self._first_steps) for part in self._parts]
+            far = [part.excess(np.array(values), np.array(self._held), self._first_steps) for part in self._parts]
             past, where = max(far)
             if past > _SLACK:
                 return self._hold(Correction(FAR_FIRST_ACTION, "", where, past), ends=True)
         self._is_first = False
-        executed = flat.copy()
-        corrections = tuple(
-            found for part in self._parts for found in part.bound(executed, self._held) if found.amount > _SLACK
-        )
-        self._held = executed
+        bent = [part for part in self._parts if not part.is_plain(values, self._held)]
+        if not bent:
+            self._held = values
+            return Verdict(action)
+        held, executed = np.array(self._held), np.array(values)
+        corrections = tuple(found for part in bent for found in part.bound(executed, held) if found.amount > _SLACK)
+        self._held = executed.tolist()
         if not corrections:
             return Verdict(action)
         return Verdict(unpack(executed, self._embodiment, self._action_type), corrections)
+
+    def _numbers(self, action: Mapping[str, Any]) -> list[float]:
+        """Return what `read` does, as plain numbers; what a server sends takes the short way."""
+        values: list[float] = []
+        for key, dim in self._dims.items():
+            value = action.get(key)
+            if type(value) is not np.ndarray or value.dtype is not _FLOAT32 or value.shape != (dim,):
+                break
+            values += value.tolist()
+        else:
+            if len(action) == len(self._dims):
+                self._with_direction(values)
+                return values
+        return self.read(action).tolist()
+
+    def _with_direction(self, values: list[float]) -> None:
+        for part in self._parts:
+            if isinstance(part, _Pose) and part.norm(values) < _LEAST_NORM:
+                raise ActionError(f"{part.key} must hold a unit quaternion, got {values[part.turn]}")
 
     def _hold(self, reason: Correction, *, ends: bool = False) -> Verdict:
         assert self._held is not None  # noqa: S101 - `check` has looked
@@ -192,6 +215,15 @@ class _Joints:
     upper: NDArray[np.float64]
     velocity: NDArray[np.float64]
     period: float
+    plain: Sequence[tuple[float, float, float]]
+    """Of each joint its limits, and a little less than its way of one period."""
+
+    def is_plain(self, wanted: list[float], held: list[float]) -> bool:
+        """Tell by plain numbers that nothing has to be corrected, as in most control steps."""
+        return all(
+            lower <= value <= upper and abs(value - before) <= most
+            for value, before, (lower, upper, most) in zip(wanted[self.columns], held[self.columns], self.plain)
+        )
 
     def excess(self, flat: NDArray[np.float64], held: NDArray[np.float64], steps: float) -> tuple[float, str]:
         past = np.abs(flat[self.columns] - held[self.columns]) - steps * self.velocity * self.period
@@ -220,9 +252,10 @@ class _Pose:
     turn: slice
     period: float
 
-    def norm(self, flat: NDArray[np.float64]) -> float:
+    def norm(self, values: list[float]) -> float:
         """Return the length of the quaternion; NaN stays NaN."""
-        return math.sqrt(sum(value * value for value in flat[self.turn].tolist()))
+        w, x, y, z = values[self.turn]
+        return math.sqrt(w * w + x * x + y * y + z * z)
 
     def excess(self, flat: NDArray[np.float64], held: NDArray[np.float64], steps: float) -> tuple[float, str]:
         moved, turned = self._distance(flat, held)
@@ -230,11 +263,7 @@ class _Pose:
         return max(moved - steps * reach, turned - steps * angle), self.key
 
     def bound(self, flat: NDArray[np.float64], held: NDArray[np.float64]) -> list[Correction]:
-        if self._is_plain(
-            flat[self.place.start : self.turn.stop].tolist(), held[self.place.start : self.turn.stop].tolist()
-        ):
-            return []
-        off = abs(self.norm(flat) - 1.0)
+        off = abs(self.norm(flat.tolist()) - 1.0)
         if off > spec.QUATERNION_TOLERANCE:
             flat[self.turn] = rotation.normalise(flat[self.turn])
         moved, turned = self._distance(flat, held)
@@ -251,17 +280,18 @@ class _Pose:
             Correction(ROTATION_SPEED, self.prefix, self.key, wide / self.period if wide > _SLACK else 0.0),
         ]
 
-    def _is_plain(self, wanted: list[float], held: list[float]) -> bool:
+    def is_plain(self, wanted: list[float], held: list[float]) -> bool:
         """Tell by few numbers that a pose needs no correction: most do not, and this is asked in every control step.
 
         A little inside of the bounds, where the exact way could not tell otherwise.
         """
-        x, y, z, *turn = wanted
-        a, b, c, *before = held
+        x, y, z = wanted[self.place]
+        a, b, c = held[self.place]
+        turn, before = wanted[self.turn], held[self.turn]
         moved = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
-        reach, angle = 0.999 * spec.POSITION_SPEED * self.period, 0.999 * spec.ROTATION_SPEED * self.period
-        norm = math.hypot(*turn)
-        cosine = abs(sum(one * other for one, other in zip(turn, before))) / (norm * math.hypot(*before) or 1.0)
+        reach, angle = _INSIDE * spec.POSITION_SPEED * self.period, _INSIDE * spec.ROTATION_SPEED * self.period
+        norm = self.norm(wanted)
+        cosine = abs(sum(one * other for one, other in zip(turn, before))) / (norm * self.norm(held) or 1.0)
         return (
             moved <= reach * reach
             and abs(norm - 1.0) <= spec.QUATERNION_TOLERANCE
@@ -284,10 +314,11 @@ class _Gripper:
     def excess(self, _flat: NDArray[np.float64], _held: NDArray[np.float64], _steps: float) -> tuple[float, str]:
         return 0.0, self.key
 
+    def is_plain(self, wanted: list[float], _held: list[float]) -> bool:
+        return bool(spec.GRIPPER_CLOSED <= wanted[self.column] <= spec.GRIPPER_OPEN)
+
     def bound(self, flat: NDArray[np.float64], _held: NDArray[np.float64]) -> list[Correction]:
         wanted = float(flat[self.column])
-        if spec.GRIPPER_CLOSED <= wanted <= spec.GRIPPER_OPEN:
-            return []
         flat[self.column] = min(max(wanted, spec.GRIPPER_CLOSED), spec.GRIPPER_OPEN)
         return [Correction(GRIPPER_RANGE, self.prefix, self.key, abs(wanted - float(flat[self.column])))]
 
@@ -311,14 +342,18 @@ def _parts(embodiment: Embodiment, action_type: str, period: float) -> list[_Joi
 
 def _joints(arm: Arm, columns: slice, period: float) -> _Joints:
     names = arm.joint_names or tuple(f"joint{index + 1}" for index in range(arm.dof))
+    lower = np.full(arm.dof, -math.inf) if arm.lower is None else arm.lower
+    upper = np.full(arm.dof, math.inf) if arm.upper is None else arm.upper
+    velocity = np.full(arm.dof, spec.JOINT_SPEED) if arm.velocity is None else arm.velocity
     return _Joints(
         prefix=arm.prefix,
         columns=columns,
         names=tuple(arm.prefix + name for name in names),
-        lower=np.full(arm.dof, -math.inf) if arm.lower is None else arm.lower,
-        upper=np.full(arm.dof, math.inf) if arm.upper is None else arm.upper,
-        velocity=np.full(arm.dof, spec.JOINT_SPEED) if arm.velocity is None else arm.velocity,
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
         period=period,
+        plain=list(zip(lower.tolist(), upper.tolist(), (_INSIDE * velocity * period).tolist())),
     )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import mul
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,11 +23,34 @@ if TYPE_CHECKING:
 
 ACTION_RANGE, FIXED_TURN = "action_range", "fixed_orientation"
 _SLACK = 1e-4  # of the range of an action: rounding of float32 poses is no violation
-_COSINE = np.cos(0.15)  # of half of 0.3 rad, by which an orientation may differ: the hand itself swings by half of it
+_COSINE = float(
+    np.cos(0.15)
+)  # of half of 0.3 rad, by which an orientation may differ: the hand itself swings by half of it
 _CLOSED = 0.2967  # of 10 cm: how far apart Meta-World sees its fingers when they touch; open it says 1
-_DOWN = np.array([0.0, 0.70710678, -0.70710678, 0.0])  # of the flange where Meta-World's hand is as it is held
-_AHEAD = np.array([0.0, 0.0, -0.1445])  # m from the flange to the hand then; the model's own
+_DOWN = (0.0, 0.70710678, -0.70710678, 0.0)  # of the flange where Meta-World's hand is as it is held
+_AHEAD = 0.1445  # m down from the flange to the hand then; the model's own
 _JOINTS = 7  # qpos begins with the arm's
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Where MuJoCo writes what a state is made of: views of its memory, which each step and reset fill anew."""
+
+    pulled: NDArray[np.float64]
+    joints: NDArray[np.float64]
+    flange: NDArray[np.float64]
+    flange_turn: NDArray[np.float64]
+    hand_turn: NDArray[np.float64]
+    left: NDArray[np.float64]
+    right: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, model: Any, data: Any) -> _Seen:
+        """Return the views of one simulation."""
+        flange, hand = (model.body(name).id for name in ("right_l6", "hand"))
+        left, right = (data.site_xpos[model.site(f"{side}EndEffector").id] for side in ("left", "right"))
+        poses = (data.xpos[flange], data.xquat[flange], data.xquat[hand])
+        return cls(data.mocap_pos[0], data.qpos[:_JOINTS], *poses, left, right)
 
 
 class MetaWorldEpisode(Episode):
@@ -50,8 +75,7 @@ class MetaWorldEpisode(Episode):
         del env.sawyer_observation_space
         env.seeded_rand_vec = True
         self._policy = ENV_POLICY_MAP[name]()
-        self._flange, self._hand = (env.model.body(name).id for name in ("right_l6", "hand"))
-        self._tips = [env.model.site(side).id for side in ("leftEndEffector", "rightEndEffector")]
+        self._seen = _Seen.of(env.model, env.data)
         self._changes = Changes(COMMANDED if "delta" in words else MEASURED)
         self._pictures = Pictures(env.model, setup, is_fast="fast" in words)
 
@@ -69,18 +93,19 @@ class MetaWorldEpisode(Episode):
 
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step: pull the hand to a pose, or as far as the command went on from the one before."""
-        wanted = action[spec.State.EE_POSE].astype(np.float64)
+        # Few numbers: one by one they cost a fraction of what numpy takes for them.
+        wanted = action[spec.State.EE_POSE].tolist()
         # What is pulled is where an absolute command counts from, and not the hand, which lags behind.
         change = self._changes.move(wanted, self._pulled) / self._env.action_scale
         move, past = bounded(change, together=self._changes.counted_from == MEASURED)
-        opening = float(action[spec.State.EE_JOINT_STATE][0])
-        self._told = np.append(move, 1.0 - 2.0 * opening)
+        self._told = np.array([*move.tolist(), 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0])])
         obs, _, _, _, info = self._env.step(self._told)
         self._look(obs)
         self._success = bool(info["success"])
         found = {ACTION_RANGE: past} if past > _SLACK else {}
-        if abs(float(wanted[spec.POSITION_DIM :] @ _DOWN)) < _COSINE:
-            found[FIXED_TURN] = float(angle_between(_DOWN, wanted[spec.POSITION_DIM :]))
+        turn = wanted[spec.POSITION_DIM :]
+        if abs(sum(map(mul, turn, _DOWN))) < _COSINE:
+            found[FIXED_TURN] = float(angle_between(_DOWN, turn))
         return {self.setup.embodiment.prefixes[0]: found} if found else {}
 
     def score(self) -> float:
@@ -117,15 +142,16 @@ class MetaWorldEpisode(Episode):
 
         `_pulled` is where the flange would be if the hand were where it is pulled to.
         """
-        self._obs, data = obs, self._env.data
-        self._pulled = np.concatenate([data.mocap_pos[0] - _AHEAD, _DOWN])
-        flange = self._flange
-        left, right = (data.site_xpos[site] for site in self._tips)
+        self._obs, seen = obs, self._seen
+        x, y, z = seen.pulled.tolist()
+        self._pulled = np.array([x, y, z + _AHEAD, *_DOWN])
+        opening = (float(obs[3]) - _CLOSED) / (1.0 - _CLOSED)
+        between = [(one + other) / 2.0 for one, other in zip(seen.left.tolist(), seen.right.tolist(), strict=True)]
         self._state = {
-            spec.State.ARM_JOINT_STATE: data.qpos[:_JOINTS].copy(),
-            spec.State.EE_JOINT_STATE: np.clip((obs[3:4] - _CLOSED) / (1.0 - _CLOSED), 0.0, 1.0),
-            spec.State.EE_POSE: np.concatenate([data.xpos[flange], data.xquat[flange]]),
-            spec.State.TCP_POSE: np.concatenate([(left + right) / 2.0, data.xquat[self._hand]]),
+            spec.State.ARM_JOINT_STATE: seen.joints.copy(),
+            spec.State.EE_JOINT_STATE: np.array([min(max(opening, 0.0), 1.0)]),
+            spec.State.EE_POSE: np.array([*seen.flange.tolist(), *seen.flange_turn.tolist()]),
+            spec.State.TCP_POSE: np.array([*between, *seen.hand_turn.tolist()]),
         }
 
     def _expert(self) -> dict[str, NDArray[np.float64]]:

@@ -74,9 +74,9 @@ class Changes:
 
     def move(self, commanded: ArrayLike, present: ArrayLike) -> NDArray[np.float64]:
         """Return how far a command moves the arm, (3,) float64, m, where a simulator does not turn it."""
-        base, wanted = self.base(present), np.asarray(commanded, dtype=np.float64)
-        self._before = wanted
-        return wanted[: spec.POSITION_DIM] - base[: spec.POSITION_DIM]
+        base, self._before = self.base(present), np.asarray(commanded, dtype=np.float64)
+        moved: NDArray[np.float64] = self._before[: spec.POSITION_DIM] - base[: spec.POSITION_DIM]
+        return moved
 
 
 def bounded(values: NDArray[np.float64], *, together: bool) -> tuple[NDArray[np.float64], float]:
@@ -87,7 +87,7 @@ def bounded(values: NDArray[np.float64], *, together: bool) -> tuple[NDArray[np.
         together: whether all are made smaller alike, so that a long way keeps its direction, or each is cut off by
             itself, as benchmarks do.
     """
-    largest = float(np.abs(values).max())
+    largest = max(map(abs, values.tolist()))
     past = max(largest - 1.0, 0.0)
     if past == 0.0:
         return values, past
