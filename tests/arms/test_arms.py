@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pty
+import select
 import shutil
 import signal
 import subprocess
@@ -363,6 +365,40 @@ def test_a_question_from_any_process_is_answered_by_file_or_http(
     (answering / f"{number}.answer").write_text("sk\n")
     again.join()
     assert asked == ["near", "skip"]
+
+
+def test_a_question_of_another_process_is_answered_on_the_leaders_terminal() -> None:
+    """A real terminal: the question is shown there, a line that is no answer is told so, and the next one counts."""
+    ask = "from xpl.arms import people; print(people.ask('Ready?', ('ready', 'skip')))"
+    lead = f"""
+import subprocess, sys
+from xpl_cli.environments.desk import desk
+with desk():
+    subprocess.run([sys.executable, "-c", {ask!r}], stdin=subprocess.DEVNULL, check=True)
+"""
+    ours, theirs = pty.openpty()
+    leader = subprocess.Popen(
+        [sys.executable, "-c", lead],
+        env={**{key: value for key, value in os.environ.items() if key != people.DESK}, "PYTHONPATH": str(ROOT)},
+        stdin=theirs,
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        text=True,
+    )
+    os.close(theirs)
+    try:
+        for awaited, typed in (("Ready? (ready / skip)", b"maybe\n"), ("expected ready or skip", b"sk\n")):
+            shown = b""
+            while awaited.encode() not in b" ".join(shown.split()):
+                assert select.select([ours], [], [], DEADLINE_S)[0], shown
+                shown += os.read(ours, 4096)
+            os.write(ours, typed)
+        told, _ = leader.communicate(timeout=DEADLINE_S)
+    finally:
+        leader.kill()
+        leader.wait()
+        os.close(ours)
+    assert (leader.returncode, told.strip()) == (0, "skip")
 
 
 def test_without_a_desk_a_file_is_waited_for(tmp_path: Path) -> None:

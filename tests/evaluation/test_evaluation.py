@@ -66,6 +66,19 @@ def test_a_batch_of_environments_runs_as_many_episodes_as_asked_for(tmp_path: Pa
     assert report["successes"] == 3
 
 
+def test_several_tasks_are_played_by_one_server_and_told_apart(tmp_path: Path) -> None:
+    """A list, as splits are; seeds begin anew with each task, and the report is of all."""
+    options = ["--env", "mujoco", "--task", "lift_cube,push_block", "--set", "env_cfg_type=arx_x5_single"]
+    done = xpl("eval", "scripted_expert", *options, "--json", cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    report = json.loads(done.stdout)
+    assert validate(report, "evaluation") == []
+    assert report["task"] == "lift_cube,push_block"
+    played = [(episode["task"], episode["seed"], episode["success"]) for episode in report["episodes"]]
+    assert played == [("lift_cube", 0, True), ("push_block", 0, True)]
+    assert outcome.text(report).splitlines()[1:] == ["  lift_cube: 1 of 1", "  push_block: 1 of 1"]
+
+
 @pytest.mark.slow
 def test_the_scripts_of_a_scaffold_run_a_debug_evaluation(tmp_path: Path) -> None:
     """eval.sh with the ten positional arguments of the ecosystem ends with the line that launchers look for."""

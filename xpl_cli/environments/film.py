@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -14,7 +14,7 @@ from xpl_cli.environments import play
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     import numpy as np
@@ -36,18 +36,22 @@ def render(what: Scenario, seed: int, camera: str | None, out: Path) -> dict[str
     """
     check_ending(out, (".png",))
     camera = camera_of(what, camera)
-    seen, wording = first_look(what, seed, camera)
+    ((seen, wording),) = first_looks(what, [what.task], seed, camera)
     atomic.write_file(out, images.encode_png(seen))
     height, width = seen.shape[:2]
     size = {"height": height, "width": width}
     return {**shown(what, seed, camera, out), **size, sdk.Obs.INSTRUCTION: wording}
 
 
-def first_look(what: Scenario, seed: int, camera: str) -> tuple[np.ndarray, str]:
-    """Return what a camera sees when an episode begins, (H, W, 3) uint8, and the episode's instruction."""
-    with contextlib.closing(play.make(what)) as env, _drawing(what):
-        env.reset([seed])
-        return _look(env, camera), env.get_obs()[sdk.Obs.INSTRUCTION]
+def first_looks(what: Scenario, tasks: Sequence[str], seed: int, camera: str) -> Iterator[tuple[np.ndarray, str]]:
+    """Yield what a camera sees when an episode of each task begins, (H, W, 3) uint8, and the episode's instruction.
+
+    One environment plays them one after the other: where it has a process of its own, that is started once.
+    """
+    with contextlib.closing(play.make(replace(what, task=tasks[0]))) as env, _drawing(what):
+        for task in tasks:
+            env.reset([seed], {"task": task})
+            yield _look(env, camera), env.get_obs()[sdk.Obs.INSTRUCTION]
 
 
 def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) -> dict[str, Any]:

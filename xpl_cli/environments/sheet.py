@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,7 +46,7 @@ def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequ
     entries = facts["tasks"]
     names = [play.chosen("task", task, entries) for task in play.expanded(facts, chosen)] or list(entries)
     tasks = [task for task in names if play.unsupported(entries[task], what.embodiment) is None]
-    seen = [film.first_look(replace(what, task=task), seed, camera)[0] for task in tasks]
+    seen = [picture for picture, _ in film.first_looks(what, tasks, seed, camera)]
     columns = min(_COLUMNS, len(seen))
     if len(seen) > _MANY:
         seen, columns = [_smaller(picture) for picture in seen], _SIDE_BY_SIDE

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -119,18 +120,34 @@ def _commands(folder: Path, lock: Path) -> list[list[str]]:
     ]
 
 
-def _run(command: list[str]) -> None:
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=INSTALL_S, stdin=subprocess.DEVNULL, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise NotBuiltError(f"not done within {INSTALL_S:g} s") from None
-    if done.returncode:
-        lines = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()
+def _run(command: list[str], limit_s: float = INSTALL_S) -> None:
+    # A group of its own: pip starts another pip, which would otherwise go on when the first one is ended.
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
+    ) as installer:
+        try:
+            told, error = installer.communicate(timeout=limit_s)
+        except BaseException as reason:
+            os.killpg(installer.pid, signal.SIGKILL)
+            if isinstance(reason, subprocess.TimeoutExpired):
+                raise NotBuiltError(f"not done within {limit_s:g} s") from None
+            raise
+    if installer.returncode:
+        lines = (error.strip() or told.strip() or f"exit code {installer.returncode}").splitlines()
         raise NotBuiltError(lines[-1].strip())
 
 
+def _leave(number: int, _frame: object) -> None:
+    """End as an exception does, so that an installer does not go on alone."""
+    sys.exit(128 + number)
+
+
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, _leave)
     left_out = sys.argv[2:] if sys.argv[1:2] == ["--without"] else []
     sys.exit(max(main(locks) for locks in ALL_LOCKS if locks.name not in left_out))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -57,3 +58,16 @@ def test_what_cannot_be_built_is_reported_as_not_run(
     assert told[0].startswith("not run: tests with the packages of broken.lock.txt")
     assert told[1].startswith("built")
     assert [entry.name for entry in where["peers"].iterdir()] == ["fine"]
+
+
+@pytest.mark.slow
+def test_an_installer_that_takes_too_long_ends_with_all_that_it_started(tmp_path: Path) -> None:
+    """What it started has the only writing end of a pipe, which is at its end once that is gone."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    ours = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with pytest.raises(build.NotBuiltError, match="not done within 1 s"):
+        build._run(["sh", "-c", f"sleep 600 > '{pipe}' & wait"], 1.0)
+    os.set_blocking(ours, True)
+    with os.fdopen(ours) as end:
+        assert end.read() == ""

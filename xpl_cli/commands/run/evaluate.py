@@ -21,9 +21,11 @@ def evaluate(
     policy: str = POLICY,
     env: str | None = typer.Option(None, "--env", help="Environment package; EVAL_ENV_TYPE decides by default."),
     task: str | None = typer.Option(
-        None, help="Task of the environment; deploy.yml's or the first by default. With --out also A,B or all."
+        None, help="Task of the environment; deploy.yml's or the first by default. Also A,B, a split of it, or all."
     ),
-    setting: str | None = typer.Option(None, help="Setting of the environment; the first by default. As for --task."),
+    setting: str | None = typer.Option(
+        None, help="Setting of the environment; the first by default. With --out also A,B or all."
+    ),
     episodes: int | None = typer.Option(
         None, min=1, help="Number of episodes, of each task and setting; 1 by default."
     ),

@@ -1,4 +1,4 @@
-"""An evaluation that is not recorded: some episodes of one task, told at once (`xpl.eval/1`).
+"""An evaluation that is not recorded: some episodes of a task or of several, told at once (`xpl.eval/1`).
 
 The same lane and the same rules as for a recorded run. What differs is what a quick look is for: seeds are the ones
 that were named, several environments may be one batch, a server that runs already may be asked, and the first episode
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl import get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
 from xpl_cli.evaluation.lanes.lane import Access, Orders
@@ -23,7 +24,7 @@ from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
 from xpl_cli.evaluation.records.fingerprints import package_digest
 from xpl_cli.evaluation.records.records import Unwritten
 from xpl_cli.evaluation.runs import outcome, runner
-from xpl_cli.evaluation.runs.plan import ATTEMPTS
+from xpl_cli.evaluation.runs.plan import ALL, ATTEMPTS, tasks_of
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.evaluation.runs.settings import environment_settings, settings_of
 from xpl_cli.isolation.bounds import Bounds
@@ -31,7 +32,7 @@ from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
     import ssl
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.lanes.recorder import Demos
@@ -46,9 +47,9 @@ class Request:
     Attributes:
         package: the adapter.
         environment: name of the environment package.
-        task: task of it, its first one by default.
+        task: task of it, its first one by default; or several: with commas between them, splits, or `all`.
         setting: setting of it, its first one by default.
-        episodes: number of episodes.
+        episodes: number of episodes, of each task.
         num_envs: environments that run at once, in one batch.
         workers: processes that share them; 0 plays them in this process.
         horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
@@ -111,25 +112,28 @@ def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
     started = time.perf_counter()
     config = request.package.config(request.overrides)
     folder = environments.find(request.environment)
+    facts = environments.manifest(folder)
+    tasks = _several(request.task, facts, str(config[sdk.Deploy.ENV_CFG_TYPE]))
     settings = environment_settings(
         request.package,
         request.environment,
         config,
-        task=request.task,
+        task=tasks[0] if tasks else request.task,
         setting=request.setting,
         num_envs=request.num_envs,
     )
-    setting = request.setting or settings_of(environments.manifest(folder))[0]
+    setting = request.setting or settings_of(facts)[0]
     first = int(config[sdk.Deploy.SEED])
-    sink = Unwritten(_plan(settings, setting, range(first, first + request.episodes), request.horizon))
+    tasks = tasks or [settings["task"]]
+    sink = Unwritten(_plan(settings, tasks, setting, range(first, first + request.episodes), request.horizon))
     schedule = Schedule(sink.run, 0, lambda _outcomes: False, traced=False)
     with contextlib.closing(_backend(request, str(folder), config, settings, progress)) as backend:
         backend.prepare(settings["task"], setting)
-        runner.play(sink, backend, schedule, _View(sink.run, request.episodes, progress))
+        runner.play(sink, backend, schedule, _View(sink.run, request.episodes * len(tasks), progress))
     played = {
         "policy": request.package.name,
         "environment": request.environment,
-        "task": settings["task"],
+        "task": settings["task"] if len(tasks) == 1 else request.task,
         "setting": setting,
         "embodiment": settings["embodiment"],
         sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
@@ -167,14 +171,22 @@ class _View:
         self._progress.step(outcome.line(list(self._run.finals.values()), self._total))
 
 
-def _plan(settings: Mapping[str, Any], setting: str, seeds: range, horizon: int | None) -> Line:
+def _several(wanted: str | None, facts: Mapping[str, Any], embodiment: str) -> list[str]:
+    """Return the tasks where more than one is meant, or a split; nothing where one or none is named."""
+    if wanted is None or wanted in facts["tasks"]:
+        return []
+    is_list = wanted == ALL or "," in wanted or wanted in (facts.get("splits") or {})
+    return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
+
+
+def _plan(settings: Mapping[str, Any], tasks: Sequence[str], setting: str, seeds: range, horizon: int | None) -> Line:
     """Return what a schedule and a runner read of a plan; nobody writes it down."""
-    cell = {"task": settings["task"], "setting": setting, "dimension": None, "seeds": list(seeds), "frozen": False}
+    same = {"setting": setting, "dimension": None, "seeds": list(seeds), "frozen": False}
     return {
         "embodiment": settings["embodiment"],
         sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
         "control": {"horizon": horizon, "attempts": ATTEMPTS},
-        "cells": [cell],
+        "cells": [{"task": task, **same} for task in tasks],
         "until_width": None,
     }
 

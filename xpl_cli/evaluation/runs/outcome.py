@@ -85,14 +85,20 @@ def line(episodes: Sequence[Mapping[str, Any]], total: int) -> str:
 
 
 def text(found: Mapping[str, Any]) -> str:
-    """Return a report as one line for people."""
+    """Return a report as one line for people, with one more for each task where there are several."""
     control = found[sdk.Deploy.ACTION_TYPE]
     played = f"{found['environment']}/{found['task']}, {found['embodiment']}, {control} control"
     where, count = f"{found['policy']} on {played}", len(found["episodes"])
     if found["success_rate"] is None:
         return f"{where}: {count} episodes ran to their end in {found['seconds']:.1f} s"
     score = f"mean score {found['mean_score']:.2f}"
-    return f"{where}: {found['successes']} of {count} succeeded, {score}, {found['seconds']:.1f} s"
+    tasks: dict[str, list[Mapping[str, Any]]] = {}
+    for episode in found["episodes"]:
+        tasks.setdefault(episode.get("task", found["task"]), []).append(episode)
+    lines = [f"{where}: {found['successes']} of {count} succeeded, {score}, {found['seconds']:.1f} s"]
+    if len(tasks) > 1:
+        lines += [f"  {task}: {_tally(episodes)[1]} of {len(episodes)}" for task, episodes in tasks.items()]
+    return "\n".join(lines)
 
 
 def following(found: Mapping[str, Any], policy: str) -> list[str]:

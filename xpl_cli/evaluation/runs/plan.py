@@ -82,7 +82,7 @@ def make(
     """
     facts = environments.manifest(folder)
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
-    tasks, left_out = _tasks(facts, wishes.tasks or config.get(sdk.Deploy.TASK_NAME), robot)
+    tasks, left_out = tasks_of(facts, wishes.tasks or config.get(sdk.Deploy.TASK_NAME), robot)
     settings = _names("setting", wishes.settings, play.settings(facts))
     cells = [_cell(folder, facts, task, setting, wishes) for task in tasks for setting in settings]
     line = {
@@ -124,8 +124,18 @@ def _served_from(package: Package, config: Mapping[str, Any], manner: Manner) ->
     return {"digest": package_digest(package.path), "config": manner.written_in(config), "checkpoint": checkpoint}
 
 
-def _tasks(facts: Mapping[str, Any], wanted: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
-    """Return the tasks that are played, and those that `all` leaves out, with the reason."""
+def tasks_of(facts: Mapping[str, Any], wanted: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
+    """Return the tasks that are played, and those that `all` leaves out, with the reason.
+
+    Args:
+        facts: the environment's manifest.
+        wanted: names of tasks or splits with commas between them, or `all`; None is the first task.
+        robot: who plays.
+
+    Raises:
+        NotFoundError: there is no such task.
+        UserError: the robot cannot play one that was named, or a name comes twice.
+    """
     entries = facts["tasks"]
     reasons = {task: play.unsupported(entry, robot) for task, entry in entries.items()}
     if wanted == ALL:
