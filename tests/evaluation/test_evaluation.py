@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from xpl_cli.serving.launch import RunningServer
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
 @pytest.mark.parametrize("control", ["joint", "ee"])
 def test_the_expert_solves_a_few_seeds_through_the_server(tmp_path: Path, task: str, control: str) -> None:
