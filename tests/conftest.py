@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.support import forked, renders, schedule
+from tests.support import examples, forked, once, schedule
 from tests.support.peer import MARK, processes, wait_until
 from xpl_cli.serving import nursery
 from xpl_cli.serving.launch import RunningServer, serving
@@ -29,13 +29,21 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 forked.remember()
-renders.remember()
+once.remember()
 # What is imported and collected stays: searching it for garbage again and again took a tenth of the time.
 gc.disable()
 
 # How long an example takes, or its making, depends on what else the machine does.
-settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("any machine")
+_ANY_MACHINE: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("whole", **_ANY_MACHINE)
+settings.load_profile("whole")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Try properties with fewer examples where slow tests are left out."""
+    examples.are_few(config.option.markexpr == "not slow")
+    settings.register_profile("this run", max_examples=examples.examples(100), **_ANY_MACHINE)
+    settings.load_profile("this run")
 
 
 @pytest.hookimpl(tryfirst=True)

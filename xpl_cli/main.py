@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+from functools import cache
 from typing import Annotated, Any, Final, NoReturn
 
 import typer
@@ -69,6 +70,12 @@ _FUNCTIONS: Final = {"eval": "evaluate"}
 _HIDDEN: Final = frozenset({"hook"})
 _NEED_ALL: Final = frozenset({"hook", "mcp", "spec"})
 """Commands that look at the whole command line."""
+
+
+@cache
+def _command(only: str | None) -> Any:
+    """Return what reads the command line; whoever runs several commands in a process has each made once."""
+    return typer.main.get_command(_made(only))
 
 
 def _made(only: str | None = None) -> typer.Typer:
@@ -146,7 +153,7 @@ def main(arguments: list[str]) -> int:
         arguments: the command line after `xpl`.
     """
     try:
-        ended = _made(_named(arguments))(args=arguments, prog_name="xpl", standalone_mode=False)
+        ended = _command(_named(arguments)).main(args=arguments, prog_name="xpl", standalone_mode=False)
     except UserError as error:
         return _told(error, arguments)
     except _UsageError as error:

@@ -271,6 +271,7 @@ def test_every_step_is_understood() -> None:
     assert whole.seen == ("verdict GREEN contract",)
 
 
+@pytest.mark.slow
 def test_an_answer_that_the_text_has_no_place_for_stops_the_agent(agent: Callable[..., LiteralAgent]) -> None:
     """It invents nothing: neither a section nor a key."""
     one = agent(_linear)

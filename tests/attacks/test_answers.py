@@ -18,6 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from tests.support.killable import listens
 from tests.support.peer import Peer, wait_until
 from tests.support.raw import page
@@ -239,7 +240,7 @@ def test_one_client_of_a_shared_model_never_costs_another_its_answer(
             assert good.ask("infer", {"observation": {}}).message_type == "infer_result"
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     st.text(),
     st.recursive(
@@ -317,7 +318,7 @@ def test_any_hello_is_answered(server: RunningServer) -> None:
     """By an acknowledgement or a refusal that is no fault of the server."""
     with contextlib.closing(Peer(server.url)) as peer:
 
-        @settings(max_examples=60, deadline=None, database=None)
+        @settings(max_examples=examples(60), deadline=None, database=None)
         @given(st.fixed_dictionaries({}, optional={"environment": ODD, "capabilities": ODD, "evaluation_plan": ODD}))
         def ask(payload: dict[str, Any]) -> None:
             answer = peer.ask("hello", payload)

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
 from tests.support.raw import CLOSE, Raw, dial, page
 from xpl import Client
@@ -150,7 +151,7 @@ def test_what_is_no_name_is_not_allowed(subject: Path, tmp_path: Path, arguments
 anything = st.text(st.characters(codec="latin-1"), max_size=40) | st.text(string.printable, max_size=40)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(hosts=st.lists(anything, max_size=3), origins=st.lists(anything, max_size=3))
 def test_no_header_ends_in_more_than_a_sentence(hosts: list[str], origins: list[str]) -> None:
     """Whatever the headers hold: a refusal is printable, and only the names that are ours pass."""

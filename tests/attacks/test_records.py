@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.support.commands import problem, xpl
+from tests.support.examples import examples
 from tests.support.runs import synthetic
 from xpl_cli.evaluation.leaderboard import board, field, ranking
 from xpl_cli.evaluation.records import lines, records
@@ -271,7 +272,9 @@ def test_whatever_stands_in_a_line_is_left_out_or_can_be_reported(
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@settings(max_examples=1000, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(
+    max_examples=examples(1000), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 @drawn
 def test_a_thousand_values_are_left_out_or_can_be_reported(data: st.DataObject, sound: Path, tmp_path: Path) -> None:
     """Values of any kind, at any place of any line."""

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.attacks.fuzz import texts
+from tests.support.examples import examples
 from tests.support.peer import xpl
 from tests.support.rules import made_adapter, made_room
 from xpl_cli.audit.engine import engine
@@ -27,7 +28,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.yaml import text as yaml_text
 
-FEW = settings(max_examples=60, deadline=None)
+FEW = settings(max_examples=examples(60), deadline=None)
 
 
 @pytest.fixture(scope="module")
@@ -314,7 +315,7 @@ def test_a_script_that_is_refused_is_refused_by_bash() -> None:
     bash = shutil.which("bash")
     assert bash is not None
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=examples(150), deadline=None)
     @given(SCRIPTS)
     def refused(script: str) -> None:
         error = refusal(script)
@@ -360,7 +361,7 @@ def test_the_gate_withstands_generated_packages(scaffold: Path, tmp_path: Path) 
     """Every rule, on generated modules, scripts and manifests."""
     folder = shutil.copytree(scaffold, tmp_path / "policy" / "Foo")
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=examples(60), deadline=None)
     @given(PYTHON, SHELL, YAML)
     def audited(python: str, shell: str, yaml: str) -> None:
         for name, text in (("model.py", python), ("helper.py", python), ("eval.sh", shell), ("process_data.sh", shell)):

@@ -97,6 +97,7 @@ def test_a_rule_that_could_not_run_judges_no_waiver(adapter: Path) -> None:
     assert results["stale-waiver"].outcome is Outcome.PASS
 
 
+@pytest.mark.slow
 def test_a_waiver_of_a_gate_that_did_not_run_is_not_judged(adapter: Path) -> None:
     """The offline gate judges it when it runs."""
     waive(adapter, {"rule": "batch-order", "reason": REASON})
@@ -108,6 +109,7 @@ def test_a_waiver_of_a_gate_that_did_not_run_is_not_judged(adapter: Path) -> Non
     }
 
 
+@pytest.mark.slow
 def test_other_gates_say_nothing_of_waivers_where_none_is_theirs(adapter: Path) -> None:
     """No result that would only look like a proof."""
     waive(adapter, {"rule": "bare-except", "reason": REASON})

@@ -194,6 +194,7 @@ def test_randomized_episodes_differ_and_repeat() -> None:
 # -- what is special about some tasks ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_instruction_names_the_block_that_counts() -> None:
     """Whoever lifts another one has failed; every color and place is asked for by some seed."""
     named = set()

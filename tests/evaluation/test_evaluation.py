@@ -140,7 +140,7 @@ BREAKS_ONCE = """
 """
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("deaths", [1, 9])
 def test_a_policy_whose_process_dies_is_asked_again_and_has_failed_in_the_end(
     write_adapter: Callable[..., Path], tmp_path: Path, deaths: int

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from tests.support.runs import synthetic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
@@ -203,7 +204,7 @@ def test_a_cell_ends_when_it_is_enough(plan: dict[str, Any], tmp_path: Path) -> 
         assert _play(folder, long, Script(1, _good, _first), enough).attempts == run.attempts
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data(), lanes=st.integers(1, 4))
 def test_whatever_happens_each_episode_is_final_once(
     plan: dict[str, Any], tmp_path: Path, data: st.DataObject, lanes: int

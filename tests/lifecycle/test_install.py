@@ -306,6 +306,7 @@ def test_a_failure_leaves_the_old_one_in_use(conda: Path, tmp_path: Path) -> Non
     assert len(list((tmp_path / "Subject").glob(".conda*"))) == 2
 
 
+@pytest.mark.slow
 def test_whoever_runs_in_the_old_one_goes_on(conda: Path, tmp_path: Path) -> None:
     """An environment stays as long as a process runs from it, and goes with the next installation."""
     first = place.install(_conda_plan(tmp_path, "numpy"))
@@ -320,6 +321,7 @@ def test_whoever_runs_in_the_old_one_goes_on(conda: Path, tmp_path: Path) -> Non
     assert not first.folder.exists()
 
 
+@pytest.mark.slow
 def test_a_killed_installation_is_cleared_by_the_next(conda: Path, tmp_path: Path) -> None:
     """SIGKILL after the environment is made and before it is in use: the old one is still in use."""
     first = place.install(_conda_plan(tmp_path, "numpy"))

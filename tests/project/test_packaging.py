@@ -243,6 +243,7 @@ def test_an_adapter_is_made_and_audited_in_an_empty_folder(
     installed.run("xpl", "audit", f"policy/{name}", *rules)
 
 
+@pytest.mark.slow
 def test_the_installed_tool_builds_the_same_sdk(installed: Installation, tmp_path: Path) -> None:
     """`xpl sdk build` needs no checkout: the installed sources give the same bytes."""
     report = json.loads(installed.run("xpl", "sdk", "build", "--out", "sdk", "--json").stdout)

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.adopted import DEPLOY, FILES, MODEL, written
+from tests.support.examples import examples
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.adopt import infer, manifest
@@ -282,7 +283,7 @@ LINES = sorted(
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(
     name=st.sampled_from(["model.py", "deploy.yml", "README.md", "install.sh"]),
     place=st.integers(0, 60),

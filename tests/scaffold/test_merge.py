@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
 from xpl_cli.scaffold.merge import Labels, Merged, merge
@@ -128,7 +129,7 @@ def renders() -> list[adapter.Files]:
 
 
 @given(data=st.data())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_random_edits_of_a_real_adapter_survive_its_update(renders: list[adapter.Files], data: st.DataObject) -> None:
     """Of each file that both templates have: lines that its author added are in the result."""
     old, new = renders

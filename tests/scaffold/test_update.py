@@ -371,6 +371,7 @@ def test_a_file_that_changes_meanwhile_is_not_overwritten(adapter: Path) -> None
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_tells_what_it_does_and_how_to_undo_it(adapter: Path) -> None:
     """A dry run writes nothing and says the same; the undo that is printed works."""
     before = _tree(adapter)

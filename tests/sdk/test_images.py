@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from tests.support.examples import examples
 from xpl import _spec as spec
 from xpl import images
 from xpl.observation import ObservationError, get_image
@@ -87,7 +88,7 @@ def test_the_marker_elsewhere_is_no_marker() -> None:
     assert not images.has_marker(plain + b"\xff\xfe\x00\x0a" + spec.JPEG_MARKER)
 
 
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 @given(st.binary(max_size=60))
 def test_the_search_for_the_marker_ends_on_any_bytes(data: bytes) -> None:
     """Also when lengths lie."""
@@ -114,7 +115,7 @@ def test_what_is_no_image_is_an_observation_error(data: bytes) -> None:
         images.decode(data)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.sampled_from(["jpeg", "png"]), st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=9))
 def test_damaged_images_raise_nothing_else(kind: str, damage: list[tuple[int, int]]) -> None:
     """Decoded or refused."""

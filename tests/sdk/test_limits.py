@@ -149,6 +149,7 @@ def _third_party(tree: ast.AST) -> Iterator[tuple[int, str]]:
                 yield getattr(node, "lineno", 0), package
 
 
+@pytest.mark.slow
 def test_the_sdk_needs_no_more_than_python_3_9(tmp_path: Path) -> None:
     """No syntax and no standard-library name in `xpl/` is newer."""
     sources = copy(tmp_path / "sources", "xpl/**/*.py")

@@ -11,6 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
+from tests.support.examples import examples
 from tests.support.recurrent import MODEL, advance
 from xpl import Client
 from xpl import _spec as spec
@@ -140,7 +141,7 @@ class Machine(RuleBasedStateMachine):
 
 
 TestMemory = Machine.TestCase
-TestMemory.settings = settings(max_examples=60, stateful_step_count=25, deadline=None)
+TestMemory.settings = settings(max_examples=examples(60), stateful_step_count=25, deadline=None)
 
 
 def test_a_memory_is_for_questions_alone() -> None:

@@ -9,6 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from tests.support.examples import examples
 from xpl import _spec as spec
 from xpl.action import ActionError, check_chunk
 from xpl.embodiment import UnknownEmbodimentError
@@ -170,7 +171,7 @@ class Memory(RuleBasedStateMachine):
 
 
 TestMemory = Memory.TestCase
-TestMemory.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+TestMemory.settings = settings(max_examples=examples(60), stateful_step_count=30, deadline=None)
 
 
 def episode(policy: Policy, envs: list[int], steps: int, *, batch: bool) -> dict[int, list[np.ndarray]]:

@@ -77,6 +77,7 @@ def test_a_signal_ends_it_and_is_told() -> None:
     _close(hosted)
 
 
+@pytest.mark.slow
 def test_lists_of_processes_show_which_command_it_is() -> None:
     """Although its command line is that of the process it was forked from."""
     hosted = nursery.start([WAITS])

@@ -7,6 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from tests.support.examples import examples
 from xpl.wire import codec
 from xpl_cli.serving.places import Place, Places
 from xpl_cli.serving.session import RequestError
@@ -221,4 +222,4 @@ class Coming(RuleBasedStateMachine):
 
 
 TestComing: Any = Coming.TestCase
-TestComing.settings = settings(max_examples=50, stateful_step_count=30)
+TestComing.settings = settings(max_examples=examples(50), stateful_step_count=30)

@@ -11,6 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from tests.support.rules import made_adapter
@@ -247,7 +248,7 @@ PIECES += [
 ]
 
 
-@settings(max_examples=250, deadline=None, derandomize=True)
+@settings(max_examples=examples(250), deadline=None, derandomize=True)
 @given(
     schema=st.sampled_from(["policy", "deploy"]),
     seed=st.integers(0, 2**32),

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from tests.support.examples import examples
 from tests.support.places import ROOT
 from xpl import _spec as spec
 from xpl.wire import codec, packed
@@ -420,7 +421,7 @@ HOSTILE = st.recursive(
 )  # fmt: skip
 
 
-@settings(max_examples=400)
+@settings(max_examples=examples(400))
 @given(HOSTILE)
 def test_hostile_values_are_refused_or_read_and_never_crash(value: Any) -> None:
     """Whatever stands in the place of an array's keys; what was read can be sent again."""
@@ -451,7 +452,7 @@ def test_truncated_frames_are_refused(length: int) -> None:
     assert refusal.value.message_id == ("id" if length >= complete else None)
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(st.lists(st.tuples(st.integers(0, len(GOOD) - 1), st.integers(0, 255)), min_size=1, max_size=4))
 def test_corrupt_frames_raise_nothing_else(changes: list[tuple[int, int]]) -> None:
     """Decoded or refused."""
@@ -462,7 +463,7 @@ def test_corrupt_frames_raise_nothing_else(changes: list[tuple[int, int]]) -> No
         assert isinstance(codec.decode(bytes(data)), Frame)
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(st.binary(max_size=200))
 def test_noise_raises_nothing_else(data: bytes) -> None:
     """Decoded or refused."""

@@ -28,6 +28,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
+from tests.support.examples import examples
 from tests.wire.fuzz import decoder
 from xpl import _spec as spec
 from xpl import images
@@ -43,7 +44,7 @@ An empty map takes one byte on the wire and 64 in memory, a map with one entry 3
 little as one byte and 340; the reader of msgpack takes a mebibyte to begin with.
 """
 
-bounded = settings(max_examples=300, deadline=None)
+bounded = settings(max_examples=examples(300), deadline=None)
 PROCESSOR_S = 2.0
 """What one example may use of a processor; how long it takes depends on what else the machine does."""
 
@@ -298,7 +299,9 @@ class Sessions(RuleBasedStateMachine):
 @pytest.mark.usefixtures("small_memory")
 def test_sessions_hold_whatever_clients_do() -> None:
     """See the machine above."""
-    run_state_machine_as_test(Sessions, settings=settings(max_examples=200, stateful_step_count=40, deadline=None))
+    run_state_machine_as_test(
+        Sessions, settings=settings(max_examples=examples(200), stateful_step_count=40, deadline=None)
+    )
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from tests.support.examples import examples
 from xpl import _spec as spec
 from xpl.wire import codec, packed
 from xpl.wire.packed import PackingError
@@ -425,7 +426,7 @@ def reshaped(data: st.DataObject) -> bytes:
     return message(data.draw(tree | st.lists(tree, max_size=3)), bytes(32))
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @pytest.mark.parametrize("damage", [flipped, reshaped], ids=lambda damage: damage.__name__)
 @given(data=st.data())
 def test_damaged_messages_are_read_or_refused(damage: Callable[[st.DataObject], bytes], data: st.DataObject) -> None:

@@ -17,6 +17,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from tests.support.examples import examples
 from xpl import _spec as spec
 from xpl.wire import packed, segment
 from xpl.wire.packed import PackingError
@@ -543,4 +544,4 @@ class Sharing(RuleBasedStateMachine):
 
 
 TestSharing = Sharing.TestCase
-TestSharing.settings = settings(max_examples=60, stateful_step_count=40)
+TestSharing.settings = settings(max_examples=examples(60), stateful_step_count=40)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.examples import examples
 from xpl import _spec as spec
 from xpl.observation import ObservationError
 from xpl.policy import Policy, PolicyStateError
@@ -106,7 +107,7 @@ OPERATIONS = (
 ROUNDS = st.lists(st.dictionaries(st.integers(0, 3), OPERATIONS, min_size=1), max_size=8)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(ROUNDS)
 def test_interleaved_clients_get_what_each_alone_would_get(rounds: list[dict[int, tuple[str, Any]]]) -> None:
     """Chunks of a stochastic policy with history and ensembling, over resets, whoever fails beside them."""

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support import trained
+from tests.support.examples import examples
 from xpl_cli.adopt.checkpoints import registry
 from xpl_cli.adopt.checkpoints.reading import Document, Folder
 from xpl_cli.basics.errors import NotFoundError, UserError
@@ -151,7 +152,7 @@ def test_yaml_that_names_classes_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),

@@ -130,6 +130,7 @@ def _reasons(gate: GateReport) -> str:
 # -- which profile -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_can_be_loaded_is_audited_in_full(package: Path) -> None:
     """Nothing stands in, and the finish line does not speak of a profile."""
     gate = _gate(_offline(package))
@@ -169,6 +170,7 @@ def test_a_missing_part_makes_a_shadow_that_is_told_and_can_be_clean(package: Pa
     assert (document["targets"][0]["gates"][0]["profile"], document["exit_code"]) == ("shadow", 0)
 
 
+@pytest.mark.slow
 def test_the_full_profile_is_not_given_for_a_shadow(package: Path) -> None:
     """What was demanded cannot run: exit code 4, with the module's name."""
     report = _offline(package, SPLIT, profile=Profile.FULL)

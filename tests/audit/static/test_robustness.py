@@ -111,6 +111,7 @@ def watched(adapter: Path, tmp_path: Path) -> dict[str, list[str]]:
     return found
 
 
+@pytest.mark.slow
 def test_the_interpreter_confirms_that_nothing_runs(adapter: Path, tmp_path: Path) -> None:
     """Audit hooks see every import, execution, process and connection of the whole command."""
     trace = tmp_path / "trace"
@@ -123,6 +124,7 @@ def test_the_interpreter_confirms_that_nothing_runs(adapter: Path, tmp_path: Pat
     assert not trace.exists()
 
 
+@pytest.mark.slow
 def test_of_a_vendored_tree_small_text_is_opened_once_and_nothing_else(adapter: Path, tmp_path: Path) -> None:
     """800 files beside the adapter are searched for keys; data, links and what is hidden there are left alone."""
     vendor(adapter, 800)

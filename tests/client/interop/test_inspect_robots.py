@@ -21,6 +21,7 @@ Serve = Callable[..., RunningServer]
 Connect = Callable[..., Driver]
 
 
+@pytest.mark.sampled(1)
 def test_whole_episodes_of_inspect_robots_carry_every_bit(serve: Serve, plugin: Connect, journal: Journal) -> None:
     """Each reset arrives once; observations and actions are equal, bit for bit, on both sides of the wire."""
     peer = plugin(serve(journal.folder, overrides=journal.overrides).url)
@@ -51,7 +52,7 @@ def test_whole_episodes_of_inspect_robots_carry_every_bit(serve: Serve, plugin: 
         assert entry == wanted
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
 @pytest.mark.parametrize(("robot", "prefixes"), [("franka_single", [""]), ("arx_x5", ["left_", "right_"])])
 def test_inspect_robots_plays_the_demo_policy(
@@ -80,6 +81,7 @@ def test_inspect_robots_plays_the_demo_policy(
         assert action == pytest.approx(held, abs=1e-6)  # quaternions are normalised on the way
 
 
+@pytest.mark.sampled(1)
 def test_an_error_of_the_policy_is_an_error_of_that_trial_only(serve: Serve, plugin: Connect, journal: Journal) -> None:
     """The sentence reaches the log of inspect-robots, without a traceback, and the next trial is played."""
     peer = plugin(serve(journal.folder, overrides=journal.overrides).url)
@@ -93,7 +95,7 @@ def test_an_error_of_the_policy_is_an_error_of_that_trial_only(serve: Serve, plu
     assert journal.events() == [*played, "reset", "trial_end", *played]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 def test_a_second_peer_is_refused_and_may_ask_again(serve: Serve, plugin: Connect, journal: Journal) -> None:
     """The plugin does not retry a hello that is answered by busy: it raises, and its next reset succeeds once free."""
     url = serve(journal.folder, overrides=journal.overrides).url
@@ -121,7 +123,7 @@ def _refused(peer: Driver) -> bool:
     return False
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 def test_a_restart_amid_an_episode_is_refused(serve: Serve, plugin: Connect, journal: Journal) -> None:
     """The plugin does not compare server instances, so the new server has to tell that the episode is not its own."""
     with Relay(serve(journal.folder, overrides=journal.overrides).url) as relay:
@@ -191,7 +193,7 @@ def test_a_cut_costs_inspect_robots_one_trial(serve: Serve, plugin: Connect, jou
     assert [entry["asked"] for entry in journal.read() if entry["event"] == "infer"] == [0, 1, 0, 0, 1]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 def test_a_restarted_server_costs_inspect_robots_one_trial(serve: Serve, plugin: Connect, journal: Journal) -> None:
     """The plugin finds the new server by itself and begins the next trial there with a reset."""
     old = serve(journal.folder, overrides=journal.overrides)

@@ -61,7 +61,7 @@ def test_our_client_plays_whole_episodes(serve: Serve, client: Connect, envs: in
     ours.ask("close")
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 def test_our_client_survives_a_cut(serve: Serve, client: Connect) -> None:
     """It comes back to the same server, and the episode goes on."""
     server = serve(ROOT / "policy/demo_policy", overrides={"env_cfg_type": "franka_single"})
@@ -75,7 +75,7 @@ def test_our_client_survives_a_cut(serve: Serve, client: Connect) -> None:
         ours.ask("close")
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 def test_our_client_notices_a_restart(serve: Serve, client: Connect) -> None:
     """Another server answers at the address: the trial ends loudly."""
     overrides = {"env_cfg_type": "franka_single"}
@@ -91,7 +91,7 @@ def test_our_client_notices_a_restart(serve: Serve, client: Connect) -> None:
         assert restarted.value.kind == "ServerRestartedError"
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 def test_a_script_that_forgets_close_ends(serve: Serve, client: Connect) -> None:
     """An episode that dies by an exception must not leave a process behind, whatever threads the library starts."""
     ours = client(serve(ROOT / "policy/demo_policy", overrides={"env_cfg_type": "franka_single"}).url)

@@ -32,7 +32,7 @@ def looked() -> dict[str, Any]:
     return peers.look("metaworld", PYTHON, ROBOT)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("way", ["+x", "-x", "+y", "-y", "+z", "-z"])
 def test_a_command_along_an_axis_moves_the_tool_along_it(looked: dict[str, Any], way: str) -> None:
     """By the 5 cm that were asked for, and by less than 1 cm to the side."""

@@ -155,6 +155,7 @@ def test_without_a_workspace_the_ways_are_told(monkeypatch: pytest.MonkeyPatch) 
         assert way in ended.stderr
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("name", "task", "robot"),
     [("robodojo", "stack_bowls", "arx_x5"), ("robotwin", "stack_blocks_two", "aloha_agilex")],

@@ -1,7 +1,7 @@
-"""Templates are read once in a process: hundreds of tests scaffold the same packages, and most of that is compiling.
+"""What a process does once: hundreds of tests scaffold the same packages and ask the same command line.
 
 Nothing of the tool is passed over but work that it did before: a template's code, which depends on its text and on the
-settings of its environment, and a whole render, which is the same whenever its arguments are.
+settings of its environment; a whole render, which is the same whenever its arguments are; and the parser of commands.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import jinja2
+import typer.testing
 
 from xpl_cli.scaffold import template
 
@@ -34,7 +35,8 @@ _SETTINGS: Final = (
 
 
 def remember() -> None:
-    """Let this process, and those forked from it, compile each text and make each render once."""
+    """Let this process, and those forked from it, compile each text, make each render and each parser once."""
+    typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
     jinja2.Environment.compile = _compiled_once(jinja2.Environment.compile)  # type: ignore[method-assign]
     template.render = _rendered_once(template.render)
 
