@@ -7,9 +7,11 @@ import typer
 from xpl_cli.commands.data.convert import convert
 from xpl_cli.commands.data.listing import list_
 from xpl_cli.commands.data.probe import probe
+from xpl_cli.commands.data.show import show
 
 app = typer.Typer(help="Look at demonstrations, check and convert them.", no_args_is_help=True)
 
 app.command("list")(list_)
 app.command()(convert)
 app.command()(probe)
+app.command()(show)

@@ -1,0 +1,58 @@
+"""`xpl data show`: an episode to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from xpl_cli.basics.endings import ends
+from xpl_cli.commands.data.listing import SET
+
+
+@ends(
+    clean="written",
+    not_found="no demonstrations or no episode there",
+    not_run="they are damaged, or a library is missing",
+)
+def show(
+    demonstrations: Path = SET,
+    episode: str = typer.Option("0", metavar="K", help="Episode: its place, from 0, or its key."),
+    out: Path | None = typer.Option(
+        None, "-o", "--out", metavar="FILE", help="A page (.html) or a picture (.png); SET-K.html by default."
+    ),
+    frames: int = typer.Option(8, min=1, max=64, help="Frames of each camera."),
+    rerun: Path | None = typer.Option(None, metavar="FILE", help="Write an .rrd for Rerun's viewer too."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Show an episode: frames of its cameras, and curves of its states and actions."""
+    from xpl_cli.basics import console
+    from xpl_cli.basics.atomic import write_file
+    from xpl_cli.basics.errors import UserError
+    from xpl_cli.data.formats import open_set
+    from xpl_cli.data.show import page, sheet
+    from xpl_cli.data.show.rerun import write
+    from xpl_cli.data.show.view import chosen, view
+
+    found = open_set(demonstrations)
+    one = chosen(found, episode)
+    target = out or Path(f"{demonstrations.resolve().stem}-{one.key.replace('/', '-')}.html")
+    if target.suffix.lower() not in (".html", ".png"):
+        raise UserError(f"-o takes a file .html or .png, got {target.name}")
+    if rerun is not None:
+        write(found, one, rerun)
+    seen = view(found, one, frames)
+    if target.suffix.lower() == ".png":
+        import io
+
+        stream = io.BytesIO()
+        sheet.draw(seen).save(stream, "PNG")
+        write_file(target, stream.getvalue())
+    else:
+        write_file(target, page.render(seen).encode())
+    written = [str(target), *([str(rerun)] if rerun is not None else [])]
+    if as_json:
+        document = {"files": written, "path": seen.path, "key": seen.key, "steps": seen.steps}
+        console.answer("xpl.data-show/1", document, [])
+    else:
+        console.data("\n".join(written))

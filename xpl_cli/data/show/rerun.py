@@ -1,0 +1,51 @@
+"""An episode as a recording for Rerun's viewer, where rerun-sdk is installed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.show.view import MOST_CURVES
+
+if TYPE_CHECKING:
+    from xpl_cli.data.sets.interface import Demonstrations, Episode
+
+_STEP, _TIME = "step", "time"
+
+
+def write(demonstrations: Demonstrations, episode: Episode, path: Path) -> None:
+    """Write an episode as an .rrd: cameras and columns below their names, by step and, where the rate is known, time.
+
+    Raises:
+        DataError: rerun-sdk is not installed, or the episode cannot be read.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise DataError(
+            f"recordings for Rerun need rerun-sdk, which cannot be imported: {error}", hint="pip install rerun-sdk"
+        ) from None
+    recording = rerun.RecordingStream("xpl", recording_id=f"{demonstrations.path}:{episode.key}")
+    recording.save(str(path))
+    for sentence in episode.instructions:
+        recording.log("instruction", rerun.TextDocument(sentence), static=True)
+    for name, column in episode.columns.items():
+        rows = episode.read(name)
+        if column.dtype == "str" or rows[:1].size > MOST_CURVES:
+            continue
+        for index, row in enumerate(rows.reshape(len(rows), -1)):
+            _at(recording, index, demonstrations.rate_hz)
+            recording.log(name, rerun.Scalars(row.astype(float)))
+    for name, camera in episode.cameras.items():
+        for index, image in enumerate(episode.frames(name)):
+            _at(recording, index, demonstrations.rate_hz)
+            shown = rerun.DepthImage(image) if camera.kind == "depth" else rerun.Image(image).compress()
+            recording.log(name, shown)
+    recording.flush()
+
+
+def _at(recording: object, index: int, rate_hz: float | None) -> None:
+    recording.set_time(_STEP, sequence=index)  # type: ignore[attr-defined]
+    if rate_hz:
+        recording.set_time(_TIME, duration=index / rate_hz)  # type: ignore[attr-defined]
