@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 FOLDER = Path(__file__).resolve().parent
-LIMIT_S = 300.0
+LIMIT_S = 900.0
 
 
 def needed(name: str, python: Path | None) -> pytest.MarkDecorator:

@@ -102,6 +102,7 @@ def test_random_actions_solve_nothing(looked: dict[str, Any]) -> None:
 
 @needed
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # 0.3 s of both cores for each step
 def test_pictures_are_upright() -> None:
     """Three objects are in the pixels where their projection says, and none where it would be upside down."""
     seen = peers.look("libero", PYTHON, ROBOT, "pictures")["seen"]
@@ -111,6 +112,7 @@ def test_pictures_are_upright() -> None:
 
 @needed
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # it compiles code, and loads a scene in each of many resets
 def test_the_environment_passes_its_audit(tmp_path: Path) -> None:
     """Every rule for environments, with one task and without pictures."""
     options = ("--python", str(PYTHON), "--set", "task=libero_goal_7", "--set", "cameras=false", "--no-cache", "--json")
