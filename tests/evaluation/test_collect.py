@@ -16,7 +16,9 @@ from tests.support.commands import xpl
 from tests.support.peer import wait_until
 from tests.support.places import ROOT
 from xpl import trajectory
+from xpl_cli.basics.errors import UserError
 from xpl_cli.environments import check
+from xpl_cli.evaluation.lanes import recorder
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import collect, plan
 from xpl_cli.packages import environments
@@ -75,6 +77,39 @@ def test_practice_leaves_the_evaluation_seeds_alone() -> None:
 def test_a_task_ends_when_it_has_enough_or_never_will(outcomes: list[bool | None], ended: bool) -> None:
     """Twenty tries of which none can be kept are no bad luck."""
     assert collect._enough(3)(outcomes) is ended
+
+
+def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path) -> None:
+    """Whatever came beyond, as when several are played at once, is put aside and counts for nothing."""
+    failures = [None, "task", "infrastructure", None, None]
+    lines = {
+        index: {
+            "index": index,
+            "task": "lift",
+            "setting": "clean",
+            "steps": 7,
+            "success": not failure,
+            "failure": failure,
+        }
+        for index, failure in enumerate(failures)
+    }
+    for index, failure in enumerate(failures):
+        if failure is None:
+            (tmp_path / recorder.file_of(index)).write_bytes(b"12345")
+    cells = [{"task": "lift", "setting": "clean"}]
+    line = {"environment": {"name": "E"}, "embodiment": "arx_x5", "action_type": "joint", "cells": cells}
+    request = collect.Request("E", recorder.Demos(str(tmp_path), recorder.SUCCESS), episodes=2)
+    told = collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
+    assert told["tasks"] == [
+        {**cells[0], "episodes": 2, "wanted": 2, "tried": 4, "discarded": 1, "spoilt": 1, "steps": 14}
+    ]
+    assert (told["bytes"], [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (10, 0)
+    assert "1 of 4 tries discarded, 1 spoilt" in collect.text(told)
+    collect._return_surplus(tmp_path)
+    assert (tmp_path / "episode_0000004.hdf5").is_file()
+    (tmp_path / "episode_0000000.hdf5").unlink()
+    with pytest.raises(UserError, match="is not there any more"):
+        collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
 
 
 def test_who_could_play_is_asked_for_in_one_sentence(tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ def is_text(dataset: Any) -> bool:
 def is_encoded(dataset: Any) -> bool:
     """Tell whether the rows of a dataset are encoded images: padded, of fixed length, or of variable length."""
     if dataset.dtype.kind in "SO":
-        return dataset.ndim == 1
+        return bool(dataset.ndim == 1)
     return bool(dataset.dtype == np.uint8) and dataset.ndim == 2
 
 

@@ -180,8 +180,8 @@ class Recorder:
 
     def _writer(self, job: Job) -> trajectory.Writer:
         path = Path(self._demos.folder) / file_of(job.index)
-        options = {"images": self._demos.images, "quality": self._demos.quality}
-        return trajectory.Writer(path, frequency=self._frequency, **options)
+        images, quality = self._demos.images, self._demos.quality
+        return trajectory.Writer(path, images=images, quality=quality, frequency=self._frequency)
 
     def _facts(self, job: Job, line: Line) -> dict[str, Any]:
         """Return what is told of an episode: what was played by whom, and how it went."""

@@ -126,7 +126,7 @@ def collect(request: Request, progress: Progress) -> dict[str, Any]:
             with contextlib.closing(backends.make(asked.room, lane_orders, server_orders, schedule.left)) as backend:
                 shown = _View(writer.run, request, before, progress)
                 runner.play(writer, backend, schedule, shown, ahead=False)
-    return _summary(records.read(run), request, adapter, time.monotonic() - began)
+    return _summary(records.read(run), request, adapter.name, time.monotonic() - began)
 
 
 def _player(request: Request) -> Package:
@@ -216,7 +216,7 @@ def _return_surplus(folder: Path) -> None:
         path.replace(folder / path.name)
 
 
-def _summary(run: Run, request: Request, adapter: Package, seconds: float) -> dict[str, Any]:
+def _summary(run: Run, request: Request, player: str, seconds: float) -> dict[str, Any]:
     """Put aside what is too much, and return what the set holds."""
     folder = Path(request.demos.folder)
     tasks, files = [], []
@@ -258,7 +258,7 @@ def _summary(run: Run, request: Request, adapter: Package, seconds: float) -> di
         "environment": plan_line["environment"]["name"],
         "embodiment": plan_line["embodiment"],
         sdk.Deploy.ACTION_TYPE: plan_line[sdk.Deploy.ACTION_TYPE],
-        "policy": adapter.name,
+        "policy": player,
         "keep": request.demos.keep,
         "tasks": tasks,
         "episodes": sum(task["episodes"] for task in tasks),
