@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+# Without DrawTriangle's, which ends with a TypeError in ManiSkill's own loop, too.
 _SOLVERS = {
     "panda": {
         "PickCube": "solvePickCube",
@@ -23,7 +24,6 @@ _SOLVERS = {
         "LiftPegUpright": "solveLiftPegUpright",
         "PullCube": "solvePullCube",
         "StackPyramid": "solveStackPyramid",
-        "DrawTriangle": "solveDrawTriangle",
     },
     "so100": {"PickCubeSO100": "solvePickCube"},
 }

@@ -27,9 +27,9 @@ MANIFEST = environments.manifest(ENV)
 PANDA, STICK, SO100, PAIR = MANIFEST["embodiments"]
 PYTHON = build.interpreter("maniskill", locks=ENV)
 _ASKED = """
-sys.path.insert(0, {root!r})
-from xpl.process.modules import load_module
-vulkan = load_module({file!r})
+import sys
+sys.path.insert(0, {envs!r})
+from maniskill import vulkan
 vulkan.choose_driver()
 import sapien
 sapien.render.RenderMaterial()
