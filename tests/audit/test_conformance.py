@@ -29,7 +29,15 @@ NAME = "Subject"
 TASK = "lift_cube"
 """In which the physics gate drives a subject; what a rule says of it shows in one."""
 HEADINGS = ("What it does", "Why it matters", "Example", "Use instead", "Fix safety")
-HUNDREDS = {"static": "1", "offline": "2", "mujoco": "3", "environments": "4", "audit": "5", "advice": "6"}
+HUNDREDS = {
+    "static": "1",
+    "offline": "2",
+    "demonstrations": "2",
+    "mujoco": "3",
+    "environments": "4",
+    "audit": "5",
+    "advice": "6",
+}
 RULES = registry.rules()
 OPEN = {"placeholders"}
 """Rules that a fresh scaffold does not satisfy, on purpose: its author has not filled it in yet."""

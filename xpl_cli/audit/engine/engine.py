@@ -20,6 +20,7 @@ from xpl_cli.audit.engine.cache import Shelf
 from xpl_cli.audit.engine.checks import Checks, told
 from xpl_cli.audit.engine.circumstances import circumstances, narrowed
 from xpl_cli.audit.engine.waivers import waive
+from xpl_cli.audit.offline.demonstrations import declared
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.fingerprint import fingerprint
 from xpl_cli.audit.rules.gates import Gate
@@ -101,6 +102,8 @@ def _carry(report: TargetReport, path: Path, options: Options) -> None:
     """Carry a package through the gates of a request, after those that its report already has."""
     options = replace(options, clock=options.clock.started())
     chosen = [entry for entry in select(options.names, options.ignore, options.gates) if entry.target == report.kind]
+    if not (options.names or options.demos or declared.is_there(path)):
+        chosen = [entry for entry in chosen if not entry.needs_demonstrations]
     for gate in options.gates:
         selected = [entry for entry in chosen if entry.runs_in(gate)]
         if not any(not entry.closes or gate is Gate.STATIC for entry in selected):

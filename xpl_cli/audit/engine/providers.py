@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.engine.waivers import Waiver
     from xpl_cli.audit.environments.stage import Stage
     from xpl_cli.audit.offline.configurations import Configurations
+    from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
     from xpl_cli.audit.offline.motion import Motions
     from xpl_cli.audit.offline.parity.fact import Parity
     from xpl_cli.audit.offline.rehearsal import Rehearsal
@@ -33,6 +34,7 @@ def all_providers() -> dict[str, Callable[..., Any]]:
     """
     return {
         "configurations": configurations,
+        "demonstrations": demonstrations,
         "motions": motions,
         "mypy": mypy,
         "parity": parity,
@@ -101,6 +103,13 @@ def parity(probe: Probe) -> Parity:
     from xpl_cli.audit.offline.parity.fact import Parity
 
     return Parity(probe)
+
+
+def demonstrations(probe: Probe) -> Demonstrated:
+    """What the adapter answers in recorded episodes."""
+    from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
+
+    return Demonstrated(probe)
 
 
 def stage(path: Path, options: Options) -> Iterator[Stage]:

@@ -10,6 +10,7 @@ scaffolded adapter or, for rules about environments, environment; an optional `o
     edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold
     append: {deploy.yml: "horizon: null"}                    # text added at the end of a file
     methods: "def reset(self): pass"                         # methods added to the model class, or to the episode's
+    demonstrations: 6                                        # episodes of a scripted expert, which the package names
     message: answers for environment 3                       # what a finding on a bad subject has to say
 """
 
@@ -54,6 +55,7 @@ class Subject:
     edit: dict[str, dict[str, str]] = field(default_factory=dict)
     append: dict[str, str] = field(default_factory=dict)
     methods: str = ""
+    demonstrations: int = 0
     message: str | None = None
 
     @property
@@ -103,6 +105,10 @@ def build(subject: Subject, target: Path) -> Path:
             stream.write("\n" + textwrap.indent(subject.methods, "    "))
     ignored = shutil.ignore_patterns(OVERLAY, "__pycache__")
     shutil.copytree(subject.folder, target, dirs_exist_ok=True, ignore=ignored)
+    if subject.demonstrations and subject.scaffold:
+        from xpl_cli.audit.offline.demonstrations import scripted
+
+        scripted.write(target, subject.scaffold["embodiment"], subject.demonstrations)
     return target
 
 
@@ -136,5 +142,6 @@ def _read(folder: Path, *, good: bool, target: str) -> Subject:
         edit=told.get("edit", {}),
         append=told.get("append", {}),
         methods=told.get("methods", ""),
+        demonstrations=told.get("demonstrations", 0),
         message=told.get("message"),
     )

@@ -39,6 +39,8 @@ class Options:
         tasks: tasks in which the physics gate drives the adapter; empty for its own choice.
         episodes: whole episodes over which it measures success; None for what the manifest claims, or else a few.
         move: whether environments that may be robots are reset and moved.
+        demos: folder or file of recorded episodes that a policy is held against; None for what the package names.
+        pictures: folder for pictures of findings; None to write none.
         video: folder for films of what it plays; None to film nothing.
         trace: new folder for recordings of what was asked and answered (`served.recording`); None to keep none.
         cache: folder with passes of the static gate (`xpl_cli.audit.engine.cache`); None to run every rule.
@@ -63,6 +65,8 @@ class Options:
     tasks: tuple[str, ...] = ()
     episodes: int | None = None
     move: bool = False
+    demos: Path | None = None
+    pictures: Path | None = None
     video: Path | None = None
     trace: Path | None = None
     cache: Path | None = None

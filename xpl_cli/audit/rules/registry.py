@@ -84,14 +84,16 @@ class Rule:
 _FOLDERS = {
     "static": (Gate.STATIC,),
     "offline": (Gate.OFFLINE,),
+    "demonstrations": (Gate.OFFLINE,),
     "mujoco": (Gate.MUJOCO,),
     "environments": tuple(Gate),
     "audit": tuple(Gate),
     "advice": (Gate.STATIC,),
 }
-_ENVIRONMENTS, _EVERY_GATE, ADVICE = "environments", "audit", "advice"
-"""Folders: rules about environment packages; rules that judge the audit of any gate, after all others of it; and rules
-that run only where they are selected, because what they say depends on tools that may not be installed."""
+_ENVIRONMENTS, _EVERY_GATE, _DEMONSTRATIONS, ADVICE = "environments", "audit", "demonstrations", "advice"
+"""Folders: rules about environment packages; rules that judge the audit of any gate, after all others of it; rules that
+run only where there are demonstrations, so that without any no report is another one; and rules that run only where
+they are selected, because what they say depends on tools that may not be installed."""
 
 
 def rule(  # noqa: PLR0913 - what a rule says of itself
@@ -200,6 +202,11 @@ class Entry:
     def closes(self) -> bool:
         """Whether it judges the audit of a gate, after all other rules of it."""
         return self.folder == _EVERY_GATE
+
+    @property
+    def needs_demonstrations(self) -> bool:
+        """Whether it holds a policy against recorded episodes, and runs only where there are some or it is selected."""
+        return self.folder == _DEMONSTRATIONS
 
     @property
     def is_advice(self) -> bool:

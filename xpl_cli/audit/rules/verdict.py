@@ -82,12 +82,25 @@ def _of_parity(numbers: Mapping[str, Any]) -> Iterable[str]:
         yield f"{_amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
 
 
+def _of_demonstrations(numbers: Mapping[str, Any]) -> Iterable[str]:
+    """Yield the episodes that the policy was held against."""
+    yield _amount(numbers.get("episodes", 0), "episode")
+    if not numbers.get("complete", True):
+        yield "not every convention tried"
+
+
 CONTRACT: Final = Claim("contract", "contract")
 PARITY: Final = Claim("parity", "conversions", rule="XPL260", needs=("XPL261",), details=_of_parity)
 CLAIMS: Final[Mapping[str, tuple[Claim, ...]]] = {POLICY: (CONTRACT, PARITY), ENV: (CONTRACT,)}
 """What can be proven of each kind of package, in the order in which it is told."""
 
-_OF_RULES: Final = frozenset(code for claim in (PARITY,) for code in (claim.rule, *claim.needs))
+DEMONSTRATIONS: Final = Claim(
+    "demonstrations", "conventions of training", rule="XPL270", needs=("XPL271",), details=_of_demonstrations
+)
+"""What is told only of who gave demonstrations. It stands in the statement; lists in reports,
+whose words are frozen, lack it."""
+
+_OF_RULES: Final = frozenset(code for claim in (PARITY, DEMONSTRATIONS) for code in (claim.rule, *claim.needs))
 
 
 @dataclass(frozen=True)
@@ -135,6 +148,7 @@ class Verdict:
         about: what the word is about; for `GREEN` what is proven.
         proven, unproven: every claim of the kind of package is in one of them.
         waived: codes of the rules with findings that the manifest accepts, each as often as it has some.
+        beside: what else was held against something that not every audit is given, proven or not.
     """
 
     word: Word
@@ -142,6 +156,7 @@ class Verdict:
     proven: tuple[Proven, ...] = ()
     unproven: tuple[Unproven, ...] = ()
     waived: tuple[str, ...] = ()
+    beside: tuple[Proven | Unproven, ...] = ()
 
     def __str__(self) -> str:
         """Return it as people read it: `GREEN contract; conversions unproven (no native.py)`."""
@@ -152,10 +167,11 @@ class Verdict:
         """What stands behind the word."""
         parts = [self.about]
         if self.word is not Word.GREEN:
-            parts += map(str, self.proven)
+            parts += map(str, (*self.proven, *(item for item in self.beside if isinstance(item, Proven))))
         if self.waived:
             parts.append(f"{_amount(len(self.waived), 'finding')} waived ({_named(self.waived)})")
-        return "; ".join([*parts, *(str(item) for item in self.unproven if item.is_told)])
+        unproven = [*self.unproven, *(item for item in self.beside if isinstance(item, Unproven))]
+        return "; ".join([*parts, *(str(item) for item in unproven if item.is_told)])
 
     def as_json(self) -> dict[str, Any]:
         """Return it as keys of a target in audit.schema.json."""
@@ -250,12 +266,14 @@ def judge(kind: str, gates: Sequence[Ended], around: Circumstances) -> Verdict:
             found = _by_rule(claim, gates, around)
         proven += [found] if isinstance(found, Proven) else []
         unproven += [found] if isinstance(found, Unproven) else []
+    beside = tuple(_beside(gates, around)) if kind == POLICY else ()
     if word is Word.GREEN:
-        about = ", ".join([*map(str, proven), *_asides(gates, around)])
+        held = [*proven, *(item for item in beside if isinstance(item, Proven))]
+        about = ", ".join([*map(str, held), *_asides(gates, around)])
     elif word not in (Word.RED, Word.INCOMPLETE):
         about = f"{about}: {_NOTHING_WRONG}"
     waived = tuple(code for gate in gates for code in gate.waived)
-    return Verdict(word, about, tuple(proven), tuple(unproven), waived)
+    return Verdict(word, about, tuple(proven), tuple(unproven), waived, beside)
 
 
 def weakest(words: Iterable[Word]) -> Word:
@@ -309,12 +327,19 @@ def _asides(gates: Sequence[Ended], around: Circumstances) -> Iterable[str]:
         yield f"with --set {_listed(around.settings, _MOST)}"
 
 
+def _beside(gates: Sequence[Ended], around: Circumstances) -> Iterable[Proven | Unproven]:
+    """Yield what follows from demonstrations, where there were some."""
+    codes = {DEMONSTRATIONS.rule, *DEMONSTRATIONS.needs}
+    if any(codes & {*gate.proofs, *gate.doubts} for gate in gates):
+        yield _by_rule(DEMONSTRATIONS, gates, around)
+
+
 def _by_rule(claim: Claim, gates: Sequence[Ended], around: Circumstances) -> Proven | Unproven:
     """Return whether the rule of a claim has proved it; one doubt, wherever it comes from, is enough against it."""
     doubts = [gate.doubts[code] for code in (*claim.needs, claim.rule) for gate in gates if code in gate.doubts]
     proofs = [(gate, gate.proofs[claim.rule]) for gate in gates if claim.rule in gate.proofs]
     is_asked = bool(not around.narrowed or doubts or proofs)
-    if around.without_pairs is not None:
+    if claim is PARITY and around.without_pairs is not None:
         return Unproven(claim, around.without_pairs, is_asked)
     if doubts or not proofs:
         return Unproven(claim, doubts[0] if doubts else f"{claim.rule} proved nothing", is_asked)

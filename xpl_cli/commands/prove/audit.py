@@ -69,6 +69,12 @@ def audit(
     episodes: int | None = typer.Option(
         None, min=1, metavar="N", help="Whole episodes over which the MuJoCo gate measures success."
     ),
+    demos: Path | None = typer.Option(
+        None, metavar="PATH", help="Recorded episodes that the policy is held against, in the standard's form."
+    ),
+    pictures: Path | None = typer.Option(
+        None, metavar="DIR", help="Write what demonstrations show, predicted beside done, as pictures."
+    ),
     video: Path | None = typer.Option(None, metavar="DIR", help="Film every episode of the MuJoCo gate."),
     move: bool = typer.Option(
         False, "--move", help="Play environments that may be robots (`real_time`), too: resets and moves them."
@@ -112,7 +118,7 @@ def audit(
         from xpl_cli.audit.physics.simulation import check_tasks
 
         check_tasks(task)
-    targets = _targets(paths or (), changed_since, every=every, is_run=set(gate or ()) != {Gate.STATIC})
+    targets = _targets(paths or (), changed_since, every=every, is_run=set(gate or ()) != {Gate.STATIC}, demos=demos)
     sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
     gates = tuple(Gate(name) for name in _GATES if not gate or name in gate)
     with _new_folder(trace, gates, len(targets)), progress() as say:
@@ -133,6 +139,8 @@ def audit(
             tasks=tuple(task),
             episodes=episodes,
             move=move,
+            demos=demos,
+            pictures=pictures,
             video=video,
             trace=trace,
             cache=None if no_cache else cache.default_folder(),
@@ -169,6 +177,7 @@ def audit(
             *_repeated("--set", settings),
             *_repeated("--python", [python] if python else []),
             *_repeated("--policy-env", [policy_env] if policy_env else []),
+            *_repeated("--demos", [str(demos)] if demos else []),
         ),
     )
     if not (selected or ignored or no_cache):
@@ -179,11 +188,31 @@ def audit(
     raise typer.Exit(int(forgiving if exit_zero else exit_code(reports, Outcome(fail_on))))
 
 
-def _targets(paths: Iterable[Path], changed_since: str | None, *, every: bool, is_run: bool) -> list[Target]:
+def _check_demos(demos: Path | None, targets: Sequence[Target]) -> None:
+    """Refuse demonstrations, if some were named, that are not there, or of which nobody could say whose they are.
+
+    Raises:
+        UserError: if so.
+    """
+    from xpl_cli.basics.errors import ExitCode, UserError
+    from xpl_cli.packages.package import POLICY
+
+    if demos is None:
+        return
+    if not demos.exists():
+        raise UserError(f"there are no demonstrations at {demos}", code=ExitCode.NOT_FOUND)
+    if [target.kind for target in targets] != [POLICY]:
+        raise UserError(f"--demos is for one policy, and {len(targets)} packages were named", hint="audit it alone")
+
+
+def _targets(
+    paths: Iterable[Path], changed_since: str | None, *, every: bool, is_run: bool, demos: Path | None
+) -> list[Target]:
     """Return the packages that are audited: all that were asked for, or those of them that changed since a commit."""
     from xpl_cli.packages.targets import asked
 
     targets = asked(paths, every=every)
+    _check_demos(demos, targets)
     if changed_since is None:
         return targets
     from xpl_cli.audit.engine.changed import select_changed

@@ -1,0 +1,107 @@
+"""XPL270: Demonstrations fit another convention than the declared one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from xpl import _spec as spec
+from xpl_cli.audit import Finding, Fix, NotRun, Proof, rule
+from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
+from xpl_cli.audit.offline.demonstrations.search import Change
+from xpl_cli.audit.served.probe import blame
+
+
+@rule(code="XPL270", requirement="XPL-ACT-12", after=("serves",))
+def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof]:
+    """Demonstrations fit another convention than the declared one.
+
+    ## What it does
+    Shows the served policy observations of recorded episodes (`--demos PATH`, or what `demonstrations.yml` names), and
+    compares the actions that it predicts with those that were commanded, part by part over its horizon. Then every
+    single change that is known is tried: other words of the `native` block; of an adapter that converts in code,
+    changes of what it is shown and commands; and for all, other histories, instructions and rates. A change that leaves
+    80 % of the error or less, with 99 % certainty 92 % (paired bootstrap over episodes), is a finding.
+
+    ## Why it matters
+    Wherever red and blue, two cameras, the gripper's ends or the reference of a command are exchanged, the policy was
+    trained on something else than it gets. Interfaces agree, the robot moves, and nothing succeeds.
+
+    ## Example
+    `reference: absolute` for a model that was trained on `delta_state`.
+
+    ## Use instead
+    What the finding names, if the code that trained the model says so, too.
+
+    ## Fix safety
+    No automatic fix.
+    """
+    best = demonstrations.outcome.best
+    if best is None:
+        yield Proof(_numbers(demonstrations))
+        return
+    if not best.margin.is_certain:
+        raise NotRun(
+            f"{demonstrations.episodes} episodes do not tell whether `{best.words}` fits better: it leaves "
+            f"{best.margin.share:.0%} of the error, at most {best.margin.most:.0%}; about {best.margin.needed} would"
+        )
+    yield _finding(demonstrations, best)
+
+
+def _finding(demonstrations: Demonstrated, best: Change) -> Finding:
+    from xpl_cli.audit.offline.demonstrations.picture import drawn
+
+    ties = [tie.words for tie in demonstrations.outcome.ties]
+    as_well = f" (as with {', '.join(f'`{words}`' for words in ties[:3])}: they do not tell them apart)" if ties else ""
+    given = dict(enumerate(demonstrations.given))
+    picture, part = drawn(demonstrations.ruler, given, best.given, best.words)
+    changed = demonstrations.ruler.errors(best.given, range(len(given)))
+    table = demonstrations.table(changed)
+    where = "in the block `native`" if best.in_block else "in encode, predict or decode"
+    evidence: dict[str, Any] = {
+        "cause": {
+            "words": best.words,
+            "convention": best.convention,
+            "share": best.margin.share,
+            "at_most": best.margin.most,
+            "ties": ties,
+        },
+        "episodes": demonstrations.episodes,
+        "questions": len(given),
+        "errors": table,
+        "part": part,
+        "picture": picture,
+    }
+    saved = demonstrations.saved(picture, "demonstrations-fit")
+    if saved:
+        evidence["file"] = saved
+    finding = blame(
+        f"demonstrations fit `{best.words}` better than what is declared: it leaves {best.margin.share:.0%} of the "
+        f"error over {demonstrations.episodes} episodes, at most {best.margin.most:.0%}{as_well}",
+        expected=f"errors of {_listed(table['changed'])}, as with `{best.words}`",
+        got=_listed(table["declared"]),
+        evidence=evidence,
+        fix=Fix("advice", f"the model seems to mean `{best.words}`: if its training code says so, mend that {where}"),
+    )
+    return Finding(**{**vars(finding), "path": spec.File.POLICY_YML}) if best.in_block else finding
+
+
+def _numbers(demonstrations: Demonstrated) -> dict[str, Any]:
+    outcome = demonstrations.outcome
+    means = {name: float(errors.steps[errors.known].mean()) for name, errors in demonstrations.witnesses.items()}
+    own = demonstrations.errors
+    return {
+        "episodes": demonstrations.episodes,
+        "questions": len(demonstrations.given),
+        "error": round(float(own.steps[own.known].mean()), 4),
+        **{f"error of {name}": round(value, 4) for name, value in means.items()},
+        "changes": outcome.tried,
+        "complete": outcome.complete,
+        "told": ", ".join(outcome.told),
+        "untold": ", ".join(outcome.untold),
+        "unread": ", ".join(outcome.unread),
+    }
+
+
+def _listed(units: dict[str, float]) -> str:
+    return ", ".join(f"{value:g} {name}" for name, value in units.items())

@@ -1,0 +1,1 @@
+"""The oracle: what a policy would have done in recorded demonstrations, beside what was done in them."""

@@ -1,0 +1,83 @@
+"""Whether one convention fits better than another: a paired bootstrap over episodes, and how many would be enough."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl_cli.audit.offline.demonstrations.measure import Errors
+
+LEAST_EPISODES: Final = 5
+"""Fewer say nothing: with four, one of sixteen useless changes is better in all of them."""
+BETTER: Final = 0.8
+"""What fits better leaves this share of the error, or less, ..."""
+CERTAIN: Final = 0.92
+"""... and with 99 % certainty this one, or less."""
+_RESAMPLES: Final = 2000
+_ONE_SIDED: Final = 99.0
+_Z: Final = 2.33
+
+
+@dataclass(frozen=True)
+class Margin:
+    """A change beside the declared conventions.
+
+    Attributes:
+        share: the error with the change, as a share of the error without.
+        least, most: the smallest and the largest share that the episodes leave open, 99 % one-sided each.
+        needed: about how many episodes would make a margin of this size certain.
+    """
+
+    share: float
+    least: float
+    most: float
+    needed: int
+
+    @property
+    def is_better(self) -> bool:
+        """Whether it fits better."""
+        return self.share <= BETTER
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the episodes are enough to say so."""
+        return self.is_better and self.most <= CERTAIN
+
+
+def margin(declared: Errors, changed: Errors, episodes: Sequence[int]) -> Margin | None:
+    """Return how much better a change fits, None where too little of what it would command is known.
+
+    Args:
+        declared: errors under the declared conventions.
+        changed: those with the change, of the same questions.
+        episodes: of each question, its episode.
+    """
+    both = declared.known & changed.known
+    if 3 * both.sum() < declared.known.sum():
+        return None
+    numbers = np.unique(np.asarray(episodes))
+    sums = np.zeros((2, len(numbers)))
+    for place, number in enumerate(numbers):
+        chosen = both & (np.asarray(episodes) == number)[:, None]
+        if chosen.any():
+            sums[:, place] = declared.steps[chosen].mean(), changed.steps[chosen].mean()
+    before, after = sums
+    if not before.sum() > 0:
+        return None
+    drawn = np.random.default_rng(0).integers(0, len(numbers), (_RESAMPLES, len(numbers)))
+    shares = after[drawn].sum(1) / np.maximum(before[drawn].sum(1), 1e-12)
+    gained = before - after
+    spare = gained.mean() - (1 - CERTAIN) * before.mean()
+    noise = float(gained.std(ddof=1)) if len(numbers) > 1 else 0.0
+    needed = math.ceil((_Z * noise / spare) ** 2) + 1 if spare > 0 else len(numbers) + 1
+    return Margin(
+        float(after.sum() / before.sum()),
+        *map(float, np.percentile(shares, (100 - _ONE_SIDED, _ONE_SIDED))),
+        max(LEAST_EPISODES, needed, len(numbers) + 1),
+    )

@@ -1,0 +1,107 @@
+"""Which demonstrations a policy is held against: those of `--demos`, or those that its `demonstrations.yml` names.
+
+The file is spec/demonstrations/demonstrations.schema.json: a path and the digest of each episode.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl import _spec as sdk
+from xpl_cli.basics import content, files
+from xpl_cli.basics.atomic import write_file
+from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.yaml import text as yaml_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FILE: Final = "demonstrations.yml"
+"""Beside policy.yml, which frozen versions of the standard leave no room in."""
+_MOST_BYTES: Final = 1 << 22
+
+
+class DeclarationError(ValueError):
+    """The file cannot be read, or is not what its schema says."""
+
+
+def is_there(package: Path) -> bool:
+    """Tell whether a package names demonstrations."""
+    return (package / FILE).is_file()
+
+
+def read(package: Path) -> tuple[Path, Mapping[str, str]]:
+    """Return the path that a package's file names, and the SHA-256 of each episode by its file's name below it.
+
+    Raises:
+        DeclarationError: it cannot be read, or does not fit its schema.
+    """
+    path = package / FILE
+    try:
+        document = yaml_text.parse(files.content(path, _MOST_BYTES))
+    except OSError as error:
+        raise DeclarationError(f"{FILE} cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise DeclarationError(f"{FILE} is no YAML: {error}") from None
+    error = next(iter(_validator().iter_errors(document)), None)
+    if error is not None:
+        where = "/".join(map(str, error.instance_path))
+        raise DeclarationError(f"{FILE}{', ' + where if where else ''}: {error.message}")
+    named = document["demonstrations"]
+    return (package / str(named["path"])).resolve(), dict(named["digests"])
+
+
+def written(path: str, digests: Mapping[str, str]) -> str:
+    """Return the file's text for demonstrations at a path, as the package's folder sees it."""
+    lines = [f"  {json.dumps(name)}: {digest}" for name, digest in sorted(digests.items())]
+    return "\n".join(
+        [
+            "# Demonstrations that an audit holds this policy against; `xpl data declare` writes it.",
+            "demonstrations:",
+            f"  path: {json.dumps(path)}",
+            "  digests:",
+            *(f"  {line}" for line in lines),
+            "",
+        ]
+    )
+
+
+def declare(package: Path, demonstrations: Path) -> tuple[Path, dict[str, str]]:
+    """Write a package's file for recorded episodes, and return it with their digests.
+
+    Raises:
+        UserError: there is no such policy, or there are no such episodes; exit code 3.
+    """
+    from xpl.trajectory import TrajectoryError, open_folder
+
+    if not (package / sdk.File.POLICY_YML).is_file():
+        raise UserError(f"{package} holds no {sdk.File.POLICY_YML}", code=ExitCode.NOT_FOUND)
+    try:
+        found = open_folder(demonstrations)
+    except TrajectoryError as error:
+        raise UserError(str(error), code=ExitCode.NOT_FOUND) from None
+    root = demonstrations if demonstrations.is_dir() else demonstrations.parent
+    digests = {Path(one.path).relative_to(root).as_posix(): digest(Path(one.path)) for one in found}
+    path = package / FILE
+    place = os.path.relpath(root.resolve(), package.resolve())
+    write_file(path, written(Path(place).as_posix(), digests).encode())
+    return path, digests
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file, hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@cache
+def _validator() -> Any:
+    import jsonschema_rs
+
+    path = content.room("spec") / "demonstrations" / "demonstrations.schema.json"
+    return jsonschema_rs.validator_for(json.loads(path.read_bytes()))

@@ -1,0 +1,236 @@
+"""Recorded episodes as a session whose questions an adapter can be asked, and what was commanded after each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import poses
+from xpl.convert import NativeError
+from xpl.convert.frames import mount
+from xpl.kinematics import Chain, KinematicsError
+from xpl_cli.audit.offline.parity.course import Course
+from xpl_cli.native.pairs import Session
+from xpl_cli.native.script import Call
+
+if TYPE_CHECKING:
+    from xpl.embodiment import Embodiment
+    from xpl.trajectory import Trajectory
+
+_EPISODE: Final = 1 << 20
+"""Places of one episode: a recipe is `episode * _EPISODE + step`."""
+_QUESTIONS: Final = 72
+_LEAST, _MOST = 3, 10
+"""Questions of all episodes together, and of each."""
+_GOLDEN: Final = 0.6180339887498949
+_BATCH: Final = 16
+"""Questions that are asked together."""
+_MEMORY: Final = 64
+"""Observations of an episode that are shown to a policy with a memory before its first question, at most."""
+
+
+class LackingError(ValueError):
+    """The episodes lack what the policy commands, or are of another robot."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One episode.
+
+    Attributes:
+        trajectory: the file.
+        commanded: (T, width) float64 by key of the action type.
+        state: the same keys as they were observed.
+    """
+
+    trajectory: Trajectory
+    commanded: Mapping[str, np.ndarray]
+    state: Mapping[str, np.ndarray]
+
+    @property
+    def steps(self) -> int:
+        """How many control steps it has."""
+        return len(next(iter(self.commanded.values())))
+
+    def done(self, step: int, horizon: int) -> list[dict[str, np.ndarray]]:
+        """Return what was commanded from a step on, until the horizon or the end."""
+        until = min(step + horizon, self.steps)
+        return [{key: rows[at] for key, rows in self.commanded.items()} for at in range(step, until)]
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Makes observations of recipes, as `xpl_cli.native.script.Scene` does of scripted ones."""
+
+    recordings: Sequence[Recording]
+
+    def observation(self, env: int, place: int) -> dict[str, Any]:
+        """Return an observation as a policy gets it."""
+        shown = self.recordings[place // _EPISODE].trajectory.observation(place % _EPISODE)
+        return {**shown, sdk.Obs.ENV_IDX: env}
+
+
+@dataclass(frozen=True)
+class Played(Session):
+    """A session of recorded episodes; the answers are what was commanded.
+
+    Attributes:
+        recordings: the episodes.
+        asked: of each question the number of its episode and its step there.
+    """
+
+    recordings: tuple[Recording, ...] = field(default=(), repr=False)
+    asked: tuple[tuple[int, int], ...] = ()
+
+    @cached_property
+    def scene(self) -> Any:
+        """What makes its observations."""
+        return _Scene(self.recordings)
+
+
+class Asking(Course):
+    """The questions of a session in which each is an episode of its own, so that any may be asked without the others.
+
+    Several are asked in batches, as environments beside each other.
+    """
+
+    def calls(self, wanted: Sequence[int]) -> list[Call]:
+        """Return the calls that ask some questions."""
+        found = []
+        for start in range(0, len(wanted), _BATCH):
+            shown = [self.session.questions[number].shown for number in wanted[start : start + _BATCH]]
+            longest = max(map(len, shown))
+            found.append(Call(reset=True))
+            for moment in range(longest):
+                later = [moment - longest + len(recipes) for recipes in shown]
+                now = [(env, shown[env][at][1]) for env, at in enumerate(later) if at >= 0]
+                found.append(Call(show=tuple(now)))
+            found.append(Call(ask=tuple(range(len(shown)))))
+        return found
+
+
+def recording(trajectory: Trajectory, robot: Embodiment, action_type: str) -> Recording:
+    """Return an episode with what was commanded in the keys of an action type.
+
+    Poses that were commanded by joints follow from the robot's kinematics.
+
+    Raises:
+        LackingError: neither was recorded, or it is another robot's.
+        TrajectoryError: the file cannot be read.
+    """
+    made_by = trajectory.episode.get("robot")
+    if made_by not in {None, robot.name}:
+        raise LackingError(
+            f"{trajectory.key} was recorded with {made_by}, and the policy is served for {robot.name}: "
+            f"--set {sdk.Deploy.ENV_CFG_TYPE}={made_by}, if it was trained for that"
+        )
+    seen = [dict(trajectory.observation(step)[sdk.Obs.STATE]) for step in (0, len(trajectory) - 1)]
+    steps = [trajectory.action(step) for step in range(len(trajectory))]
+    dims = robot.dims(action_type)
+    commanded = {}
+    for key, width in dims.items():
+        values = _column(steps, key)
+        if values is None and key.endswith(sdk.State.EE_POSE):
+            values = _by_kinematics(steps, key, robot)
+        if values is None or values.shape[1:] != (width,):
+            got = "nothing" if values is None else f"{values.shape[1:]} numbers"
+            raise LackingError(f"{trajectory.key} holds {got} of action/{key}, and the policy commands ({width},)")
+        commanded[key] = values
+    lacking = sorted(key for key in dims if any(key not in one for one in seen))
+    if lacking:
+        raise LackingError(f"{trajectory.key} lacks state/{', state/'.join(lacking)}: holding the pose is the witness")
+    state = {key: _states(trajectory, key) for key in dims}
+    return Recording(trajectory, commanded, state)
+
+
+def session(  # noqa: PLR0913, PLR0917 - what is served, and how far it looks
+    recordings: Sequence[Recording], robot: Embodiment, action_type: str, seed: int, horizon: int, span: int
+) -> Played:
+    """Return questions over episodes, each after a reset and the observations that its history reaches over.
+
+    Args:
+        recordings: the episodes.
+        robot: that is served.
+        action_type: likewise.
+        seed: likewise.
+        horizon: steps of a chunk that are looked at.
+        span: control steps that the policy's history reaches over, 1 without one; 0 for a memory, which is shown the
+            episode from its beginning, and asked once.
+    """
+    calls: list[Call] = []
+    answers: list[tuple[dict[str, np.ndarray], ...]] = []
+    asked: list[tuple[int, int]] = []
+    each = max(_LEAST, min(_MOST, _QUESTIONS // len(recordings)))
+    for number, episode in enumerate(recordings):
+        for step in _steps(episode.steps, each, (number * _GOLDEN) % 1.0):
+            first = max(0, step - (_MEMORY if span == 0 else span) + 1)
+            calls.append(Call(reset=True))
+            calls += [Call(show=((0, number * _EPISODE + at),)) for at in range(first, step + 1)]
+            calls.append(Call(ask=(0,)))
+            done = episode.done(step, horizon)
+            answers.append(({key: np.stack([one[key] for one in done])[None] for key in done[0]},))
+            asked.append((number, step))
+    return Played(
+        embodiment=robot.name,
+        action_type=action_type,
+        seed=seed,
+        cameras={},
+        takes=1,
+        calls=tuple(calls),
+        answers=tuple(answers),
+        recordings=tuple(recordings),
+        asked=tuple(asked),
+    )
+
+
+def few(asked: Sequence[tuple[int, int]]) -> list[int]:
+    """Return questions on which changes are tried first: of each episode one, elsewhere in each; 12 of all at most.
+
+    Of few episodes there are eight, so that all phases of an episode are among them.
+    """
+    by_episode: dict[int, list[int]] = {}
+    for number, (episode, _) in enumerate(asked):
+        by_episode.setdefault(episode, []).append(number)
+    found = set()
+    for turn in range(max(8, min(12, len(by_episode)))):
+        numbers = list(by_episode.values())[turn % len(by_episode)]
+        found.add(numbers[int(len(numbers) * ((turn * _GOLDEN) % 1.0))])
+    return sorted(found)
+
+
+def _steps(length: int, count: int, phase: float) -> Iterator[int]:
+    """Yield places that are evenly spread over an episode, which begin elsewhere in each."""
+    places = [int((number + phase) * (length - 1) / count) for number in range(count)]
+    yield from dict.fromkeys(places)
+
+
+def _column(steps: Sequence[Mapping[str, Any]], key: str) -> np.ndarray | None:
+    if any(key not in step for step in steps):
+        return None
+    return np.stack([np.asarray(step[key], np.float64) for step in steps])
+
+
+def _states(trajectory: Trajectory, key: str) -> np.ndarray:
+    from xpl.trajectory.names import stored
+
+    rows = np.asarray(trajectory.rows("/".join(stored((sdk.Obs.STATE, key)))), np.float64)
+    return rows[:, None] if rows.ndim == 1 else rows
+
+
+def _by_kinematics(steps: Sequence[Mapping[str, Any]], key: str, robot: Embodiment) -> np.ndarray | None:
+    """Return the flange's poses in the world that commanded joints lead to, None where that is not known."""
+    prefix = key.removesuffix(sdk.State.EE_POSE)
+    joints = _column(steps, prefix + sdk.State.ARM_JOINT_STATE)
+    side = dict(zip(robot.prefixes, robot.data["arms"], strict=True))[prefix]
+    if joints is None:
+        return None
+    try:
+        chain, base = Chain.from_embodiment(robot.data), mount(robot, side)
+    except (KinematicsError, NativeError):
+        return None
+    return np.stack([poses.compose(base, chain.flange(row)) for row in joints])

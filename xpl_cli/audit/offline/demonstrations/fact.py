@@ -1,0 +1,244 @@
+"""The demonstrations fact: what a served adapter answers in recorded episodes, and what explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl.trajectory import TrajectoryError, open_folder
+from xpl_cli.audit.offline.demonstrations import declared
+from xpl_cli.audit.offline.demonstrations.certainty import LEAST_EPISODES, Margin, margin
+from xpl_cli.audit.offline.demonstrations.episodes import Asking, LackingError, Recording, recording, session
+from xpl_cli.audit.offline.demonstrations.measure import Errors, Part, Ruler
+from xpl_cli.audit.offline.demonstrations.search import Outcome, Search
+from xpl_cli.audit.offline.parity.played import RefusedError, replay
+from xpl_cli.audit.rules.model import NotApplicable, NotRun
+from xpl_cli.audit.rules.profiles import Profile
+from xpl_cli.basics.atomic import write_file
+from xpl_cli.native.record import span
+
+if TYPE_CHECKING:
+    from xpl.trajectory import Folder
+    from xpl_cli.audit.offline.demonstrations.episodes import Played
+    from xpl_cli.audit.offline.demonstrations.measure import Chunks
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.native.pairs import Chunk
+
+_MOST_EPISODES: Final = 24
+"""Episodes that are looked at, evenly spread over those that are there."""
+_MOST_HORIZON: Final = 32
+_MOST_BYTES: Final = 256 << 20
+"""What the images of all questions may take."""
+
+
+class Demonstrated:
+    """Recorded episodes and the adapter that they are held against.
+
+    Args:
+        probe: the adapter.
+    """
+
+    def __init__(self, probe: Probe) -> None:
+        self.probe = probe
+
+    @cached_property
+    def recordings(self) -> list[Recording]:
+        """The episodes that are looked at.
+
+        Raises:
+            NotApplicable: there are none to be held against.
+            NotRun: they cannot be read, are others than were declared, do not fit the robot, or are too few.
+        """
+        found = self._episodes()
+        if len(found) < LEAST_EPISODES:
+            some = f"{len(found)} episode{'' if len(found) == 1 else 's'}"
+            raise NotRun(f"{some} tell nothing for certain: at least {LEAST_EPISODES} are needed")
+        places = np.unique(np.linspace(0, len(found) - 1, min(len(found), _MOST_EPISODES)).astype(int))
+        try:
+            return [recording(found[int(place)], self.probe.embodiment, self.probe.action_type) for place in places]
+        except (LackingError, TrajectoryError) as error:
+            raise NotRun(str(error)) from None
+
+    @cached_property
+    def session(self) -> Played:
+        """The questions.
+
+        Raises:
+            NotRun: as `recordings`; the model is not here; or the policy reads what was not recorded.
+        """
+        if self.probe.profile.name is Profile.SHADOW:
+            raise NotRun("what a policy does with demonstrations only the real model can tell, and it is not here")
+        recordings = self.recordings
+        shown = recordings[0].trajectory.observation(0)
+        lacking = [name for name in self.probe.required if not _is_in(shown, name)]
+        if lacking:
+            raise NotRun(f"the policy requires {', '.join(lacking)}, which the demonstrations do not have")
+        manifest = self.probe.package.manifest
+        temporal, native = manifest.get("temporal") or {}, manifest.get("native") or {}
+        reach = 0 if native.get("recurrent") or temporal.get("kind") == "memory" else span(manifest)
+        horizon = min(_MOST_HORIZON, int(temporal.get("chunk") or 1))
+        seed = int(self.probe.config.get(sdk.Deploy.SEED) or 0)
+        made = session(recordings, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
+        size = sum(entry[sdk.Camera.COLOR].nbytes for entry in shown.get(sdk.Obs.VISION, {}).values())
+        steps = sum(len(call.show) for call in made.calls)
+        if size * steps > _MOST_BYTES:
+            fewer = max(LEAST_EPISODES, int(len(recordings) * _MOST_BYTES / (size * steps)))
+            chosen = recordings[:: -(-len(recordings) // fewer)]
+            made = session(chosen, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
+        return made
+
+    @cached_property
+    def ruler(self) -> Ruler:
+        """What measures answers."""
+        return Ruler(self.session)
+
+    @cached_property
+    def _heard(self) -> tuple[list[Chunk], dict[int, str]]:
+        """The served adapter's answers to all questions, empty where it refused one, and how it refused them.
+
+        Raises:
+            NotRun: if it refuses all.
+        """
+        self.probe.options.clock.check()
+        course = Asking(self.session)
+        answers: list[Chunk] = []
+        refused: dict[int, str] = {}
+        with self.probe.session() as client:
+            for question in self.session.questions:
+                number = [question.number]
+                try:
+                    calls = course.calls(number)
+                    answers += [
+                        takes[0] for takes in replay(client, self.session, calls, [question], course.observation)
+                    ]
+                except RefusedError as refusal:
+                    answers.append([])
+                    refused[question.number] = str(refusal)
+        return answers, refused
+
+    @property
+    def given(self) -> list[Chunk]:
+        """The served adapter's answers to all questions, empty where it refused one."""
+        return self._heard[0]
+
+    @property
+    def refused(self) -> dict[int, str]:
+        """How it refused questions, by their numbers."""
+        return self._heard[1]
+
+    @property
+    def episodes(self) -> int:
+        """How many episodes were looked at."""
+        return len(self.session.recordings)
+
+    @cached_property
+    def errors(self) -> Errors:
+        """Of the adapter's answers."""
+        return self.ruler.errors(dict(enumerate(self.given)), self._everything, self.refused)
+
+    @cached_property
+    def witnesses(self) -> Mapping[str, Errors]:
+        """Errors of holding the pose, and of repeating the action before."""
+        witnesses: dict[str, Chunks] = {
+            "holding the pose": self.ruler.still(),
+            "the action before": self.ruler.before(),
+        }
+        return {name: self.ruler.errors(said, self._everything) for name, said in witnesses.items()}
+
+    @cached_property
+    def outcome(self) -> Outcome:
+        """What the search for a better convention came to.
+
+        Raises:
+            NotRun: the adapter refuses some of the observations, and no convention explains that.
+        """
+        found = Search(self.probe, self.ruler, self.given, self.refused).run()
+        if found.best is None and self.refused:
+            number, why = next(iter(self.refused.items()))
+            some = f"{len(self.refused)} of {len(self.given)} observations"
+            episode, step = self.session.asked[number]
+            where = f"{self.session.recordings[episode].trajectory.key}, step {step}"
+            raise NotRun(f"the adapter refuses {some} of the demonstrations, and nothing explains it: {where}: {why}")
+        return found
+
+    def beside(self, witness: Errors) -> Margin | None:
+        """Return how the adapter fits beside a witness."""
+        return margin(witness, self.errors, [episode for episode, _ in self.session.asked])
+
+    def table(self, changed: Errors | None = None) -> dict[str, dict[str, float]]:
+        """Return the errors of each part in its unit: of the adapter, of a change, and of the witnesses."""
+        rows = {"declared": self.errors, **({} if changed is None else {"changed": changed}), **self.witnesses}
+        return {name: _told(errors.units(self.errors)) for name, errors in rows.items()}
+
+    def saved(self, picture: str, name: str) -> str | None:
+        """Write a picture where the audit was asked to, and return its file; None where it was not."""
+        folder = self.probe.options.pictures
+        if folder is None:
+            return None
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"{self.probe.package.name}-{name}.svg"
+        write_file(path, picture.encode())
+        return str(path)
+
+    @property
+    def _everything(self) -> Sequence[int]:
+        return range(len(self.session.questions))
+
+    def _episodes(self) -> Folder | list[object]:
+        options, package = self.probe.options, self.probe.package.path
+        if options.demos is not None:
+            return _opened(options.demos)
+        if not declared.is_there(package):
+            raise NotApplicable("no demonstrations were given: --demos PATH")
+        try:
+            path, digests = declared.read(package)
+        except declared.DeclarationError as error:
+            raise NotRun(str(error)) from None
+        root = path if path.is_dir() else path.parent
+        if not root.is_dir():
+            raise NotRun(f"the demonstrations that {declared.FILE} names are not here: {path}")
+        others = [name for name, digest in digests.items() if not _is(root / name, root, digest)]
+        if others:
+            more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+            raise NotRun(f"the demonstrations are not those that {declared.FILE} names: {others[0]}{more} differ")
+        from xpl.trajectory import Trajectory
+
+        return [Trajectory(str(root / name)) for name in sorted(digests)]
+
+
+def given(package: Path, demos: Path | None) -> bool:
+    """Tell whether there are demonstrations that a package is to be held against."""
+    return demos is not None or declared.is_there(package)
+
+
+def _opened(path: Path) -> Folder:
+    try:
+        return open_folder(path)
+    except TrajectoryError as error:
+        raise NotRun(f"{error}; demonstrations of another format: xpl data convert SRC DST --to xpl") from None
+    except ImportError as error:
+        raise NotRun(f"demonstrations need h5py: pip install 'xpolicylab[data]' ({error})") from None
+
+
+def _is(path: Path, root: Path, digest: str) -> bool:
+    if not path.resolve().is_relative_to(root.resolve()) or not path.is_file():
+        return False
+    return declared.digest(path) == digest
+
+
+def _is_in(shown: Mapping[str, object], name: str) -> bool:
+    """Tell whether an observation has an input, a field of the state of any arm."""
+    group, _, field = name.partition(".")
+    inner = shown.get(group)
+    if not field:
+        return inner is not None
+    return isinstance(inner, Mapping) and any(one == field or one.endswith(f"_{field}") for one in inner)
+
+
+def _told(units: Mapping[Part, float]) -> dict[str, float]:
+    return {f"{part.name} ({part.unit})": float(f"{value:.3g}") for part, value in units.items()}

@@ -1,0 +1,185 @@
+"""How far predicted actions are from those that were done: part by part, in the robot's units and as shares."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import rotation
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.offline.demonstrations.episodes import Played
+
+Chunks = Mapping[int, Sequence[Mapping[str, Any] | None]]
+"""Action steps by number of a question; None for steps that are not known."""
+
+_FLOOR: Final = 0.1
+"""A number that hardly moves counts as if it moved by this share of what moves most in its part."""
+_MOST: Final = 3.0
+"""Largest error, in spreads: what is farther is no worse, so that one wild number does not decide all."""
+_TURN: Final = slice(sdk.POSITION_DIM, sdk.POSE_DIM)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Numbers of an action that are measured together.
+
+    Attributes:
+        name: as people call it.
+        unit: of its errors.
+    """
+
+    name: str
+    unit: str
+
+
+JOINTS = Part("arm joints", "rad")
+POSITION = Part("position", "m")
+ROTATION = Part("rotation", "rad")
+GRIPPER = Part("gripper", "of its opening")
+HAND = Part("hand", "rad")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of some questions, NaN where nothing is known.
+
+    Attributes:
+        parts: of each column, which part it is of.
+        values: (questions, horizon, columns) in the parts' units.
+        shares: the same, as shares of what each column spreads over; at most `_MOST`.
+    """
+
+    parts: tuple[Part, ...]
+    values: np.ndarray
+    shares: np.ndarray
+
+    def units(self, like: Errors | None = None) -> dict[Part, float]:
+        """Return the mean error of each part, in its unit; only where another's is known, too."""
+        known = self.known if like is None else self.known & like.known
+        found = {}
+        for part in dict.fromkeys(self.parts):
+            chosen = self.values[..., [one == part for one in self.parts]].mean(-1)[known]
+            chosen = chosen[np.isfinite(chosen)]  # what was refused has no value
+            found[part] = float(chosen.mean()) if chosen.size else float("nan")
+        return found
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        """(questions, horizon) bool: the steps of which everything is known."""
+        known: np.ndarray = np.isfinite(self.shares).all(-1)
+        return known
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """(questions, horizon): the mean over the parts of their mean share, NaN where it is not known."""
+        each = [self.shares[..., [one == part for one in self.parts]].mean(-1) for part in dict.fromkeys(self.parts)]
+        total: np.ndarray = np.mean(each, axis=0)
+        return total
+
+
+class Ruler:
+    """Measures chunks against what was done in a session.
+
+    Args:
+        session: the recorded episodes with their questions.
+    """
+
+    def __init__(self, session: Played) -> None:
+        self.session = session
+        self._done = [session.chunk(question) for question in session.questions]
+        self.horizon = max(map(len, self._done))
+        self._keys = list(self._done[0][0])
+
+    def errors(self, given: Chunks, wanted: Sequence[int], refused: Collection[int] = ()) -> Errors:
+        """Return the errors of the answers to some questions.
+
+        Args:
+            given: the answers; a question without one is not known, ...
+            wanted: numbers of the questions.
+            refused: ... or as far off as anything can be, if it is among these.
+        """
+        columns = [column for key in self._keys for column in self._columns(key)]
+        said = {key: np.full((len(wanted), self.horizon, len(self._done[0][0][key])), np.nan) for key in self._keys}
+        done = {key: values[list(wanted)] for key, values in self._stacked.items()}
+        for place, number in enumerate(wanted):
+            for step, one in enumerate((given.get(number) or ())[: self.horizon]):
+                for key, values in said.items():
+                    if one is not None and np.shape(one.get(key)) == values.shape[2:]:
+                        values[place, step] = one[key]
+        values = np.concatenate([_apart(key, said[key], done[key]) for key in self._keys], axis=-1)
+        shares = np.minimum(values / self._spread, _MOST)
+        for place, number in enumerate(wanted):
+            if number in refused:
+                shares[place, : len(self._done[number])] = _MOST
+        return Errors(tuple(columns), values, shares)
+
+    @cached_property
+    def _stacked(self) -> dict[str, np.ndarray]:
+        """By key (questions, horizon, width) what was done, NaN after an episode's end."""
+        found = {}
+        for key in self._keys:
+            found[key] = np.full((len(self._done), self.horizon, len(self._done[0][0][key])), np.nan)
+            for number, chunk in enumerate(self._done):
+                found[key][number, : len(chunk)] = [one[key] for one in chunk]
+        return found
+
+    @cached_property
+    def _spread(self) -> np.ndarray:
+        """(columns,): what each column spreads over in the episodes, by its part's floor at least."""
+        found = []
+        for key in self._keys:
+            rows = np.concatenate([one.commanded[key] for one in self.session.recordings])
+            middle = np.median(rows, axis=0)
+            if key.endswith(sdk.State.EE_POSE):
+                middle[_TURN] = rotation.normalise(rows[len(rows) // 2, _TURN])
+            found.append(_apart(key, rows, np.broadcast_to(middle, rows.shape)).mean(0))
+        spread = np.concatenate(found)
+        columns = [column for key in self._keys for column in self._columns(key)]
+        for part in set(columns):
+            chosen = [one == part for one in columns]
+            spread[chosen] = np.maximum(spread[chosen], _FLOOR * spread[chosen].max() or 1.0)
+        return spread
+
+    def _columns(self, key: str) -> list[Part]:
+        width = len(self._done[0][0][key])
+        if key.endswith(sdk.State.EE_POSE):
+            return [*[POSITION] * sdk.POSITION_DIM, ROTATION]
+        if key.endswith(sdk.State.ARM_JOINT_STATE):
+            return [JOINTS] * width
+        return [GRIPPER if width == 1 else HAND] * width
+
+    # -- witnesses -----------------------------------------------------------------------------------------------------
+
+    def still(self) -> dict[int, list[Mapping[str, Any]]]:
+        """Return the witness that holds the pose of each question."""
+        return {number: [self._state(*at)] * self.horizon for number, at in enumerate(self.session.asked)}
+
+    def before(self) -> dict[int, list[Mapping[str, Any]]]:
+        """Return the witness that repeats the action before each question; at the first step, it holds the pose."""
+        found = {}
+        for number, (episode, step) in enumerate(self.session.asked):
+            rows = self.session.recordings[episode].commanded
+            said = {key: values[step - 1] for key, values in rows.items()} if step else self._state(episode, step)
+            found[number] = [said] * self.horizon
+        return found
+
+    def _state(self, episode: int, step: int) -> dict[str, Any]:
+        return {key: values[step] for key, values in self.session.recordings[episode].state.items()}
+
+
+def _apart(key: str, said: np.ndarray, done: np.ndarray) -> np.ndarray:
+    """Return how far rows (..., width) of one key are apart: by number, of poses three positions and one angle."""
+    if not key.endswith(sdk.State.EE_POSE):
+        return np.abs(said - done)
+    one, other = said[..., _TURN], done[..., _TURN]
+    lengths = np.linalg.norm(one, axis=-1) * np.linalg.norm(other, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        angle = 2.0 * np.arccos(np.clip(np.abs((one * other).sum(-1)) / lengths, 0.0, 1.0))
+    places = np.abs(said[..., : sdk.POSITION_DIM] - done[..., : sdk.POSITION_DIM])
+    return np.concatenate((places, angle[..., None]), axis=-1)

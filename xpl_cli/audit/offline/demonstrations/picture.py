@@ -1,0 +1,96 @@
+"""A picture of a finding: predicted beside done, over one episode, as SVG."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from xpl_cli.audit.offline.demonstrations.measure import Chunks, Ruler
+
+_WIDTH, _HEIGHT, _EDGE = 480, 180, 28
+_MOST_POINTS: Final = 64
+_COLOURS = ("#333333", "#d62728", "#1f77b4")
+
+
+def drawn(ruler: Ruler, declared: Chunks, changed: Chunks, words: str) -> tuple[str, str]:
+    """Return a picture and the number of an action that it shows: the one that the change mends most.
+
+    Args:
+        ruler: of the demonstrations.
+        declared: what the adapter answers.
+        changed: what it would with the change.
+        words: of the change.
+    """
+    episode = ruler.session.asked[0][0]
+    chosen = [number for number, (one, _) in enumerate(ruler.session.asked) if one == episode]
+    key, index = _mended(ruler, declared, changed, chosen)
+    rows = ruler.session.recordings[episode].commanded[key][:, index]
+    every = max(1, len(rows) // _MOST_POINTS)
+    lines = [[(float(at), float(rows[at])) for at in range(0, len(rows), every)]]
+    chunks = [[_traced(ruler, given, number, key, index) for number in chosen] for given in (declared, changed)]
+    values = [value for _, value in lines[0]] + [
+        value for traces in chunks for trace in traces for _, value in trace if np.isfinite(value)
+    ]
+    low, high = min(values), max(values)
+    span = (high - low) or 1.0
+
+    def points(trace: Sequence[tuple[float, float]]) -> str:
+        return " ".join(
+            f"{_EDGE + at / max(1, len(rows) - 1) * (_WIDTH - 2 * _EDGE):.1f},"
+            f"{_HEIGHT - _EDGE - (value - low) / span * (_HEIGHT - 2 * _EDGE):.1f}"
+            for at, value in trace
+            if np.isfinite(value)
+        )
+
+    strokes = [_line(points(lines[0]), _COLOURS[0])]
+    for colour, traces in zip(_COLOURS[1:], chunks, strict=True):
+        strokes += [_line(points(trace), colour) for trace in traces if trace]
+    named = ("done", "as declared", f"with {words}")
+    legend = "".join(
+        f'<text x="{_EDGE + 150 * place}" y="14" fill="{colour}">{escape(text[:40])}</text>'
+        for place, (text, colour) in enumerate(zip(named, _COLOURS, strict=True))
+    )
+    part = f"{key}[{index}]"
+    axes = (
+        f'<text x="{_EDGE}" y="{_HEIGHT - 8}">{escape(part)}, steps 0 to {len(rows) - 1}</text>'
+        f'<text x="2" y="{_EDGE}">{high:.2g}</text><text x="2" y="{_HEIGHT - _EDGE}">{low:.2g}</text>'
+    )
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" '
+        f'height="{_HEIGHT}" font-family="sans-serif" font-size="10"><rect width="100%" height="100%" fill="#fff"/>'
+    )
+    return f"{head}{legend}{axes}{''.join(strokes)}</svg>\n", part
+
+
+def _line(points: str, colour: str) -> str:
+    return f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
+
+
+def _traced(ruler: Ruler, given: Chunks, number: int, key: str, index: int) -> list[tuple[float, float]]:
+    step = ruler.session.asked[number][1]
+    said = given.get(number) or ()
+    return [
+        (float(step + place), float(one[key][index]))
+        for place, one in enumerate(said[: ruler.horizon])
+        if one is not None and step + place < ruler.session.recordings[ruler.session.asked[number][0]].steps
+    ]
+
+
+def _mended(ruler: Ruler, declared: Chunks, changed: Chunks, chosen: Sequence[int]) -> tuple[str, int]:
+    """Return key and index of the number whose error falls most, in what it spreads over."""
+    best, found = -np.inf, next(iter((key, 0) for key in ruler.session.recordings[0].commanded))
+    for key, rows in ruler.session.recordings[ruler.session.asked[chosen[0]][0]].commanded.items():
+        for index in range(rows.shape[1]):
+            far = [
+                np.nanmean([abs(value - rows[int(at), index]) for at, value in trace] or [np.nan])
+                for given in (declared, changed)
+                if (trace := [point for number in chosen for point in _traced(ruler, given, number, key, index)])
+            ]
+            if len(far) == 2 and (gain := (far[0] - far[1]) / (np.ptp(rows[:, index]) or 1.0)) > best:
+                best, found = gain, (key, index)
+    return found

@@ -1,0 +1,72 @@
+"""Small demonstrations by a scripted expert, for subjects of rules and for tests: a colour says where to go.
+
+The red of the picture is where joint 1 goes, its blue where joint 2 goes; the gripper closes half-way.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl import _spec as sdk
+from xpl import get_embodiment
+from xpl.trajectory import Writer
+from xpl_cli.audit.offline.demonstrations import declared
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STEPS: Final = 16
+SIZE: Final = (12, 16)
+SHARE: Final = 0.2
+"""Part of the way to the goal that each command goes."""
+
+
+def write(package: Path, robot: str, episodes: int, seed: int = 0) -> Path:
+    """Write episodes and `demonstrations.yml` into a package, and return the folder of the episodes.
+
+    Args:
+        package: its folder.
+        robot: name of an embodiment with one arm.
+        episodes: how many.
+        seed: of where they begin and go.
+    """
+    folder, rng = package / "demonstrations", np.random.default_rng(seed)
+    for number in range(episodes):
+        path = folder / f"episode_{number:07d}.hdf5"
+        told = {"robot": robot, "action_type": sdk.ACTION_TYPES[0]}
+        with Writer(path, images="png", frequency=25.0, episode=told) as episode:
+            for obs, action in _played(robot, rng):
+                episode.add(obs, action)
+    digests = {path.name: declared.digest(path) for path in sorted(folder.glob("*.hdf5"))}
+    (package / declared.FILE).write_text(declared.written(folder.name, digests), encoding="utf-8")
+    return folder
+
+
+def _played(robot: str, rng: np.random.Generator) -> Any:
+    (arm,) = get_embodiment(robot).arms
+    joints, goal = rng.uniform(-0.5, 0.5, arm.dof), rng.uniform(-0.5, 0.5, arm.dof)
+    colour = rng.uniform(0.1, 0.9, 3)
+    goal[:2] = colour[0] - 0.5, colour[2] - 0.5
+    goal[2:] = joints[2:] + 0.1
+    picture = np.broadcast_to(np.rint(255 * colour).astype(np.uint8), (*SIZE, 3))
+    opening = 1.0
+    for step in range(STEPS):
+        obs = {
+            sdk.Obs.VISION: {"cam_head": {sdk.Camera.COLOR: np.ascontiguousarray(picture)}},
+            sdk.Obs.STATE: {
+                sdk.State.ARM_JOINT_STATE: joints.astype(np.float32),
+                sdk.State.EE_JOINT_STATE: np.array([opening], np.float32),
+            },
+            sdk.Obs.INSTRUCTION: "go where the colour says",
+        }
+        joints = joints + SHARE * (goal - joints)
+        opening = 1.0 if 2 * step < STEPS else 0.0
+        yield (
+            obs,
+            {
+                sdk.State.ARM_JOINT_STATE: joints.astype(np.float32),
+                sdk.State.EE_JOINT_STATE: np.array([opening], np.float32),
+            },
+        )

@@ -1,0 +1,293 @@
+"""Which other convention fits the demonstrations better than the declared one.
+
+Every single change that parity knows is tried: other words of the native block, in a process that loads the model once;
+changes around the served adapter, where it converts in code; and for all adapters other histories, instructions and
+rates. All are tried on a few questions, those that promise something on all.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, partial
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl import _spec as sdk
+from xpl import checkpoint
+from xpl.client import ClientError
+from xpl.convert import NativeError
+from xpl_cli.audit.offline.demonstrations.certainty import Margin, margin
+from xpl_cli.audit.offline.demonstrations.episodes import Asking, few
+from xpl_cli.audit.offline.demonstrations.rates import rates
+from xpl_cli.audit.offline.parity import blocks
+from xpl_cli.audit.offline.parity.around import Around
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.native.alternatives.block import alternatives
+from xpl_cli.native.alternatives.prompts import templates
+from xpl_cli.native.alternatives.signals import Signal, signals
+from xpl_cli.native.alternatives.signals.pictures import dark
+from xpl_cli.native.alternatives.signals.texts import texts
+from xpl_cli.native.record import span
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.offline.demonstrations.measure import Chunks, Errors, Ruler
+    from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.native.pairs import Chunk
+
+SEARCH_S: Final = 240.0
+"""Longest search, s."""
+_PROMISING: Final = 0.93
+"""What a change may leave of the error on a few questions to be tried on all."""
+_MOST: Final = 32
+"""Changes that are tried on all questions."""
+_LIKE: Final = 0.05
+"""Changes whose gains differ by less than this share of the best one's are alike."""
+_TOLD: Final = 1.1
+"""A convention is told apart if some other one makes the error grow to this share, or shrink as much."""
+_ALL_ADAPTERS: Final = frozenset(("history", "chunk", sdk.Obs.INSTRUCTION))
+"""Conventions whose changes around the adapter are tried although it converts by its block."""
+
+Ask = Callable[[Sequence[int], Sequence[int]], Iterator["Chunks | None"]]
+"""Answers to questions, the second, under changes by their numbers, the first, as far as the time reaches."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change that was tried.
+
+    Attributes:
+        words: as a finding says it: `channels: bgr`.
+        convention: of the vocabulary of native.py.
+        in_block: whether it is a word of the native block.
+        margin: how it fits, beside what is declared.
+        given: by question what would be commanded; empty where it was tried on a few questions only.
+    """
+
+    words: str
+    convention: str
+    in_block: bool
+    margin: Margin
+    given: Chunks
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a search came to.
+
+    Attributes:
+        tried: how many changes were tried.
+        complete: whether there was time for all.
+        best: of those that fit better, the one that fits best; None if none does.
+        ties: others that fit as well.
+        told: conventions on which other words fit otherwise, sorted.
+        untold: those on which none did: the demonstrations say nothing of them.
+        unread: cameras and texts that change no answer.
+    """
+
+    tried: int
+    complete: bool
+    best: Change | None
+    ties: tuple[Change, ...]
+    told: tuple[str, ...]
+    untold: tuple[str, ...]
+    unread: tuple[str, ...]
+
+
+class Search:
+    """The search for one adapter.
+
+    Args:
+        probe: the adapter, served for the robot and action type of the demonstrations.
+        ruler: measures against what was done.
+        given: the adapter's own answers to all questions, empty where it refused one.
+        refused: the numbers of those.
+        seconds: how long it may take.
+    """
+
+    def __init__(
+        self, probe: Probe, ruler: Ruler, given: Sequence[Chunk], refused: Collection[int], seconds: float = SEARCH_S
+    ) -> None:
+        self._probe, self._ruler, self._given, self._refused = probe, ruler, given, frozenset(refused)
+        self._manifest: Mapping[str, Any] = probe.package.manifest
+        self._native: Mapping[str, Any] = self._manifest.get("native") or {}
+        self._session = ruler.session
+        self._course = Asking(self._session)
+        self._everything = list(range(len(given)))
+        self._few = few(self._session.asked)
+        self._until = time.monotonic() + min(seconds, probe.options.clock.left)
+        self._shares: dict[str, list[float]] = {}
+        self._count = 0
+        self._complete = True
+
+    def run(self) -> Outcome:
+        """Try all changes."""
+        by_block = self._by_block()
+        with self._around() as around:
+            found = [*(by_block or ()), *self._by_signals(around, all_of_them=by_block is None)]
+            unread = tuple(self._unread(around))
+        better = [one for one in found if one.given and one.margin.is_better]
+        best, *ties = _alike(better) or [None]
+        told = {name for name, shares in self._shares.items() if any(not 1 / _TOLD < one < _TOLD for one in shares)}
+        untold = sorted(self._shares.keys() - told)
+        return Outcome(
+            self._count, self._complete, best, tuple(filter(None, ties)), tuple(sorted(told)), tuple(untold), unread
+        )
+
+    # -- families ------------------------------------------------------------------------------------------------------
+
+    def _by_block(self) -> list[Change] | None:
+        """Return what other words of the block come to; None where the adapter does not convert by it alone."""
+        if not self._native:
+            return None
+        package, chunk = self._probe.package, (self._manifest.get("temporal") or {}).get("chunk")
+        settled = package.config(dict(self._probe.options.overrides))
+        folders = checkpoint.folders(settled, package.path)
+        robot, action_type = self._session.robot, self._session.action_type
+        try:
+            known = alternatives(self._native, robot, action_type, folders, chunk, templates(package.path))
+            changes = [one for one in known if _can_be_told(one.words, one.convention)]
+        except NativeError:
+            return None
+        converts = True
+
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Chunks | None]:
+            nonlocal converts
+            tried = [self._native, *(changes[number].block for number in chosen)]
+            found = blocks.answers(self._probe, self._course, settled, tried, wanted, self._left)
+            converts = converts and found is not None
+            yield from (found or [])[1:]
+
+        kept = self._held([(one.words, one.convention) for one in changes], ask, in_block=True)
+        return kept if converts else None
+
+    def _by_signals(self, around: Around, *, all_of_them: bool) -> list[Change]:
+        """Return what changes around the adapter come to."""
+        history = self._native.get("history") or {}
+        around_it = signals(
+            self._session.robot,
+            self._session.action_type,
+            cameras=self._cameras,
+            reads=[name.partition(".")[2] for name in self._inputs if name.startswith(f"{sdk.Obs.STATE}.")] or None,
+            history=history.get("length") or span(self._manifest),
+            stride=history.get("stride", 1),
+            instructions=self._instructions,
+        )
+        found = [
+            one
+            for one in (*rates(), *around_it)
+            if _can_be_told(one.words, one.convention) and (all_of_them or one.convention in _ALL_ADAPTERS)
+        ]
+
+        def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Chunks | None]:
+            for number in chosen:
+                if self._left <= 0:
+                    return
+                yield self._answers(around, found[number], wanted)
+
+        return self._held([(one.words, one.convention) for one in found], ask, in_block=False)
+
+    def _unread(self, around: Around) -> Iterator[str]:
+        """Yield the cameras and texts of which an answer does not depend."""
+        blank = next((one for one in texts() if one.words.endswith(": none")), None)
+        shown = [(camera, Signal(0, camera, "camera", dark(camera))) for camera in self._cameras]
+        if self._instructions and blank is not None:
+            shown.append((sdk.Obs.INSTRUCTION, blank))
+        numbers = [number for number in self._few if number not in self._refused][:4]
+        if not numbers:
+            return
+        own = self._ruler.errors({number: self._given[number] for number in numbers}, numbers)
+        for name, signal in shown:
+            given = self._answers(around, signal, numbers)
+            if given is not None and _same(own, self._ruler.errors(given, numbers)):
+                yield name
+
+    # -- trying --------------------------------------------------------------------------------------------------------
+
+    def _held(self, named: Sequence[tuple[str, str]], ask: Ask, *, in_block: bool) -> list[Change]:
+        """Return the changes that fit better on a few questions, tried on all."""
+        first: list[tuple[float, int]] = []
+        asked = 0
+        for number, given in enumerate(ask(range(len(named)), self._few)):
+            asked += 1
+            found = self._margin(given, self._few)
+            if found is not None:
+                self._shares.setdefault(named[number][1], []).append(found.share)
+                first.append((found.share, number))
+        self._count += asked
+        self._complete = self._complete and asked == len(named)
+        good = sorted(number for share, number in sorted(first)[:_MOST] if share <= _PROMISING)
+        changes = []
+        for number, given in zip(good, ask(good, self._everything) if good else (), strict=False):
+            found = self._margin(given, self._everything)
+            if found is not None and given is not None:
+                changes.append(Change(*named[number], in_block, found, given))
+        return changes
+
+    def _margin(self, given: Chunks | None, wanted: Sequence[int]) -> Margin | None:
+        if given is None:
+            return None
+        declared = self._declared(tuple(wanted))
+        changed = self._ruler.errors(given, wanted)
+        return margin(declared, changed, [self._session.asked[number][0] for number in wanted])
+
+    @cache  # noqa: B019 - lives as long as one search
+    def _declared(self, wanted: tuple[int, ...]) -> Errors:
+        return self._ruler.errors({number: self._given[number] for number in wanted}, wanted, self._refused)
+
+    def _answers(self, around: Around, signal: Signal, wanted: Sequence[int]) -> Chunks | None:
+        try:
+            return around.answers(signal, [number for number in wanted if number not in self._refused])
+        except (NotRun, ClientError, ValueError):
+            return None
+
+    def _around(self) -> Around:
+        connect = partial(self._probe.connected, self._probe.server().url)
+        return Around(self._course, self._given, connect)
+
+    @cached_property
+    def _inputs(self) -> list[str]:
+        inputs = self._manifest.get("inputs") or {}
+        return [*(inputs.get("required") or ()), *(inputs.get("optional") or ())]
+
+    @cached_property
+    def _cameras(self) -> list[str]:
+        """The cameras that the adapter reads and the demonstrations have."""
+        there = self._session.recordings[0].trajectory.cameras
+        read = {name.partition(".")[2] for name in self._inputs if name.startswith(f"{sdk.Obs.VISION}.")}
+        return [name for name in there if not self._inputs or name in read]
+
+    @cached_property
+    def _instructions(self) -> list[str]:
+        if self._inputs and sdk.Obs.INSTRUCTION not in self._inputs:
+            return []
+        return sorted({text for one in self._session.recordings for text in one.trajectory.instructions})
+
+    @property
+    def _left(self) -> float:
+        return max(0.0, self._until - time.monotonic())
+
+
+def _can_be_told(words: str, convention: str) -> bool:
+    """Tell whether demonstrations may decide about a change.
+
+    Filters change less than any policy's own error. Demonstrated grippers are closed or open, and a threshold brings
+    every prediction nearer to that, however it is converted.
+    """
+    return convention != "image_filter" and "threshold" not in words
+
+
+def _alike(changes: Sequence[Change]) -> list[Change]:
+    """Return the change that fits best, and those that fit as well, the likeliest first; equal words count once."""
+    if not changes:
+        return []
+    least = min(one.margin.share for one in changes)
+    found: dict[str, Change] = {}
+    for one in changes:
+        if one.margin.share - least <= _LIKE * (1 - least):
+            found.setdefault(one.words, one)
+    return list(found.values())
+
+
+def _same(one: Errors, other: Errors) -> bool:
+    return bool(((one.values == other.values) | ~one.known[..., None]).all())

@@ -1,0 +1,27 @@
+"""`xpl data declare`: the demonstrations that audits hold a policy against."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from xpl_cli.basics.endings import ends
+
+
+@ends(clean="written", not_found="no such policy, or no demonstrations there")
+def declare(
+    policy: Path = typer.Argument(..., metavar="POLICY", help="Folder of the policy."),
+    demonstrations: Path = typer.Argument(..., metavar="PATH", help="Folder of episodes in the standard's form."),
+    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+) -> None:
+    """Write demonstrations.yml: which recorded episodes audits hold a policy against, with their digests."""
+    from xpl_cli.audit.offline.demonstrations import declared
+    from xpl_cli.basics import console
+
+    path, digests = declared.declare(policy, demonstrations)
+    if as_json:
+        told = {"file": str(path), "episodes": len(digests)}
+        console.answer("xpl.data-declare/1", told, [f"xpl audit {policy}"])
+    else:
+        console.data(f"{path}: {len(digests)} episodes\nnext\n  xpl audit {policy}")
