@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from xpl_cli.commands.data.convert import convert
+from xpl_cli.commands.data.declare import declare
 from xpl_cli.commands.data.listing import list_
 from xpl_cli.commands.data.probe import probe
 from xpl_cli.commands.data.show import show
@@ -13,5 +14,6 @@ app = typer.Typer(help="Look at demonstrations, check and convert them.", no_arg
 
 app.command("list")(list_)
 app.command()(convert)
+app.command()(declare)
 app.command()(probe)
 app.command()(show)
