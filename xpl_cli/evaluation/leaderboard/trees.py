@@ -6,27 +6,24 @@ of one task, policy, robot and seed the latest counts, as with the benchmarks' o
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
-from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
-from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records import field, records
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 ROBODOJO, ROBOTWIN = "robodojo", "robotwin"
 _NAMES: Final = {"_result.json": ROBODOJO, "_result.txt": ROBOTWIN}
 _SEED: Final = re.compile(r"(\d{1,9})_")
-_MOST_BYTES: Final = 16 << 20
 _MOST_FILES: Final = 100_000
-_MOST_EPISODES: Final = 100_000
+_Read = TypeVar("_Read")
 
 
 @dataclass(frozen=True)
@@ -125,17 +122,13 @@ def parsed(path: Path) -> Result:
     if len(folders) < 6:
         raise ResultError("it lies in no folders that name task, policy and robot")
     task, policy, variant, made_by, when = folders[-5:]
-    try:
-        content = files.content(path, _MOST_BYTES).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ResultError(f"it cannot be read ({getattr(error, 'strerror', None) or 'not text'})") from None
     if benchmark == ROBOTWIN:
-        return Result(ROBOTWIN, policy, task, variant, 0, made_by, when, None, _rate(content), None)
+        return Result(ROBOTWIN, policy, task, variant, 0, made_by, when, None, _asked(field.rate, path), None)
     seed = _SEED.match(made_by)
     if seed is None:
         raise ResultError(f"its folder {made_by!r:.80} does not begin with a seed")
     made_by = made_by[seed.end() :]
-    return Result(ROBODOJO, policy, task, variant, int(seed[1]), made_by, when, *_details(content))
+    return Result(ROBODOJO, policy, task, variant, int(seed[1]), made_by, when, *_details(_asked(field.told, path)))
 
 
 def _found(folder: Path) -> Iterator[Path]:
@@ -147,58 +140,19 @@ def _found(folder: Path) -> Iterator[Path]:
                 yield Path(place) / name
 
 
-def _rate(content: str) -> float:
-    """Return the last line, a number from 0 to 1."""
-    last = next((line.strip() for line in reversed(content.splitlines()) if line.strip()), "")
-    try:
-        value = float(last)
-    except ValueError:
-        raise ResultError(f"its last line is no number: {last!r:.40}") from None
-    return _share(value, "success rate")
-
-
-def _details(content: str) -> tuple[tuple[tuple[bool, float], ...] | None, float, float | None]:
+def _details(told: field.Told) -> tuple[tuple[tuple[bool, float], ...] | None, float, float | None]:
     """Return episodes, success rate and mean score of a result of RoboDojo."""
-    try:
-        told = json.loads(content, parse_constant=_refused)
-    except (ValueError, RecursionError):
-        raise ResultError("it is not JSON") from None
-    if not isinstance(told, dict):
-        raise ResultError("it is no map")
-    details = told.get("details")
-    if not isinstance(details, dict) or not details:
-        rate = _share(told.get("success_rate"), "success_rate")
-        score = told.get("score")
-        return None, rate, None if score is None else _share(_number(score, "score") / 100, "score / 100")
-    if len(details) > _MOST_EPISODES:
-        raise ResultError(f"it has {len(details)} episodes")
-    episodes = tuple(_episode(entry) for _, entry in sorted(details.items(), key=_place))
+    if not told.entries:
+        if told.success_rate is None:
+            raise ResultError("it has neither details nor a success_rate")
+        return None, told.success_rate, told.score
+    episodes = tuple((entry.success, entry.score or 0.0) for entry in told.entries)
     rate = sum(success for success, _ in episodes) / len(episodes)
     return episodes, rate, math.fsum(score for _, score in episodes) / len(episodes)
 
 
-def _episode(entry: Any) -> tuple[bool, float]:
-    if not isinstance(entry, dict) or not isinstance(entry.get("success"), bool):
-        raise ResultError("one of its details has no success, true or false")
-    return entry["success"], _share(entry.get("score") or 0.0, "score of an episode")
-
-
-def _place(item: tuple[str, Any]) -> tuple[int, str]:
-    return (int(item[0]) if item[0].isdecimal() and len(item[0]) < 10 else 10**9, item[0])
-
-
-def _number(value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ResultError(f"its {name} is no number")
-    return float(value)
-
-
-def _share(value: Any, name: str) -> float:
-    share = _number(value, name)
-    if not 0.0 <= share <= 1.0:
-        raise ResultError(f"its {name} is {share:g}, expected 0 to 1")
-    return share
-
-
-def _refused(name: str) -> Any:
-    raise ValueError(name)
+def _asked(reader: Callable[[Path], _Read], path: Path) -> _Read:
+    try:
+        return reader(path)
+    except field.FieldResultError as error:
+        raise ResultError(str(error)) from None

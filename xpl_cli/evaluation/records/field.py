@@ -1,0 +1,135 @@
+"""The one reader of what the field's benchmarks write: `_result.json` and `_result.txt`, within limits.
+
+`_result.json` is RoboDojo's: `details` maps numbers to `{layout_id, success, score}`, with scores from 0 to 1, beside
+`success_rate` and `score` (0 to 100) of all. Source: RoboDojo-Benchmark/RoboDojo, src/eval_client/eval_env.py at
+36bfcb7. `_result.txt` is RoboTwin's: lines of text, the last of which is the success rate. Source:
+RoboTwin-Platform/RoboTwin, scripts/eval_policy_xpolicylab.py at cf47ab5.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl_cli.basics import files
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MOST_BYTES: Final = 16 << 20
+_MOST_EPISODES: Final = 100_000
+
+
+class FieldResultError(ValueError):
+    """A file says no such thing; why, in a sentence without its name."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One episode.
+
+    Attributes:
+        layout: what the file calls its layout, unchecked; None where it does not.
+        success: whether the benchmark calls it one.
+        score: 0 to 1; None where the file has none.
+    """
+
+    layout: Any
+    success: bool
+    score: float | None
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a `_result.json` says.
+
+    Attributes:
+        entries: its episodes, in the order of their numbers; None where the file has no such map.
+        success_rate: of all, 0 to 1; None where the file has none.
+        score: mean, 0 to 1; None where the file has none.
+    """
+
+    entries: tuple[Entry, ...] | None
+    success_rate: float | None
+    score: float | None
+
+
+def told(path: Path) -> Told:
+    """Return what a `_result.json` says.
+
+    Raises:
+        FieldResultError: it cannot be read, or is none.
+    """
+    content = _content(path)
+    try:
+        found = json.loads(content, parse_constant=_refused)
+    except (ValueError, RecursionError):
+        raise FieldResultError("it is not JSON") from None
+    if not isinstance(found, dict):
+        raise FieldResultError("it is no map")
+    details = found.get("details")
+    entries = None
+    if isinstance(details, dict):
+        if len(details) > _MOST_EPISODES:
+            raise FieldResultError(f"it has {len(details)} episodes")
+        entries = tuple(_entry(entry) for _, entry in sorted(details.items(), key=_place))
+    rate, score = found.get("success_rate"), found.get("score")
+    return Told(
+        entries,
+        None if rate is None else _share(rate, "success_rate"),
+        None if score is None else _share(_number(score, "score") / 100, "score / 100"),
+    )
+
+
+def rate(path: Path) -> float:
+    """Return the success rate in the last line of a `_result.txt`.
+
+    Raises:
+        FieldResultError: it cannot be read, or there is none from 0 to 1.
+    """
+    last = next((line.strip() for line in reversed(_content(path).splitlines()) if line.strip()), "")
+    try:
+        value = float(last)
+    except ValueError:
+        raise FieldResultError(f"its last line is no number: {last!r:.40}") from None
+    return _share(value, "success rate")
+
+
+def _content(path: Path) -> str:
+    try:
+        return files.content(path, _MOST_BYTES).decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FieldResultError(f"it cannot be read ({getattr(error, 'strerror', None) or 'not text'})") from None
+
+
+def _entry(entry: Any) -> Entry:
+    if not isinstance(entry, Mapping) or not isinstance(entry.get("success"), bool):
+        raise FieldResultError("one of its details has no success, true or false")
+    score = entry.get("score")
+    return Entry(
+        entry.get("layout_id"), entry["success"], None if score is None else _share(score, "score of an episode")
+    )
+
+
+def _place(item: tuple[str, Any]) -> tuple[int, str]:
+    return (int(item[0]) if item[0].isdecimal() and len(item[0]) < 10 else 10**9, item[0])
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise FieldResultError(f"its {name} is no number")
+    return float(value)
+
+
+def _share(value: Any, name: str) -> float:
+    share = _number(value, name)
+    if not 0.0 <= share <= 1.0:
+        raise FieldResultError(f"its {name} is {share:g}, expected 0 to 1")
+    return share
+
+
+def _refused(name: str) -> Any:
+    raise ValueError(name)
