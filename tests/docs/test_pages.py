@@ -243,7 +243,7 @@ def test_the_help_groups_commands_by_what_one_does() -> None:
     """In the order in which one meets them; each is under the room of its module, and none is left out."""
     text = xpl("--help", cwd=ROOT).stdout
     headed = _headed(text)
-    assert list(headed) == ["Scaffold", "Prove", "Run", "Report", "Agents", "Maintain"]
+    assert list(headed) == ["Scaffold", "Prove", "Run", "Data", "Report", "Agents", "Maintain"]
     for head, names in (("Scaffold", {"new-policy", "new-env"}), ("Prove", {"audit", "explain"}), ("Run", {"env"})):
         assert names <= set(headed[head])
     shown = {name for name, command in pages.command_line().commands.items() if not command.hidden}

@@ -160,7 +160,7 @@ def _stored(name: str, known: Mapping[str, Any], readers: Mapping[str, list[str]
         ValueError: it has none of them.
     """
     candidates = (name, f"{name}s", *readers.get(name, ()))
-    found = next((candidate for candidate in candidates if candidate in known), None)
+    found: str | None = next((candidate for candidate in candidates if candidate in known), None)
     if found is None:
         raise ValueError(f"the trajectory has no {name!r}: none of {', '.join(candidates)}")
     return found
