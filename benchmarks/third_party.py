@@ -24,12 +24,13 @@ from xpl_cli.packages import environments
 
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = ROOT / "benchmarks" / "third_party_bench" / "side_by_side.py"
-NAMES = ("metaworld", "libero", "aloha", "maniskill")
+NAMES = ("metaworld", "libero", "aloha", "maniskill", "robosuite")
 STEPS = {  # of one round, without and with cameras
     "metaworld": {False: 400, True: 40},
     "libero": {False: 150, True: 40},
     "aloha": {False: 250, True: 20},
     "maniskill": {False: 300, True: 30},
+    "robosuite": {False: 150, True: 40},
 }
 LEAST = {False: 0.9, True: 0.95}
 TEN = (

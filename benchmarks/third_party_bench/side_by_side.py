@@ -31,6 +31,7 @@ TASKS = {
     "libero": "libero_spatial_0",
     "aloha": "transfer_cube",
     "maniskill": "StackCube",
+    "robosuite": "Lift",
 }
 
 # Numbers of the state that wander: a place, m, or joints, rad.
@@ -141,7 +142,28 @@ def bare_maniskill(mine: Any, size: tuple[int, int] | None) -> Loop:
     return lambda: env.reset(seed=SEED), env.step
 
 
-BARE = {"metaworld": bare_metaworld, "libero": bare_libero, "aloha": bare_aloha, "maniskill": bare_maniskill}
+def bare_robosuite(_env: Any, size: tuple[int, int] | None) -> Loop:
+    """Return robosuite's own reset and step."""
+    import robosuite
+
+    drawn = {"camera_names": ["agentview", "robot0_eye_in_hand"], "camera_heights": SIZE[0], "camera_widths": SIZE[1]}
+    looks = {"has_offscreen_renderer": bool(size), "use_camera_obs": bool(size), **drawn}
+    env = robosuite.make(TASKS["robosuite"], robots="Panda", ignore_done=True, seed=0, **looks)
+
+    def reset() -> None:
+        env.rng.bit_generator.state = np.random.default_rng(SEED).bit_generator.state
+        env.reset()
+
+    return reset, env.step
+
+
+BARE = {
+    "metaworld": bare_metaworld,
+    "libero": bare_libero,
+    "aloha": bare_aloha,
+    "maniskill": bare_maniskill,
+    "robosuite": bare_robosuite,
+}
 
 
 def timed(loop: Loop, commands: Sequence[Any]) -> list[float]:

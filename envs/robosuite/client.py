@@ -1,0 +1,16 @@
+"""robosuite as a TASK_ENV: `make(config)`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from xpl.environment import Environment, read_manifest, require
+
+from .episode import RobosuiteEpisode
+
+
+def make(config: Mapping[str, Any]) -> Environment:
+    """Return the environment for a configuration: task, embodiment, action_type, num_envs, max_steps, cameras, ..."""
+    require("robosuite", __file__)
+    return Environment(RobosuiteEpisode, read_manifest(__file__), config)
