@@ -54,7 +54,7 @@ def record(
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Play episodes on seeds that no evaluation uses, and keep them as the standard's trajectories (HDF5)."""
+    """Record demonstrations as trajectories (HDF5). They are played on seeds that no evaluation uses."""
     from xpl.trajectory import FORMS
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode
