@@ -192,7 +192,8 @@ class Supervisor:
             if len(action) == len(self._dims):
                 self._with_direction(values)
                 return values
-        return self.read(action).tolist()
+        exact: list[float] = self.read(action).tolist()
+        return exact
 
     def _with_direction(self, values: list[float]) -> None:
         for part in self._parts:
