@@ -1,8 +1,9 @@
 """How long conversions of demonstrations take, by `xpl data convert` and by LeRobot's own means, in one run.
 
 Two tasks: robomimic's HDF5 to LeRobot v3.0, which LeRobot's recorder does frame by frame, as scripts of the field use
-it; and LeRobot v2.1 to v3.0, for which LeRobot has a converter. Both encode AV1 with the same quality. Rounds alternate,
-so that a machine that changes its speed changes both alike. Ours is the whole process; LeRobot's is without its imports.
+it; and LeRobot v2.1 to v3.0, for which LeRobot has a converter. Both encode AV1 with the same quality. Rounds
+alternate, so that a machine that changes its speed changes both alike. Ours is the whole process; LeRobot's is without
+its imports.
 
 `XPL_LEROBOT_PYTHON` names a Python that has LeRobot 0.4 and h5py.
 """

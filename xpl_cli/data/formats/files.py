@@ -7,6 +7,8 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from xpl import _spec as spec
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.data.formats import aloha, datasets, hdf5, libraries, robomimic, robotwin, standard
@@ -14,6 +16,8 @@ from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from xpl_cli.data.formats.writing import Plan
     from xpl_cli.data.sets.interface import Camera, Column, Episode
 
@@ -152,6 +156,10 @@ class StandardWriter(FileWriter):
         with datasets.created(self.path(folder, index)) as file:
             images = self._images(plan)
             found = datasets.write(file, episode, "marked" if images == "jpeg" else images)
+            for name, matrix in _matrices(episode).items():
+                told.pop(name, None)
+                if name not in file:
+                    file[name] = matrix
             file[spec.Obs.DATA_FORMAT_VERSION] = spec.DATA_FORMAT_VERSION
             for name, value in super().told(episode).items():
                 file.create_dataset(name, data=value if isinstance(value, str) else json.dumps(value), dtype=text)
@@ -196,6 +204,25 @@ class RobomimicWriter(FileWriter):
                     piece.copy(piece, data, f"demo_{index}")
         shutil.rmtree(folder / "episodes")
         return result
+
+
+def _matrices(episode: Episode) -> dict[str, NDArray[Any]]:
+    """Return the matrices of the cameras in the standard's shape, by their place in the file."""
+    found = {}
+    for name, camera in episode.cameras.items():
+        for leaf, matrix, size in (
+            ("intrinsic_matrix", camera.intrinsics, 3),
+            ("extrinsic_matrix", camera.extrinsics, 4),
+        ):
+            if matrix is None or not name.startswith(f"{spec.Obs.VISION}/"):
+                continue
+            values = np.asarray(matrix, np.float64)
+            if values.shape[-2:] == (3, 4) and size == 4:  # its last row says nothing
+                last = np.broadcast_to(np.array([[0.0, 0.0, 0.0, 1.0]]), (*values.shape[:-2], 1, 4))
+                values = np.concatenate([values, last], axis=-2)
+            if values.shape[-2:] == (size, size):
+                found[f"{name.rpartition('/')[0]}/{leaf}"] = values
+    return found
 
 
 def _finite(found: dict[str, float]) -> dict[str, float]:
