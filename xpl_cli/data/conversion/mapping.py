@@ -6,6 +6,8 @@ action, and by how many steps they come late. Source: spec/mappings/, and spec/v
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,13 +73,18 @@ def names() -> list[str]:
     return sorted(path.stem for path in _folder().glob("*.yml"))
 
 
+def digest(name: str) -> str:
+    """Return the digest of what a mapping says."""
+    return hashlib.sha256(json.dumps(_read(_path(name), name), sort_keys=True).encode()).hexdigest()
+
+
 def load(name: str) -> Conventions:
     """Return a mapping: one that is ready, by its name, or one of a file.
 
     Raises:
         DataError: there is none, or it does not hold; the text says where.
     """
-    path = _folder() / f"{name}.yml" if name in names() else Path(name)
+    path = _path(name)
     entry = _read(path, name)
     where = path.name
     try:
@@ -141,6 +148,10 @@ def _read(path: Path, name: str) -> dict[str, Any]:
 
 def _is_kind(document: Mapping[str, Any], key: str, kind: Any) -> bool:
     return key not in document or isinstance(document[key], kind)
+
+
+def _path(name: str) -> Path:
+    return _folder() / f"{name}.yml" if name in names() else Path(name)
 
 
 def _folder() -> Path:

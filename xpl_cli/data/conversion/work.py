@@ -19,7 +19,7 @@ from xpl_cli.basics import parallel
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.sizes import told_size
-from xpl_cli.data.conversion import chain
+from xpl_cli.data.conversion import chain, mapping
 from xpl_cli.data.conversion.names import Renamed, Renaming, renaming
 from xpl_cli.data.conversion.packing import PackedSet
 from xpl_cli.data.formats import open_set
@@ -267,18 +267,10 @@ def _staging(job: Job, plan: Plan) -> Iterator[Path]:
 
 
 def _digest(job: Job, plan: Plan) -> str:
-    """Return what tells one job from another."""
-    told = [
-        str(job.source.resolve()),
-        job.to,
-        job.by,
-        job.written_by,
-        asdict(job.options),
-        plan.rate_hz,
-        plan.robot,
-        plan.lengths,
-    ]
-    told += [plan.instructions, list(plan.columns), list(plan.cameras)]
+    """Return what tells one job from another: mappings by what they say, because a file may be mended meanwhile."""
+    by = [mapping.digest(name) for name in (job.by, job.written_by) if name is not None]
+    told: list[Any] = [str(job.source.resolve()), job.to, job.by, job.written_by, by, asdict(job.options)]
+    told += [plan.rate_hz, plan.robot, plan.lengths, plan.instructions, list(plan.columns), list(plan.cameras)]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
 

@@ -42,10 +42,12 @@ class FileWriter:
     def keeps(self, column: Column) -> str | None:
         """Return why a column cannot be kept: HDF5 keeps all of them."""
         del column
+        return None
 
     def shows(self, camera: Camera) -> str | None:
         """Return why a camera cannot be kept: HDF5 keeps all of them."""
         del camera
+        return None
 
     def check(self, plan: Plan) -> None:
         """Stop before anything is written."""

@@ -163,7 +163,8 @@ class LeRobotSet:
                 f"{self.root / path}: {column} holds {flat.size} {flat.dtype} in {table.num_rows} rows, "
                 f"and {layout.INFO} says {known.shape} {known.dtype}"
             )
-        return flat.reshape(shape).astype(known.dtype, copy=False)
+        rows: NDArray[Any] = flat.reshape(shape).astype(known.dtype, copy=False)
+        return rows
 
     def _image(self, value: Any, where: str) -> bytes:
         data = value.get("bytes") if isinstance(value, dict) else value

@@ -30,7 +30,8 @@ def of_numbers(rows: NDArray[Any]) -> Stats:
 def chosen(length: int) -> list[int]:
     """Return the steps whose images count, as many as LeRobot takes."""
     count = max(min(length, _FEWEST), min(int(length**0.75), _MOST))
-    return np.round(np.linspace(0, length - 1, count)).astype(int).tolist()
+    found: list[int] = np.round(np.linspace(0, length - 1, count)).astype(int).tolist()
+    return found
 
 
 def thinned(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
