@@ -15,6 +15,8 @@ from xpl_cli.audit.rules.verdict import Verdict, judged
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from xpl_cli.audit.demonstrations.check import Check
+
 _ROOMS = frozenset(("policy", "envs"))
 _SHORT = 160
 _PAGE = 2000
@@ -28,13 +30,15 @@ class Context:
         here: working directory; the paths of targets are relative to it, or absolute.
         fail_on: the mildest outcome that the exit code counts as a finding.
         rule: finds a rule by its code.
+        command: words of the command that made the report, as it is offered again.
         choice: options that chose rules, as given to `xpl audit`; commands that are offered repeat them.
         running: options that say how adapters are run, as given to `xpl audit`, `xpl serve` and `xpl eval` alike.
     """
 
     here: Path = field(default_factory=Path.cwd)
     fail_on: Outcome = Outcome.FAIL
-    rule: Callable[[str], registry.Rule] = registry.find
+    rule: Callable[[str], registry.Rule | type[Check]] = registry.find
+    command: tuple[str, ...] = ("xpl", "audit")
     choice: tuple[str, ...] = ()
     running: tuple[str, ...] = ()
 

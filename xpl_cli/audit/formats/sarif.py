@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from xpl_cli.audit.demonstrations.check import Check
     from xpl_cli.audit.rules.model import Edit, Finding, TargetReport
     from xpl_cli.audit.rules.registry import Rule
 
@@ -81,19 +82,24 @@ def _rule(code: str, slug: str, context: Context) -> dict[str, Any]:
         return {"id": code, "name": slug, "shortDescription": {"text": slug}}
 
 
-def _documented(rule: Rule) -> dict[str, Any]:
+def _documented(rule: Rule | type[Check]) -> dict[str, Any]:
     level = _LEVELS[rule.severity]
-    requirement = spec.requirement(rule.requirement)
-    proves = f"Proves {requirement.id} ({requirement.level}): {requirement.text}"
+    proves = ""
+    if rule.requirement:  # checks of demonstrations prove none
+        requirement = spec.requirement(rule.requirement)
+        proves = f"Proves {requirement.id} ({requirement.level}): {requirement.text}"
     return {
         "id": rule.code,
         "name": rule.slug,
         "shortDescription": {"text": shortened(rule.summary, _MOST)},
-        "fullDescription": {"text": shortened(f"{rule.summary} {proves}", _MOST)},
-        "help": {"text": rule.documentation, "markdown": f"{rule.documentation}\n\n*{proves}*\n"},
+        "fullDescription": {"text": shortened(f"{rule.summary} {proves}".strip(), _MOST)},
+        "help": {
+            "text": rule.documentation,
+            "markdown": f"{rule.documentation}\n\n*{proves}*\n" if proves else f"{rule.documentation}\n",
+        },
         "defaultConfiguration": {"level": level},
         "properties": {
-            "tags": [rule.gate.value, rule.target, rule.requirement],
+            "tags": [tag for tag in (rule.gate.value, rule.target, rule.requirement) if tag],
             "precision": "high",
             "problem.severity": level,
         },

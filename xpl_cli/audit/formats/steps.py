@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.gates import DEMONSTRATIONS, Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
 from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.strangers import command
@@ -31,7 +31,7 @@ def next_commands(reports: Sequence[TargetReport], context: Context) -> list[str
         return [*_explained(crashed, Outcome.ERROR), audit_again(crashed, context)]
     if incomplete := [report for report in reports if judged(report).word is Word.INCOMPLETE]:
         unread = [report for report in incomplete if any(_is_unread(gate) for gate in report.gates)]
-        served = [report for report in incomplete if report not in unread]
+        served = [report for report in incomplete if report not in unread and report.kind != DEMONSTRATIONS]
         commands = [_shown_alone(report, context) for report in served if not _is_withheld(report)]
         return [*_explained(unread, Outcome.NOT_RUN), *commands, audit_again(incomplete, context)]
     return [*_explained(reports, Outcome.WARN), *_onward(reports, context)]
@@ -40,7 +40,7 @@ def next_commands(reports: Sequence[TargetReport], context: Context) -> list[str
 def audit_again(reports: Sequence[TargetReport], context: Context) -> str:
     """Return the command that audits these packages as they were audited."""
     paths = dict.fromkeys(report.path for report in reports)
-    return command(["xpl", "audit", *_paths(paths), *_gates(reports), *context.choice, *context.running])
+    return command([*context.command, *_paths(paths), *_gates(reports), *context.choice, *context.running])
 
 
 def _is_withheld(report: TargetReport) -> bool:
@@ -63,13 +63,18 @@ def _with(reports: Iterable[TargetReport], outcome: Outcome) -> list[TargetRepor
 def _explained(reports: Iterable[TargetReport], outcome: Outcome) -> list[str]:
     """Return the commands that explain the first rules that ended so; one that cannot be imported explains nothing."""
     results = (
-        result for report in reports for result in report.results if result.outcome is outcome and result.requirement
+        result
+        for report in reports
+        for result in report.results
+        if result.outcome is outcome and (result.requirement or report.kind == DEMONSTRATIONS)
     )
     return [f"xpl explain {code}" for code in list(dict.fromkeys(result.code for result in results))[:_MOST_RULES]]
 
 
 def _onward(reports: Sequence[TargetReport], context: Context) -> list[str]:
     """Return what comes after a package that is green: the gates that were not asked for, then an evaluation."""
+    if all(report.kind == DEMONSTRATIONS for report in reports):
+        return []
     commands = [
         command(["xpl", "eval", *_paths([report.path]), "--env", gate.name, "--episodes", "10", *context.running])
         for report in reports

@@ -17,5 +17,14 @@ class Gate(StrEnum):
     MUJOCO = "mujoco"
 
 
+class DataGate(StrEnum):
+    """The one gate of demonstrations, which are no package."""
+
+    DATA = "data"
+
+
+DEMONSTRATIONS: Final = "demonstrations"
+"""The kind of target that a set of demonstrations is."""
+
 GATES: Final[Mapping[str, tuple[Gate, ...]]] = {POLICY: tuple(Gate), ENV: (Gate.STATIC, Gate.OFFLINE)}
 """The gates of each kind of package."""

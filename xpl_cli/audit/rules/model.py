@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from xpl_cli.audit.rules.figures import Figure
-    from xpl_cli.audit.rules.gates import Gate
+    from xpl_cli.audit.rules.gates import DataGate, Gate
     from xpl_cli.audit.rules.profiles import Choice, Profile
 
 _NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
@@ -178,7 +178,7 @@ class GateReport:
         source: hash of the package's files as the gate read them; None if it was not started.
     """
 
-    name: Gate
+    name: Gate | DataGate
     results: list[Result] = field(default_factory=list)
     reason: str | None = None
     seconds: float = 0.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from xpl_cli.audit.rules.gates import GATES
+from xpl_cli.audit.rules.gates import DEMONSTRATIONS, GATES
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.packages.package import ENV, POLICY
 
@@ -91,7 +91,12 @@ def _of_demonstrations(numbers: Mapping[str, Any]) -> Iterable[str]:
 
 CONTRACT: Final = Claim("contract", "contract")
 PARITY: Final = Claim("parity", "conversions", rule="XPL260", needs=("XPL261",), details=_of_parity)
-CLAIMS: Final[Mapping[str, tuple[Claim, ...]]] = {POLICY: (CONTRACT, PARITY), ENV: (CONTRACT,)}
+CHECKED: Final = Claim("all checks", "demonstrations")
+CLAIMS: Final[Mapping[str, tuple[Claim, ...]]] = {
+    POLICY: (CONTRACT, PARITY),
+    ENV: (CONTRACT,),
+    DEMONSTRATIONS: (CHECKED,),
+}
 """What can be proven of each kind of package, in the order in which it is told."""
 
 DEMONSTRATIONS: Final = Claim(
@@ -252,7 +257,7 @@ def judge(kind: str, gates: Sequence[Ended], around: Circumstances) -> Verdict:
         around: what else has to be known.
     """
     ran = [gate.name for gate in gates]
-    if not around.narrowed and len(ran) < len(GATES[kind]):
+    if not around.narrowed and len(ran) < len(GATES.get(kind, ())):
         around = replace(around, narrowed=f"{' and '.join(ran) or 'no gate'} only")
     word = _word(gates, around)
     about = _about(word, gates, around)

@@ -9,11 +9,13 @@ from xpl_cli.commands.data.declare import declare
 from xpl_cli.commands.data.listing import list_
 from xpl_cli.commands.data.probe import probe
 from xpl_cli.commands.data.show import show
+from xpl_cli.commands.data.validate import validate
 
-app = typer.Typer(help="Look at demonstrations, check and convert them.", no_args_is_help=True)
+app = typer.Typer(help="Look at demonstrations, measure, check and convert them.", no_args_is_help=True)
 
 app.command("list")(list_)
 app.command()(convert)
 app.command()(declare)
 app.command()(probe)
 app.command()(show)
+app.command()(validate)

@@ -13,6 +13,7 @@ from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP, PATIENCE_HELP
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from xpl_cli.audit.demonstrations.check import Check
     from xpl_cli.audit.formats.listing import Context
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import TargetReport
@@ -269,15 +270,14 @@ def explain(
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Explain rules: what each checks, why, and what to do instead."""
-    from xpl_cli.audit.rules.registry import find
     from xpl_cli.basics import console
     from xpl_cli.standard import spec
 
-    found = list({rule.code: rule for rule in map(find, names)}.values())
-    proven = {rule.code: spec.requirement(rule.requirement) for rule in found}
+    found = list({rule.code: rule for rule in map(_ruled, names)}.values())
+    proven = {rule.code: spec.requirement(rule.requirement) for rule in found if rule.requirement}
     if as_json:
-        told = [_explained(rule, proven[rule.code]) for rule in found]
-        following = list(dict.fromkeys(f"xpl spec show {rule.requirement}" for rule in found))
+        told = [_explained(rule, proven.get(rule.code)) for rule in found]
+        following = list(dict.fromkeys(f"xpl spec show {rule.requirement}" for rule in found if rule.requirement))
         if len(told) == 1:
             console.answer("xpl.explain/1", told[0], following)
         else:
@@ -286,17 +286,29 @@ def explain(
     from rich.markdown import Markdown
 
     for rule in found:
-        requirement = proven[rule.code]
-        proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
+        requirement = proven.get(rule.code)
+        proves = "*demonstrations, `xpl data validate`*"
+        if requirement is not None:
+            proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
         console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n{proves}\n\n{rule.documentation}"))
 
 
-def _explained(rule: Rule, requirement: Requirement) -> dict[str, Any]:
+def _ruled(name: str) -> Rule | type[Check]:
+    """Return a rule of packages, or a check of demonstrations, by its code or slug."""
+    from xpl_cli.audit.demonstrations.catalogue import named
+    from xpl_cli.audit.rules.registry import find
+
+    return named(name) or find(name)
+
+
+def _explained(rule: Rule | type[Check], requirement: Requirement | None) -> dict[str, Any]:
     return {
         "code": rule.code,
         "slug": rule.slug,
         "gate": rule.gate.value,
-        "requirement": {"id": requirement.id, "level": requirement.level, "text": requirement.text},
+        "requirement": None
+        if requirement is None
+        else {"id": requirement.id, "level": requirement.level, "text": requirement.text},
         "severity": rule.severity,
         "documentation": rule.documentation,
     }

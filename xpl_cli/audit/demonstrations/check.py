@@ -1,0 +1,136 @@
+"""Checks of a set: how one is declared, and what each sees of an episode."""
+
+from __future__ import annotations
+
+import inspect
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar, Final
+
+from xpl_cli.audit.rules.gates import DataGate
+from xpl_cli.audit.rules.model import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    import numpy as np
+
+    from xpl_cli.data.probe.probe import Found
+
+MOST_NAMED: Final = 5
+"""Episodes that a finding names; of more their number is told."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What was seen of a camera in one episode.
+
+    Attributes:
+        count: images that there are; None where they were not looked at.
+        first: the first one, made small, (h, w, 3) uint8; None if there is none.
+        same: for each image but the first whether it equals the one before it, (N - 1,).
+        error: why images cannot be read; "" if they can.
+    """
+
+    count: int | None
+    first: np.ndarray | None
+    same: np.ndarray | None
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One episode.
+
+    Attributes:
+        key: its name in the set.
+        length: how many steps it says that it has.
+        instructions: what the robot was told.
+        columns: by name (T, D) float64; those that are not numbers are missing.
+        shapes: by name the shape of a row.
+        cameras: by name what was seen.
+        errors: by column why it cannot be read.
+    """
+
+    key: str
+    length: int
+    instructions: tuple[str, ...]
+    columns: Mapping[str, np.ndarray]
+    shapes: Mapping[str, tuple[int, ...]]
+    cameras: Mapping[str, Shown]
+    errors: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class About:
+    """What is known of the whole set.
+
+    Attributes:
+        format: name of its format.
+        robot: name of the embodiment, None if it is unknown.
+        found: what a probe measured: which numbers are joints, grippers, rotations.
+    """
+
+    format: str
+    robot: str | None
+    found: Found
+
+
+class Check(ABC):
+    """One check of a set: it sees episode after episode, and keeps of each only what it needs.
+
+    The docstring of a check is what `xpl explain` prints. `severity` is `must` or `should`.
+    """
+
+    code: ClassVar[str]
+    slug: ClassVar[str]
+    severity: ClassVar[str]
+    gate: ClassVar[DataGate] = DataGate.DATA
+    target: ClassVar[str] = "demonstrations"
+    requirement: ClassVar[str] = ""
+    looks: ClassVar[bool] = False
+    """Whether it needs images."""
+    documentation: ClassVar[str] = ""
+    """The docstring: a summary line, then sections with fixed headings."""
+    summary: ClassVar[str] = ""
+    """Its first line."""
+
+    def __init_subclass__(cls) -> None:
+        cls.documentation = inspect.getdoc(cls) or ""
+        cls.summary = cls.documentation.partition("\n")[0]
+
+    def __init__(self, about: About) -> None:
+        self.about = about
+
+    @abstractmethod
+    def see(self, episode: Seen) -> None:
+        """Look at an episode.
+
+        Raises:
+            NotApplicable: there is nothing to prove on this set.
+        """
+
+    @abstractmethod
+    def findings(self) -> Iterator[Finding]:
+        """Yield what is wrong, after the last episode."""
+
+
+@dataclass
+class Tally:
+    """Episodes in which something is wrong, by what: one finding for each, not one for each episode."""
+
+    counts: dict[str, list[str]] = field(default_factory=dict)
+    seen: int = 0
+
+    def add(self, what: str, where: str) -> None:
+        """Note something in an episode, at such as `episode_3 (step 12)`."""
+        self.counts.setdefault(what, []).append(where)
+
+    def told(self, *, must: bool | None = None, expected: str | None = None) -> Iterator[Finding]:
+        """Yield a finding for each thing that is wrong."""
+        for what, where in self.counts.items():
+            named = ", ".join(where[:MOST_NAMED])
+            more = f" and {len(where) - MOST_NAMED} more" if len(where) > MOST_NAMED else ""
+            count = f"{len(where)} of {self.seen} episodes"
+            message = f"{what}, in {count}: {named}{more}"
+            yield Finding(message, expected=expected, evidence={"episodes": len(where), "of": self.seen}, must=must)

@@ -1,0 +1,257 @@
+"""Checks of a robot's numbers: limits of joints, ranges of grippers, lengths and signs of quaternions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from xpl import get_embodiment
+from xpl_cli.audit.demonstrations.check import About, Check, Seen, Tally
+from xpl_cli.audit.rules.model import Finding, NotApplicable
+from xpl_cli.data.probe.parts import GRIPPER
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_UNIT: Final = 0.02
+"""How far the length of a quaternion may be off."""
+_MOSTLY: Final = 0.8
+_OUTSIDE: Final = 0.05
+"""How far a joint may stand beyond its limit, rad: controllers overshoot, and limits are rounded."""
+_BEYOND: Final = 0.15
+"""How far a gripper may leave its usual range, a share of it."""
+_STANDARD: Final = "xpl"
+
+
+class Limits(Check):
+    """Joints are within the robot's limits.
+
+    ## What it does
+    Compares the joints that the probe finds, states and commands, with the limits of the robot that the set or
+    `--robot` names, or that kinematics finds. More than 0.05 rad beyond a limit is a finding.
+
+    ## Why it matters
+    A joint beyond its limit is another joint, another unit, or another robot: a policy that is trained on it commands
+    what the robot refuses.
+
+    ## Example
+    Joint 4 of a Franka at +0.3 rad, where it ends at -0.07.
+
+    ## Use instead
+    Look at `xpl data probe`: order, unit and sign of the joints.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL704", "joint-limits", "must"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+        self._places: list[tuple[str, int, int, float]] = []
+        robot = about.robot
+        found = about.found
+        if robot is None:
+            known = {one.value for one in found.answers if one.topic == "robot" and one.is_known}
+            robot = known.pop() if len(known) == 1 else None
+        self._robot = robot
+        for part in (*found.state, *found.command):
+            unit = found.value("angle unit", part.subject)
+            if unit and found.value("reference", part.subject) in {None, "absolute"}:
+                self._places.append((part.series.name, part.start, part.stop, np.pi / 180 if unit == "deg" else 1.0))
+        self._order = {one.subject: one.value for one in found.answers if one.topic == "joint order" and one.is_known}
+
+    def see(self, episode: Seen) -> None:
+        """Compare its joints."""
+        if self._robot is None:
+            raise NotApplicable("the set names no robot that is known, and nothing measures it: --robot NAME says it")
+        if not self._places:
+            raise NotApplicable("no column is known to hold joints")
+        self._tally.seen += 1
+        arm = get_embodiment(self._robot).arms[0]
+        names = list(arm.joint_names or ())
+        for column, start, stop, unit in self._places:
+            if column not in episode.columns or arm.lower is None or arm.upper is None or stop - start != arm.dof:
+                continue
+            rows = episode.columns[column][:, start:stop] * unit
+            order = next((value for subject, value in self._order.items() if subject.startswith(column)), names)
+            places = [names.index(name) for name in order] if set(order) == set(names) else list(range(arm.dof))
+            off = np.maximum(arm.lower[places] - rows, rows - arm.upper[places])
+            for number in np.flatnonzero((off > _OUTSIDE).any(0)):
+                row = int(off[:, number].argmax())
+                name = names[places[number]] if names else f"number {number}"
+                what = f"{name} in {column} is beyond its limits on {self._robot}"
+                self._tally.add(what, f"{episode.key} (step {row}, by {off[row, number]:.2g} rad)")
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield joints beyond their limits."""
+        yield from self._tally.told()
+
+
+class GripperRange(Check):
+    """Grippers stay in their range.
+
+    ## What it does
+    In the standard's format a gripper is 0 (closed) to 1 (open). In others an episode is compared with the range that
+    most episodes have: what leaves it by more than 15 % is a finding.
+
+    ## Why it matters
+    An episode with another unit or calibration teaches that half open is closed. Normalisation by the range of the data
+    makes it worse: one wrong episode presses all others together.
+
+    ## Example
+    Episode 7 has 0 to 255, all others 0 to 1.
+
+    ## Use instead
+    Convert the episode, or leave it out.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL705", "gripper-range", "must"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+        parts = (*about.found.state, *about.found.command)
+        self._places = [(part.series.name, part.start, part.stop) for part in parts if part.kind == GRIPPER]
+        self._ranges: dict[tuple[str, int], list[tuple[str, float, float]]] = {}
+
+    def see(self, episode: Seen) -> None:
+        """Note its ranges."""
+        if not self._places:
+            raise NotApplicable("no column is known to be a gripper")
+        self._tally.seen += 1
+        for column, start, stop in self._places:
+            rows = episode.columns.get(column)
+            if rows is None or not len(rows) or rows.shape[1] < stop or not np.isfinite(rows).all():
+                continue
+            for place in range(start, stop):
+                low, high = float(rows[:, place].min()), float(rows[:, place].max())
+                self._ranges.setdefault((column, place), []).append((episode.key, low, high))
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield what leaves the range."""
+        for (column, _), entries in self._ranges.items():
+            lows, highs = np.array([low for _, low, _ in entries]), np.array([high for _, _, high in entries])
+            low, high = (0.0, 1.0) if self.about.format == _STANDARD else self._usual(lows, highs)
+            room = (0.02 if self.about.format == _STANDARD else _BEYOND) * (high - low)
+            if high <= low:
+                continue
+            for key, least, most in entries:
+                if least < low - room or most > high + room:
+                    what = f"the gripper in {column} leaves {low:.4g} to {high:.4g}"
+                    self._tally.add(what, f"{key} ({least:.4g} to {most:.4g})")
+        yield from self._tally.told()
+
+    @staticmethod
+    def _usual(lows: np.ndarray, highs: np.ndarray) -> tuple[float, float]:
+        """Return the range that three quarters of the episodes stay in."""
+        return float(np.quantile(lows, 0.25)), float(np.quantile(highs, 0.75))
+
+
+class QuaternionNorm(Check):
+    """Quaternions have the length 1.
+
+    ## What it does
+    Takes for a quaternion what has the length 1 in most rows, and looks at the others.
+
+    ## Why it matters
+    A row of zeros, or of numbers that were averaged or filtered one by one, is no rotation. What reads it turns it into
+    some rotation without a word.
+
+    ## Example
+    The first pose of an episode is [0, 0, 0, 0], as the tracker had not begun.
+
+    ## Use instead
+    Cut the rows; scale what was filtered.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL707", "quaternion-norm", "must"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+        self._any = False
+
+    def see(self, episode: Seen) -> None:
+        """Look at its quaternions."""
+        self._tally.seen += 1
+        for name, start in _quaternions(episode):
+            self._any = True
+            off = np.abs(np.linalg.norm(episode.columns[name][:, start : start + 4], axis=1) - 1)
+            wrong = np.flatnonzero(off > _UNIT)
+            if len(wrong):
+                what = f"{name}[{start}:{start + 4}] is a quaternion of another length than 1"
+                self._tally.add(what, f"{episode.key} (step {wrong[0]}, off by {off.max():.2g})")
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield quaternions of another length."""
+        if not self._any:
+            raise NotApplicable("no column holds quaternions")
+        yield from self._tally.told()
+
+
+class QuaternionSign(Check):
+    """Quaternions do not change their sign from one step to the next.
+
+    ## What it does
+    Looks for steps in which a quaternion becomes nearly its negative: the same rotation, written the other way.
+
+    ## Why it matters
+    q and -q are one rotation and two targets. A network that is to learn both answers their mean, which is no rotation.
+    Differences of quaternions, and statistics, are wrong at each such step.
+
+    ## Example
+    [0.01, 1, 0, 0] and then [-0.01, -1, 0, 0].
+
+    ## Use instead
+    Keep the sign continuous when you convert, or w >= 0 where the robot stays away from w = 0.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL708", "quaternion-sign", "should"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+        self._any = False
+
+    def see(self, episode: Seen) -> None:
+        """Look at its quaternions."""
+        self._tally.seen += 1
+        for name, start in _quaternions(episode):
+            self._any = True
+            rows = episode.columns[name][:, start : start + 4]
+            flips = np.flatnonzero((rows[1:] * rows[:-1]).sum(1) < -0.9)
+            if len(flips):
+                what = f"{name}[{start}:{start + 4}] changes the sign of its quaternion"
+                self._tally.add(what, f"{episode.key} ({len(flips)} times, first at step {flips[0] + 1})")
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield quaternions that change their sign."""
+        if not self._any:
+            raise NotApplicable("no column holds quaternions")
+        yield from self._tally.told()
+
+
+def _quaternions(episode: Seen) -> Iterator[tuple[str, int]]:
+    """Yield column and place of what is a quaternion in most rows."""
+    for name, rows in episode.columns.items():
+        at = 0
+        while at + 4 <= rows.shape[1]:
+            four = rows[:, at : at + 4]
+            unit = np.abs(np.linalg.norm(four, axis=1) - 1) < 2e-3
+            if len(rows) and unit.mean() > _MOSTLY and (np.ptp(four[unit], axis=0) > 1e-9).sum() >= 2:
+                yield name, at
+                at += 4
+            else:
+                at += 1

@@ -1,0 +1,312 @@
+"""Checks of what every set has: schema, time, numbers that are none, copies, constants, language."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from xpl_cli.audit.demonstrations.check import About, Check, Seen, Tally
+from xpl_cli.audit.rules.model import Finding, NotApplicable
+from xpl_cli.data.probe.sample import COMMAND, STATE, is_clock, role_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_GAP: Final = 1.8
+"""How many times the usual step a step in time may be."""
+
+
+class Schema(Check):
+    """Every episode has the columns and cameras of the others, in the same shapes.
+
+    ## What it does
+    Compares columns, shapes of rows, and cameras of each episode with those that most episodes have; looks for episodes
+    without steps, columns that cannot be read, and columns of another length than the episode.
+
+    ## Why it matters
+    A loader takes the first episode for the form of all. What another one lacks ends training hours later, or is
+    silently left out.
+
+    ## Example
+    `observation.state` has 14 numbers in 49 episodes and 13 in one.
+
+    ## Use instead
+    Record the episode again, or leave it out when you convert.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL701", "demonstrations-schema", "must"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._shapes: dict[tuple[str, tuple[int, ...]], list[str]] = {}
+        self._cameras: dict[str, list[str]] = {}
+        self._keys: list[str] = []
+        self._tally = Tally()
+
+    def see(self, episode: Seen) -> None:
+        """Note its columns."""
+        self._keys.append(episode.key)
+        self._tally.seen += 1
+        if not episode.length:
+            self._tally.add("an episode has no steps", episode.key)
+        for name, shape in episode.shapes.items():
+            self._shapes.setdefault((name, shape), []).append(episode.key)
+        for name in episode.cameras:
+            self._cameras.setdefault(name, []).append(episode.key)
+        for name, rows in episode.columns.items():
+            if len(rows) != episode.length:
+                self._tally.add(f"{name} has another length than its episode", f"{episode.key} ({len(rows)} rows)")
+        for name, why in episode.errors.items():
+            self._tally.add(f"{name} cannot be read ({why})", episode.key)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield what differs from most episodes."""
+        if not self._keys:
+            yield Finding("the set has no episodes", expected="at least one")
+        for name in dict.fromkeys(name for name, _ in self._shapes):
+            shapes = {shape: keys for (other, shape), keys in self._shapes.items() if other == name}
+            usual = max(shapes, key=lambda shape: len(shapes[shape]))
+            for shape, keys in shapes.items():
+                for key in keys if shape != usual else ():
+                    self._tally.add(
+                        f"a row of {name} has the shape {list(shape)}, where others have {list(usual)}", key
+                    )
+            self._missing("column", name, {key for keys in shapes.values() for key in keys})
+        for name, keys in self._cameras.items():
+            self._missing("camera", name, set(keys))
+        yield from self._tally.told()
+
+    def _missing(self, what: str, name: str, having: set[str]) -> None:
+        lacking = [key for key in self._keys if key not in having]
+        if lacking and len(having) >= len(lacking):
+            for key in lacking:
+                self._tally.add(f"the {what} {name} is missing", key)
+        elif lacking:
+            for key in sorted(having):
+                self._tally.add(f"the {what} {name} is there, which others lack", key)
+
+
+class Time(Check):
+    """Times go on evenly: no step back, no gap.
+
+    ## What it does
+    Looks at columns of times. A step that does not go on fails; a step of more than 1.8 times the usual one warns.
+
+    ## Why it matters
+    A policy is trained as if each row came one control step after the other. Where a recorder lost rows, the robot
+    seems to leap, and chunks of actions cover more time than they say.
+
+    ## Example
+    `timestamp` goes on by 0.033 s, and once by 0.4 s.
+
+    ## Use instead
+    Cut the episode at the gap, or record it again.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL702", "time-gaps", "must"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._back, self._gaps = Tally(), Tally()
+        self._clocks = 0
+
+    def see(self, episode: Seen) -> None:
+        """Look at its times."""
+        self._back.seen += 1
+        self._gaps.seen += 1
+        for name, rows in episode.columns.items():
+            if not is_clock(name) or rows.shape[1] != 1 or len(rows) < 3:
+                continue
+            self._clocks += 1
+            steps = np.diff(rows[:, 0])
+            usual = float(np.median(steps))
+            back = np.flatnonzero(steps <= 0)
+            if len(back):
+                self._back.add(f"{name} does not go on", f"{episode.key} (step {back[0] + 1})")
+            wide = np.flatnonzero(steps > _GAP * usual) if usual > 0 else np.zeros(0, int)
+            if len(wide):
+                times = f"{steps[wide].max() / usual:.1f} times the usual step"
+                self._gaps.add(f"{name} has gaps", f"{episode.key} (step {wide[0] + 1}, {times})")
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield steps back, which fail, and gaps, which warn."""
+        if not self._clocks:
+            raise NotApplicable("no column holds times")
+        yield from self._back.told()
+        yield from self._gaps.told(must=False)
+
+
+class Finite(Check):
+    """Every number is one: no NaN, no infinity.
+
+    ## What it does
+    Looks at every number of states and commands.
+
+    ## Why it matters
+    One NaN makes a loss NaN, and from then on every weight.
+
+    ## Example
+    The wrist's force is NaN until the sensor has started.
+
+    ## Use instead
+    Cut the rows, or leave the column out.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL706", "not-finite", "must"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+
+    def see(self, episode: Seen) -> None:
+        """Look at its numbers."""
+        self._tally.seen += 1
+        for name, rows in episode.columns.items():
+            wrong = np.flatnonzero(~np.isfinite(rows).all(1))
+            if len(wrong):
+                self._tally.add(f"{name} holds numbers that are not finite", f"{episode.key} (step {wrong[0]})")
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield columns with such numbers."""
+        yield from self._tally.told()
+
+
+class Copy(Check):
+    """Actions are not a copy of the state of their own step.
+
+    ## What it does
+    Compares columns of commands with columns of the state, number by number, in the same row.
+
+    ## Why it matters
+    A policy learns from a copy to stay where it is. It comes of recorders without access to commands, which write the
+    measured joints twice; then the next state is the nearest thing to a command.
+
+    ## Example
+    `action` equals `observation.state` in every row.
+
+    ## Use instead
+    Record the commands; without them take the state of a later step, and say so.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL710", "action-is-state", "must"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+
+    def see(self, episode: Seen) -> None:
+        """Compare its commands."""
+        self._tally.seen += 1
+        states = {name: rows for name, rows in episode.columns.items() if role_of(name) == STATE}
+        for name, rows in episode.columns.items():
+            if role_of(name) != COMMAND or len(rows) < 3:
+                continue
+            for other, seen in states.items():
+                if seen.shape != rows.shape:
+                    continue
+                moves = np.ptp(seen, axis=0) > 1e-6
+                same = np.abs(rows - seen) <= 1e-6 * np.maximum(np.ptp(seen, axis=0), 1e-3)
+                if moves.sum() >= min(3, rows.shape[1]) and same[:, moves].mean() > 0.99:
+                    self._tally.add(f"{name} is a copy of {other} in the same step", episode.key)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield commands that are copies."""
+        yield from self._tally.told()
+
+
+class Language(Check):
+    """Every episode says what the robot was told.
+
+    ## What it does
+    Looks for episodes without an instruction, or with a blank one.
+
+    ## Why it matters
+    A policy that reads language learns from these that words mean nothing.
+
+    ## Example
+    Three episodes of `stack_blocks` have no sentence.
+
+    ## Use instead
+    Add the sentence; sets for policies that read none may waive this.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL711", "no-instruction", "should"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+
+    def see(self, episode: Seen) -> None:
+        """Look at its sentences."""
+        self._tally.seen += 1
+        if not any(sentence.strip() for sentence in episode.instructions):
+            self._tally.add("the robot was told nothing", episode.key)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield episodes without a sentence."""
+        yield from self._tally.told()
+
+
+class Constant(Check):
+    """Numbers change: no state or command stands still in all episodes, beside others that move.
+
+    ## What it does
+    Looks for numbers of states and commands that are the same in every row of every episode.
+
+    ## Why it matters
+    A joint that never moves while its neighbours do is a sensor that is not read, or a column that was filled with
+    zeros. Normalisation divides by its span, which is zero.
+
+    ## Example
+    The fifth number of `observation.state` is 0 in all rows.
+
+    ## Use instead
+    Repair the recorder; where the number is to stand still, waive it, and say what normalisation does with it.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL714", "constant-numbers", "should"
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._low: dict[str, np.ndarray] = {}
+        self._high: dict[str, np.ndarray] = {}
+
+    def see(self, episode: Seen) -> None:
+        """Note its ranges."""
+        for name, rows in episode.columns.items():
+            if role_of(name) not in {STATE, COMMAND} or not len(rows) or not np.isfinite(rows).all():
+                continue
+            low, high = rows.min(0), rows.max(0)
+            if name in self._low and self._low[name].shape == low.shape:
+                low, high = np.minimum(low, self._low[name]), np.maximum(high, self._high[name])
+            self._low[name], self._high[name] = low, high
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield numbers that never change, of columns in which others do."""
+        for name, low in self._low.items():
+            still = np.abs(self._high[name] - low) <= 1e-9
+            if still.any() and not still.all():
+                places = ", ".join(map(str, np.flatnonzero(still)))
+                values = ", ".join(f"{value:.4g}" for value in low[still][:4])
+                yield Finding(f"in {name} number {places} never changes", got=values)
+            elif still.all() and len(still) > 2:
+                yield Finding(f"{name} never changes", got=", ".join(f"{value:.4g}" for value in low[:4]))

@@ -1,0 +1,235 @@
+"""Checks of images: as many as there are steps, none frozen, none mirrored or with blue and red exchanged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from xpl_cli.audit.demonstrations.check import About, Check, Seen, Tally
+from xpl_cli.audit.rules.model import Finding, NotApplicable
+from xpl_cli.data.probe.sample import STATE, role_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_FROZEN: Final = 4
+"""Images in a row that may be equal while the robot moves: cameras are slower than control steps."""
+_SHARE: Final = 0.5
+_FEWEST: Final = 3
+"""Episodes without which none can be compared with others."""
+
+
+class Frames(Check):
+    """Every step has its image.
+
+    ## What it does
+    Counts the images of each camera, decoded, and compares with the steps of the episode.
+
+    ## Why it matters
+    A video that is one image shorter than its states is read one image off, or ends a loader in the last batch.
+
+    ## Example
+    An episode of 200 steps with 199 images.
+
+    ## Use instead
+    Convert the episode again, or cut its states.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity, looks = "XPL709", "video-length", "must", True
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+
+    def see(self, episode: Seen) -> None:
+        """Compare its counts."""
+        self._tally.seen += 1
+        for name, shown in episode.cameras.items():
+            if shown.error:
+                self._tally.add(f"images of {name} cannot be read ({shown.error})", episode.key)
+            elif shown.count is not None and shown.count != episode.length:
+                where = f"{episode.key} ({shown.count} images, {episode.length} steps)"
+                self._tally.add(f"{name} has another number of images than there are steps", where)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield cameras with another number of images."""
+        yield from self._tally.told()
+
+
+class Frozen(Check):
+    """Images change while the robot moves.
+
+    ## What it does
+    Looks for images that equal the one before, byte by byte, while the robot moves: more than four in a row, or more
+    than half of all.
+
+    ## Why it matters
+    A camera that hangs shows the past. A policy learns to act on what it does not see.
+
+    ## Example
+    `wrist` shows one image for 60 steps in the middle of an episode.
+
+    ## Use instead
+    Leave the episode out; a camera slower than the control steps is better recorded at its own rate.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity, looks = "XPL703", "frozen-frames", "should", True
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._tally = Tally()
+
+    def see(self, episode: Seen) -> None:
+        """Look at images that are equal."""
+        self._tally.seen += 1
+        moves = _moves(episode)
+        for name, shown in episode.cameras.items():
+            if shown.same is None or not len(shown.same) or moves is None:
+                continue
+            count = min(len(moves), len(shown.same))
+            held = shown.same[:count] & moves[:count]
+            longest = _longest(held)
+            share = held.sum() / max(int(moves[:count].sum()), 1)
+            if longest > _FROZEN or share > _SHARE:
+                where = f"{episode.key} ({longest} in a row, {100 * share:.0f} % of the steps that move)"
+                self._tally.add(f"{name} shows the same image while the robot moves", where)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield cameras that froze."""
+        yield from self._tally.told()
+
+
+def _moves(episode: Seen) -> np.ndarray | None:
+    """Return in which steps (T - 1,) the robot moves well, None where no state says it."""
+    speeds = [
+        np.linalg.norm(np.diff(rows, axis=0), axis=1)
+        for name, rows in episode.columns.items()
+        if role_of(name) == STATE and len(rows) == episode.length > 2 and np.isfinite(rows).all()
+    ]
+    fast = [speed > 0.2 * np.quantile(speed, 0.95) for speed in speeds if speed.max() > 0]
+    return np.any(fast, axis=0) if fast else None
+
+
+def _longest(held: np.ndarray) -> int:
+    """Return the length of the longest run of truths."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+class _First(Check):
+    """Compares the first images of a camera among the episodes."""
+
+    looks = True
+
+    def __init__(self, about: About) -> None:
+        super().__init__(about)
+        self._first: dict[str, list[tuple[str, np.ndarray]]] = {}
+        self._tally = Tally()
+
+    def see(self, episode: Seen) -> None:
+        """Keep its first images."""
+        self._tally.seen += 1
+        for name, shown in episode.cameras.items():
+            if shown.first is not None and shown.first.ndim == 3:
+                self._first.setdefault(name, []).append((episode.key, shown.first.astype(np.float32)))
+
+    def _compared(self) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
+        """Yield camera, episode, its first image, and the median of all of that camera."""
+        enough = {name: shown for name, shown in self._first.items() if len(shown) >= _FEWEST}
+        if not enough:
+            raise NotApplicable(f"fewer than {_FEWEST} episodes have images that could be compared")
+        for name, shown in enough.items():
+            size = shown[0][1].shape
+            same = [(key, image) for key, image in shown if image.shape == size]
+            usual = np.median(np.stack([image for _, image in same]), axis=0)
+            for key, image in same:
+                yield name, key, image, usual
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> float:
+    """Return how alike two pictures are: their correlation, 0 where one has no content."""
+    a, b = one.ravel() - one.mean(), other.ravel() - other.mean()
+    length = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    return float((a * b).sum()) / length if length > 1e-6 * one.size else 0.0
+
+
+class Mirrored(_First):
+    """No episode has a camera mirrored, or upside down, against the others.
+
+    ## What it does
+    Compares each first image with the median of the first images of that camera, as it is, mirrored, upside down and
+    turned by half. What is 0.25 more alike the other way, and by 0.6 at least, is a finding.
+
+    ## Why it matters
+    A camera that was mounted or read the other way for a day makes left right in some episodes.
+
+    ## Example
+    Episodes 40 to 49 were recorded after the camera driver was changed.
+
+    ## Use instead
+    Turn the images of these episodes when you convert.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL712", "camera-mirrored", "must"
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield cameras that are mirrored in some episodes."""
+        for name, key, image, usual in self._compared():
+            plain = _alike(image, usual)
+            ways = {
+                "mirrored": image[:, ::-1],
+                "upside down": image[::-1],
+                "turned by half": image[::-1, ::-1],
+            }
+            found = {way: _alike(turned, usual) for way, turned in ways.items()}
+            way = max(found, key=lambda one: found[one])
+            if found[way] > 0.6 and found[way] - plain > 0.25:
+                where = f"{key} (alike by {found[way]:.2f} so, by {plain:.2f} as it is)"
+                self._tally.add(f"{name} is {way} against the other episodes", where)
+        yield from self._tally.told()
+
+
+class Exchanged(_First):
+    """No episode has blue and red exchanged against the others.
+
+    ## What it does
+    Compares the difference of red and blue of each first image with that of the median of the first images of that
+    camera. Where it is its opposite, and exchanging the two makes it alike by 0.5 at least, that is a finding.
+
+    ## Why it matters
+    OpenCV reads BGR. An episode that was written by another script than the others has red things blue, and an
+    instruction that names a colour becomes false.
+
+    ## Example
+    The episodes of one operator show a blue cube where the instruction says red.
+
+    ## Use instead
+    Exchange the channels of these episodes when you convert. That all episodes are exchanged, no comparison among them
+    tells: `xpl data probe` looks at the colours that instructions name.
+
+    ## Fix safety
+    No automatic fix.
+    """
+
+    code, slug, severity = "XPL713", "camera-colours", "must"
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield cameras whose colours are exchanged in some episodes."""
+        for name, key, image, usual in self._compared():
+            warmth, normal = image[..., 0] - image[..., 2], usual[..., 0] - usual[..., 2]
+            if normal.std() < 3 or warmth.std() < 3:
+                continue  # too grey to tell
+            own = float((warmth * normal).sum() / np.sqrt((warmth**2).sum() * (normal**2).sum()))
+            if own < -0.5:
+                self._tally.add(f"{name} has blue and red exchanged against the other episodes", f"{key} ({own:.2f})")
+        yield from self._tally.told()

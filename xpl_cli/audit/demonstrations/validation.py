@@ -1,0 +1,204 @@
+"""Runs the checks on a set, episode after episode, and reports as the audit does."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from xpl_cli.audit.demonstrations.catalogue import CHECKS, find
+from xpl_cli.audit.demonstrations.check import About, Seen, Shown
+from xpl_cli.audit.rules.gates import DEMONSTRATIONS, DataGate
+from xpl_cli.audit.rules.model import (
+    Circumstances,
+    Finding,
+    GateReport,
+    NotApplicable,
+    Outcome,
+    Result,
+    TargetReport,
+    Waived,
+)
+from xpl_cli.data.probe.probe import Found, probe
+from xpl_cli.data.probe.sample import spread
+from xpl_cli.data.sets.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from xpl_cli.audit.demonstrations.check import Check
+    from xpl_cli.data.sets.interface import Demonstrations, Episode
+
+_SMALL: Final = 40
+"""Pixels that first images are made smaller to."""
+_PROBED: Final = 24
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is checked.
+
+    Attributes:
+        episodes: how many, evenly spread; None for all.
+        images: whether images are decoded.
+        robot: name of the embodiment, where the user says it.
+        names: codes, their beginnings, and slugs of the checks that run; empty for all.
+        ignore: likewise of those that do not.
+        waived: by code or slug why findings are accepted.
+        told: is told what is going on.
+    """
+
+    episodes: int | None = None
+    images: bool = True
+    robot: str | None = None
+    names: tuple[str, ...] = ()
+    ignore: tuple[str, ...] = ()
+    waived: Mapping[str, str] = field(default_factory=dict)
+    told: Callable[[str], None] = lambda _: None
+
+
+def selected(options: Options) -> list[type[Check]]:
+    """Return the checks that run.
+
+    Raises:
+        UserError: if a name stands for no check.
+    """
+    for name in (*options.names, *options.ignore, *options.waived):
+        if not any(_matches(check, name) for check in CHECKS):
+            find(name)
+    return [
+        check
+        for check in CHECKS
+        if (not options.names or any(_matches(check, name) for name in options.names))
+        and not any(_matches(check, name) for name in options.ignore)
+        and (options.images or not check.looks)
+    ]
+
+
+def validate(demonstrations: Demonstrations, shown: str, options: Options) -> TargetReport:
+    """Check a set.
+
+    Args:
+        demonstrations: the set.
+        shown: how reports name it.
+        options: what is checked.
+    """
+    started = time.perf_counter()
+    chosen = selected(options)
+    places = spread(len(demonstrations), options.episodes or len(demonstrations))
+    checks = _made(chosen, demonstrations, options)
+    results: dict[str, Result] = {}
+    digest = hashlib.sha256()
+    for count, place in enumerate(places):
+        options.told(f"episode {count + 1} of {len(places)}")
+        episode = _seen(demonstrations[place], images=any(check.looks for check in checks))
+        digest.update(repr((episode.key, episode.length, sorted(episode.shapes.items()))).encode())
+        for check in checks:
+            if check.code not in results:
+                _ask(results, check, lambda check=check, episode=episode: check.see(episode))
+    for check in checks:
+        if check.code not in results:
+            _ask(results, check, lambda check=check: _close(results, check, options.waived))
+    report = GateReport(DataGate.DATA, [results[check.code] for check in checks])
+    report.digest = digest.hexdigest()[:16]
+    report.fingerprint = "data"
+    report.seconds = time.perf_counter() - started
+    target = TargetReport(path=shown, name=shown.rstrip("/").rpartition("/")[2], kind=DEMONSTRATIONS, gates=[report])
+    target.circumstances = Circumstances(narrowed=_narrowed(len(places), len(demonstrations), chosen))
+    return target
+
+
+def _matches(check: type[Check], name: str) -> bool:
+    return check.slug == name or (name.upper().startswith("XPL") and check.code.startswith(name.upper()))
+
+
+def _made(chosen: Sequence[type[Check]], demonstrations: Demonstrations, options: Options) -> list[Check]:
+    """Return the checks of a set, which know what a probe finds in it."""
+    from xpl.embodiment import embodiment_names
+
+    robot = options.robot or (demonstrations.robot if demonstrations.robot in embodiment_names() else None)
+    options.told("which numbers are what")
+    try:
+        found = probe(demonstrations, episodes=_PROBED, robot=robot, images=False)
+    except (DataError, ValueError):  # a set that is damaged; the checks say where
+        found = Found([], [], [])
+    return [check(About(demonstrations.format, robot, found)) for check in chosen]
+
+
+def _close(results: dict[str, Result], check: Check, waived: Mapping[str, str]) -> None:
+    """Note what a check found."""
+    results[check.code] = _result(check, list(check.findings()), waived)
+
+
+def _ask(results: dict[str, Result], check: Check, step: Callable[[], Any]) -> None:
+    """Let a check take a step; note how it ends where it does not go on."""
+    try:
+        step()
+    except NotApplicable as why:
+        results[check.code] = _ended(check, Outcome.NOT_APPLICABLE, str(why))
+    except Exception as error:  # noqa: BLE001 - a check's crash must not hide what the others find
+        results[check.code] = _ended(check, Outcome.ERROR, f"{type(error).__name__}: {error}")
+
+
+def _ended(check: Check, outcome: Outcome, reason: str) -> Result:
+    return Result(check.code, check.slug, check.requirement, check.severity, outcome, reason=reason)
+
+
+def _result(check: Check, found: Sequence[Finding], waived: Mapping[str, str]) -> Result:
+    """Return the result of a check that saw all episodes."""
+    reason = next((why for name, why in waived.items() if _matches(type(check), name)), None)
+    kept = () if reason is not None else tuple(found)
+    accepted = tuple(Waived(finding, reason) for finding in found) if reason is not None else ()
+    fails = any(check.severity == "must" if one.must is None else one.must for one in kept)
+    outcome = Outcome.PASS if not kept else Outcome.FAIL if fails else Outcome.WARN
+    return Result(check.code, check.slug, check.requirement, check.severity, outcome, kept, waived=accepted)
+
+
+def _narrowed(looked: int, count: int, chosen: Sequence[type[Check]]) -> str:
+    """Return what was left out, in a few words."""
+    parts = [f"{looked} of {count} episodes"] if looked < count else []
+    if len(chosen) < len(CHECKS):
+        parts.append(f"{len(chosen)} of {len(CHECKS)} checks")
+    return ", ".join(parts)
+
+
+def _seen(episode: Episode, *, images: bool) -> Seen:
+    """Read an episode: its numbers whole, its images one by one."""
+    columns, shapes, errors = {}, {}, {}
+    for name, column in episode.columns.items():
+        shapes[name] = tuple(column.shape)
+        kind = np.dtype(column.dtype) if column.dtype not in {"object", "str", "string"} else None
+        if kind is None or not (np.issubdtype(kind, np.number) or kind == np.bool_):
+            continue
+        try:
+            rows = np.asarray(episode.read(name))
+        except (DataError, OSError, ValueError) as error:
+            errors[name] = str(error)
+            continue
+        columns[name] = rows.astype(np.float64).reshape(len(rows), -1)
+    cameras = {
+        name: _shown(episode, name) if images and camera.kind == "color" else Shown(None, None, None)
+        for name, camera in episode.cameras.items()
+    }
+    return Seen(episode.key, episode.length, tuple(episode.instructions), columns, shapes, cameras, errors)
+
+
+def _shown(episode: Episode, camera: str) -> Shown:
+    """Look at the images of a camera, one by one."""
+    count, first, last = 0, None, b""
+    same: list[bool] = []
+    try:
+        for image in episode.frames(camera):
+            digest = hashlib.blake2b(np.ascontiguousarray(image), digest_size=16).digest()
+            if first is None:
+                step = max(1, -(-max(image.shape[:2]) // _SMALL))
+                first = np.array(image[::step, ::step])
+            else:
+                same.append(digest == last)
+            count, last = count + 1, digest
+    except (DataError, OSError, ValueError) as error:
+        return Shown(count, first, np.array(same, bool), str(error))
+    return Shown(count, first, np.array(same, bool))

@@ -1,0 +1,156 @@
+"""`xpl data validate`: what is wrong with demonstrations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from xpl_cli.basics.endings import ends
+from xpl_cli.commands.data.listing import SET
+
+if TYPE_CHECKING:
+    from xpl_cli.audit.formats.listing import Context
+    from xpl_cli.audit.rules.model import TargetReport
+
+_FAIL_ON = ("fail", "warn")
+_JSON = "json"
+
+
+@ends(
+    clean="nothing is wrong",
+    findings="findings",
+    not_found="no demonstrations there",
+    not_run="nothing could be checked, or a library is missing",
+)
+def validate(
+    demonstrations: Path = SET,
+    episodes: int | None = typer.Option(None, min=1, metavar="N", help="Check so many, evenly spread; all by default."),
+    images: bool = typer.Option(True, help="Decode every image; without it a set takes seconds."),
+    robot: str | None = typer.Option(None, metavar="NAME", help="The robot, for limits of its joints."),
+    selected: list[str] = typer.Option([], "--select", help="Run only these checks: codes, their beginnings, slugs."),
+    ignored: list[str] = typer.Option([], "--ignore", help="Leave these checks out."),
+    waived: list[str] = typer.Option([], "--waive", metavar="CODE=REASON", help="Accept what a check finds, and why."),
+    report_format: str = typer.Option(
+        "human", "--format", help="human, concise, json, sarif, github, gitlab, rdjson, junit or markdown."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="The same as --format json."),
+    output: list[str] = typer.Option(
+        [],
+        "--output",
+        metavar="FILE",
+        help="Write the report to a file instead of stdout. FORMAT=FILE writes one more report; may be repeated.",
+    ),
+    fail_on: str = typer.Option("fail", help="Mildest outcome that is an error for the exit code: fail or warn."),
+) -> None:
+    """Check demonstrations: schema, time, images, limits, rotations, copies, language, cameras."""
+    import json
+
+    from xpl_cli.audit.demonstrations import catalogue
+    from xpl_cli.audit.demonstrations.validation import Options
+    from xpl_cli.audit.demonstrations.validation import validate as validated
+    from xpl_cli.audit.formats.delivery import Delivery
+    from xpl_cli.audit.formats.listing import Context
+    from xpl_cli.audit.rules.model import Outcome, exit_code
+    from xpl_cli.basics import console
+    from xpl_cli.basics import output as output_file
+    from xpl_cli.basics.errors import UserError, one_of
+    from xpl_cli.basics.progress import progress
+    from xpl_cli.data.formats import open_set
+
+    delivery = Delivery.asked(_JSON if as_json else report_format, output)
+    one_of("--fail-on", fail_on, _FAIL_ON)
+    reasons = {}
+    for told in waived:
+        name, found, reason = told.partition("=")
+        if not (found and reason.strip()):
+            raise UserError(f"--waive takes CODE=REASON, got {told!r}", hint="--waive XPL711='no policy here reads it'")
+        reasons[name] = reason.strip()
+    opened = open_set(demonstrations)
+    with progress() as say:
+        options = Options(episodes, images, robot, tuple(selected), tuple(ignored), reasons, say.detail)
+        report = validated(opened, str(demonstrations), options)
+    context = Context(
+        fail_on=Outcome(fail_on),
+        rule=catalogue.find,
+        command=("xpl", "data", "validate"),
+        choice=_choice(
+            {
+                "--episodes": [str(episodes)] if episodes else [],
+                "--robot": [robot] if robot else [],
+                "--select": selected,
+                "--ignore": ignored,
+                "--waive": waived,
+                "--fail-on": [fail_on] if fail_on != Outcome.FAIL else [],
+            },
+            images=images,
+        ),
+    )
+    for name, path in delivery.files:
+        if name == _JSON:
+            told = {"schema": "xpl.data-validate/1", **_document(report, context), "next": _next(report, context)}
+            output_file.write(path, json.dumps(told, indent=2, ensure_ascii=False))
+            console.note(f"wrote {path}")
+    rest = Delivery(
+        delivery.printed if delivery.printed != _JSON else None,
+        tuple(entry for entry in delivery.files if entry[0] != _JSON),
+    )
+    if delivery.printed == _JSON:
+        console.answer("xpl.data-validate/1", _document(report, context), _next(report, context))
+    rest.deliver([report], context)
+    raise typer.Exit(int(exit_code([report], Outcome(fail_on))))
+
+
+def _choice(given: dict[str, list[str]], *, images: bool) -> tuple[str, ...]:
+    """Return options as a command repeats them."""
+    repeated = [part for option, values in given.items() for value in values for part in (option, value)]
+    return (*repeated, *(() if images else ("--no-images",)))
+
+
+def _next(report: TargetReport, context: Context) -> list[str]:
+    from xpl_cli.audit.formats.steps import next_commands
+
+    return next_commands([report], context)
+
+
+def _document(report: TargetReport, context: Context) -> dict[str, Any]:
+    """Return the report as data: results and findings as those of an audit."""
+    from xpl_cli.audit.formats.document import described
+    from xpl_cli.audit.formats.listing import in_repository
+    from xpl_cli.audit.rules.model import Outcome, counted, exit_code
+    from xpl_cli.audit.rules.verdict import judged
+
+    (gate,) = report.gates
+    folder = in_repository(context.here / report.path, context.here)
+    verdict = judged(report)
+    results = [
+        {
+            "code": result.code,
+            "slug": result.slug,
+            "severity": result.severity,
+            "outcome": result.outcome.value,
+            "reason": result.reason,
+            "findings": [
+                described(one, result, folder, one.fingerprint(result.code, folder)) for one in result.findings
+            ],
+            "waived": [
+                {
+                    **described(one.finding, result, folder, one.finding.fingerprint(result.code, folder)),
+                    "reason": one.reason,
+                }
+                for one in result.waived
+            ],
+        }
+        for result in gate.results
+    ]
+    totals = counted(gate.results)
+    return {
+        "path": report.path,
+        "verdict": verdict.word.value,
+        "statement": str(verdict),
+        "seconds": round(gate.seconds, 3),
+        "summary": {outcome.value: totals[outcome] for outcome in Outcome},
+        "exit_code": int(exit_code([report], context.fail_on)),
+        "results": results,
+    }
