@@ -90,6 +90,8 @@ class Check(ABC):
     requirement: ClassVar[str] = ""
     looks: ClassVar[bool] = False
     """Whether it needs images."""
+    measures: ClassVar[bool] = False
+    """Whether it needs to know which numbers are what."""
     documentation: ClassVar[str] = ""
     """The docstring: a summary line, then sections with fixed headings."""
     summary: ClassVar[str] = ""

@@ -46,6 +46,7 @@ class Limits(Check):
     """
 
     code, slug, severity = "XPL704", "joint-limits", "must"
+    measures = True
 
     def __init__(self, about: About) -> None:
         super().__init__(about)
@@ -112,6 +113,7 @@ class GripperRange(Check):
     """
 
     code, slug, severity = "XPL705", "gripper-range", "must"
+    measures = True
 
     def __init__(self, about: About) -> None:
         super().__init__(about)

@@ -38,7 +38,12 @@ _WORDS = {
 
 def render(reports: Sequence[TargetReport], context: Context) -> str:
     """Return the summary."""
-    lines = ["## xpl audit", "", "| target | verdict | gate | outcome |", "| --- | --- | --- | --- |"]
+    lines = [
+        f"## {' '.join(context.command)}",
+        "",
+        "| target | verdict | gate | outcome |",
+        "| --- | --- | --- | --- |",
+    ]
     for report in reports:
         lines += _rows(report)
     entries = sorted(listed(reports, context), key=lambda entry: not entry.fails)

@@ -34,6 +34,8 @@ FORMS: Final[Mapping[int, tuple[tuple[str, str | None], ...]]] = {
 """The forms of rotations of each width, with the axes of Euler angles."""
 _SHARP: Final = 2.0
 """How sharp the scale has to be at which summed steps stay with the state."""
+_LAGS: Final = 0.85
+"""Part of the way to its command that a robot goes in a step, at most, where it is seen to lag."""
 _EXACT: Final = 2e-3
 """Errors below which each command is reached in its step: counting from state and from command is one then."""
 
@@ -63,18 +65,21 @@ class Reference:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 
-def chosen(follows: Mapping[str, Follow], sharp: float) -> Reference:
+def chosen(follows: Mapping[str, Follow], sharp: float, *, is_scaled: bool = False) -> Reference:
     """Return from what steps are counted, of how well each reading explains the motion.
 
     Args:
         follows: of absolute, delta_state and delta_command.
         sharp: of summed steps, see `tracking.sharpness`.
+        is_scaled: whether the scale of the steps is unknown. Then steps that are counted from the state sum up to the
+            motion at some scale, too, as if each were reached: only a lag tells.
     """
     errors = {name: one.error for name, one in follows.items()}
     best = min(errors, key=lambda name: errors[name])
     floor = 1e-4
     if best != ABSOLUTE and errors[DELTA_COMMAND] <= tracking.PLAIN and sharp >= _SHARP:
-        if errors[DELTA_STATE] < _EXACT and abs(follows[DELTA_STATE].gain - 1) < 0.05:
+        is_reached = errors[DELTA_STATE] < _EXACT and abs(follows[DELTA_STATE].gain - 1) < 0.05
+        if is_reached or (is_scaled and follows[DELTA_COMMAND].gain > _LAGS):
             return Reference(None, errors, follows[DELTA_STATE], 1.0, alike=True)
         others = min(errors[ABSOLUTE] / max(errors[DELTA_COMMAND], floor), sharp)
         return Reference(DELTA_COMMAND, errors, follows[DELTA_COMMAND], others)
@@ -125,7 +130,7 @@ def of_scaled(states: Rows, commands: Rows) -> Reference:
         name: Follow(float(np.average([one.error for one in ones], weights=weights)), ones[0].shift, ones[0].gain)
         for name, ones in found.items()
     }
-    return chosen(follows, float(np.median(sharp)))
+    return chosen(follows, float(np.median(sharp)), is_scaled=True)
 
 
 def usual(values: np.ndarray) -> float:

@@ -38,6 +38,11 @@ _GAP: Final = 1.5
 _JUMP: Final = 2.5
 """A change of an angle in one step, rad, that no arm makes: the number begins again at the other end."""
 _TURN: Final = 2 * np.pi
+_SIZES: Final = (
+    (9, ("matrix",)),
+    (6, ("rot6d_columns", "rot6d_rows")),
+    (4, ("quaternion_wxyz", "quaternion_xyzw")),
+)
 _ARMS: Final = (7, 6, 5)
 _STILL: Final = 1e-9
 _NUMBERED: Final = re.compile(r"(robot|arm)\d")
@@ -162,7 +167,7 @@ def wraps(part: Part) -> tuple[str, str, float] | None:
 
 def _of(series: Series) -> Iterator[Part]:
     """Yield the parts of one column."""
-    rotations = list(_rotations(series.stacked))
+    rotations = _rotations(series.stacked)
     shares = concentration(series.rows)
     edges = [(0, 0), *((start, stop) for start, stop, _ in rotations), (series.width, series.width)]
     for place, ((_, begin), (end, after)) in enumerate(itertools.pairwise(edges)):
@@ -172,21 +177,23 @@ def _of(series: Series) -> Iterator[Part]:
             yield Part(ROTATION, series, end, after, forms=rotations[place][2])
 
 
-def _rotations(rows: np.ndarray) -> Iterator[tuple[int, int, tuple[str, ...]]]:
-    """Yield the places of rotations that their lengths tell, with the forms that they may have."""
-    at, width = 0, rows.shape[1]
-    while at < width:
-        for size, forms in (
-            (9, ("matrix",)),
-            (6, ("rot6d_columns", "rot6d_rows")),
-            (4, ("quaternion_wxyz", "quaternion_xyzw")),
-        ):
-            if at + size <= width and _is_rotation(rows[:, at : at + size]):
-                yield at, at + size, forms
+def _rotations(rows: np.ndarray) -> list[tuple[int, int, tuple[str, ...]]]:
+    """Return the places of rotations that their lengths tell, with the forms that they may have.
+
+    The longest are looked for first: some of the numbers of a matrix may have the length of a quaternion.
+    """
+    found: list[tuple[int, int, tuple[str, ...]]] = []
+    free = np.ones(rows.shape[1], bool)
+    for size, forms in _SIZES:
+        at = 0
+        while at + size <= rows.shape[1]:
+            if free[at : at + size].all() and _is_rotation(rows[:, at : at + size]):
+                found.append((at, at + size, forms))
+                free[at : at + size] = False
                 at += size
-                break
-        else:
-            at += 1
+            else:
+                at += 1
+    return sorted(found)
 
 
 def _is_rotation(rows: np.ndarray) -> bool:
