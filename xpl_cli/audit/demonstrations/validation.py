@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import time
 from dataclasses import dataclass, field
@@ -124,10 +125,8 @@ def _made(chosen: Sequence[type[Check]], demonstrations: Demonstrations, options
     if not any(check.measures for check in chosen):
         return [check(About(demonstrations.format, robot, found)) for check in chosen]
     options.told("which numbers are what")
-    try:
+    with contextlib.suppress(DataError, ValueError):  # of a set that is damaged the checks say where
         found = probe(demonstrations, episodes=_PROBED, robot=robot, images=False)
-    except (DataError, ValueError):  # a set that is damaged; the checks say where
-        pass
     return [check(About(demonstrations.format, robot, found)) for check in chosen]
 
 

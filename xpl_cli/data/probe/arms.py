@@ -34,8 +34,8 @@ FORMS: Final[Mapping[int, tuple[tuple[str, str | None], ...]]] = {
 """The forms of rotations of each width, with the axes of Euler angles."""
 _SHARP: Final = 2.0
 """How sharp the scale has to be at which summed steps stay with the state."""
-_LAGS: Final = 0.85
-"""Part of the way to its command that a robot goes in a step, at most, where it is seen to lag."""
+_GOES_ON: Final = 0.1
+"""Share of the steps in which a command does not change, and the robot goes on, that shows a lag."""
 _EXACT: Final = 2e-3
 """Errors below which each command is reached in its step: counting from state and from command is one then."""
 
@@ -65,21 +65,21 @@ class Reference:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 
-def chosen(follows: Mapping[str, Follow], sharp: float, *, is_scaled: bool = False) -> Reference:
+def chosen(follows: Mapping[str, Follow], sharp: float, *, is_seen: bool = True) -> Reference:
     """Return from what steps are counted, of how well each reading explains the motion.
 
     Args:
         follows: of absolute, delta_state and delta_command.
         sharp: of summed steps, see `tracking.sharpness`.
-        is_scaled: whether the scale of the steps is unknown. Then steps that are counted from the state sum up to the
-            motion at some scale, too, as if each were reached: only a lag tells.
+        is_seen: whether the robot is seen to go on where its command stands still. Steps whose scale is unknown sum up
+            to the motion at some scale, too, where they are counted from the state, as if each were reached.
     """
     errors = {name: one.error for name, one in follows.items()}
     best = min(errors, key=lambda name: errors[name])
     floor = 1e-4
     if best != ABSOLUTE and errors[DELTA_COMMAND] <= tracking.PLAIN and sharp >= _SHARP:
         is_reached = errors[DELTA_STATE] < _EXACT and abs(follows[DELTA_STATE].gain - 1) < 0.05
-        if is_reached or (is_scaled and follows[DELTA_COMMAND].gain > _LAGS):
+        if is_reached or not is_seen:
             return Reference(None, errors, follows[DELTA_STATE], 1.0, alike=True)
         others = min(errors[ABSOLUTE] / max(errors[DELTA_COMMAND], floor), sharp)
         return Reference(DELTA_COMMAND, errors, follows[DELTA_COMMAND], others)
@@ -105,7 +105,7 @@ def of_numbers(states: Rows, commands: Rows) -> Reference:
 def of_scaled(states: Rows, commands: Rows) -> Reference:
     """Return from what commands (T, D) are counted whose numbers are each scaled and shifted, as if normalised."""
     found: dict[str, list[Follow]] = {ABSOLUTE: [], DELTA_STATE: [], DELTA_COMMAND: []}
-    sharp, weights = [], []
+    sharp, weights, going = [], [], []
     for index in range(states[0].shape[1]):
         here = [rows[:, index : index + 1] for rows in states]
         there = [rows[:, index : index + 1] for rows in commands]
@@ -116,6 +116,7 @@ def of_scaled(states: Rows, commands: Rows) -> Reference:
         found[ABSOLUTE].append(tracking.follow(here, fitted(here, there), shifts=SHIFTS))
         rest = usual(np.concatenate(there))
         steps = [rows - rest for rows in there]
+        going.append(_goes_on(here, steps))
         found[DELTA_STATE].append(tracking.follow(here, [a + b for a, b in zip(here, steps, strict=True)]))
         if found[DELTA_STATE][-1].error > tracking.PLAIN:  # what sums up to the motion goes with it, too
             found[DELTA_COMMAND].append(Follow(1.0, 0))
@@ -130,7 +131,15 @@ def of_scaled(states: Rows, commands: Rows) -> Reference:
         name: Follow(float(np.average([one.error for one in ones], weights=weights)), ones[0].shift, ones[0].gain)
         for name, ones in found.items()
     }
-    return chosen(follows, float(np.median(sharp)), is_scaled=True)
+    return chosen(follows, float(np.median(sharp)), is_seen=bool(np.median(going) > _GOES_ON))
+
+
+def _goes_on(states: Rows, steps: Rows) -> float:
+    """Return in which share of the rows without a step one number (T, 1) of the state goes on moving."""
+    speed = np.concatenate([np.abs(np.diff(rows[:, 0])) for rows in states])
+    step = np.concatenate([np.abs(rows[:-1, 0]) for rows in steps])
+    held = step < 1e-6 * max(float(step.max()), 1e-12)
+    return float((speed[held] > 0.05 * np.quantile(speed, 0.95)).mean()) if held.sum() >= 10 else 0.0
 
 
 def usual(values: np.ndarray) -> float:

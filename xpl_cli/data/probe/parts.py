@@ -45,6 +45,7 @@ _SIZES: Final = (
 )
 _ARMS: Final = (7, 6, 5)
 _STILL: Final = 1e-9
+_GRIPPERS: Final = frozenset(("gripper", "grippers", "finger", "fingers", "jaw"))
 _NUMBERED: Final = re.compile(r"(robot|arm)\d")
 
 
@@ -180,32 +181,34 @@ def _of(series: Series) -> Iterator[Part]:
 def _rotations(rows: np.ndarray) -> list[tuple[int, int, tuple[str, ...]]]:
     """Return the places of rotations that their lengths tell, with the forms that they may have.
 
-    The longest are looked for first: some of the numbers of a matrix may have the length of a quaternion.
+    The longest are looked for first, and of those that overlap what fits best: some of the numbers of a matrix may have
+    the length of a quaternion, and a small turn stands beside numbers near zero.
     """
     found: list[tuple[int, int, tuple[str, ...]]] = []
-    free = np.ones(rows.shape[1], bool)
+    free = np.array([not _switches(column) for column in rows.T])
     for size, forms in _SIZES:
-        at = 0
-        while at + size <= rows.shape[1]:
-            if free[at : at + size].all() and _is_rotation(rows[:, at : at + size]):
+        errors = [(_off(rows[:, at : at + size]), at) for at in range(rows.shape[1] - size + 1)]
+        for error, at in sorted(errors):
+            if error < (_UNIT if size == 4 else 2 * _UNIT) and free[at : at + size].all():
                 found.append((at, at + size, forms))
                 free[at : at + size] = False
-                at += size
-            else:
-                at += 1
     return sorted(found)
 
 
-def _is_rotation(rows: np.ndarray) -> bool:
-    """Tell whether rows are quaternions, or the first two or all three axes of a rotation."""
+def _switches(values: np.ndarray) -> bool:
+    """Tell whether numbers have few values far apart, as a gripper's commands: 1 beside deltas is no quaternion."""
+    return float(np.ptp(values)) > 0.5 and len(np.unique(values.round(6))) <= 3
+
+
+def _off(rows: np.ndarray) -> float:
+    """Return how far rows are from quaternions, or from the first two or all three axes of a rotation."""
     width = rows.shape[1]
     if width == 4:
-        lengths = np.linalg.norm(rows, axis=1)
         moves = (np.ptp(rows, axis=0) > _STILL).sum()
-        return bool(np.abs(lengths - 1).max() < _UNIT and (moves >= 2 or _is_turn(rows[0])))
+        return float(np.abs(np.linalg.norm(rows, axis=1) - 1).max()) if moves >= 2 or _is_turn(rows[0]) else np.inf
     axes = rows.reshape(len(rows), -1, 3)
     products = np.einsum("nij,nkj->nik", axes, axes)
-    return bool(np.abs(products - np.eye(width // 3)).max() < 2 * _UNIT)
+    return float(np.abs(products - np.eye(width // 3)).max())
 
 
 def _is_turn(row: np.ndarray) -> bool:
@@ -220,7 +223,10 @@ def _run(series: Series, begin: int, end: int, shares: np.ndarray, *, is_before:
         return
     place = 3 if is_before and width >= 3 else 0
     rest = width - place
-    layout = _layout(shares[begin : begin + rest], followed=bool(place), preceded=begin > 0)
+    layout = _named(series, begin, begin + rest)
+    layout = layout or _layout(shares[begin : begin + rest], followed=bool(place), preceded=begin > 0)
+    if layout in ([(JOINTS, 7)], [(JOINTS, 7)] * 2) and not _says_joints(series):
+        layout = [(UNKNOWN, rest)]  # the seventh may be a gripper that hardly moves
     if begins_again([rows[:, begin : begin + rest] for rows in series.rows]).any():
         layout = [(UNKNOWN if kind == JOINTS else kind, size) for kind, size in layout]  # no joint does that
     at = begin
@@ -229,6 +235,22 @@ def _run(series: Series, begin: int, end: int, shares: np.ndarray, *, is_before:
         at += size
     if place:
         yield Part(POSITION, series, at, at + place)
+
+
+def _named(series: Series, begin: int, end: int) -> list[tuple[str, int]]:
+    """Return what numbers are where the file's names say which are grippers; nothing where they do not."""
+    is_gripper = [bool(set(words(name)) & _GRIPPERS) for name in series.names[begin:end]]
+    if len(is_gripper) != end - begin or not any(is_gripper):
+        return []
+    runs = [(held, len(list(group))) for held, group in itertools.groupby(is_gripper)]
+    kinds = {3: THREE, 5: JOINTS, 6: ARM, 7: JOINTS}
+    return [(GRIPPER, size) if held else (kinds.get(size, UNKNOWN), size) for held, size in runs]
+
+
+def _says_joints(series: Series) -> bool:
+    """Tell whether the file's names say that all numbers of a column are joints."""
+    names = series.names or (series.name,)
+    return all(any(word.startswith("joint") or word == "qpos" for word in words(name)) for name in names)
 
 
 def _layout(shares: np.ndarray, *, followed: bool, preceded: bool) -> list[tuple[str, int]]:
