@@ -47,14 +47,18 @@ def _cases() -> Iterator[Any]:
     """Yield every subject with its rule.
 
     Each is a served adapter where the gate is not the static one. Of those the quick run has a bad one for every eighth
-    rule, and a good one for every fortieth; mypy takes three seconds for each of its own.
+    rule, and a good one for every fortieth; mypy takes three seconds for each of its own, and demonstrations take ten.
     """
     served = itertools.count()
     for rule in RULES:
-        number, seen = next(served) if rule.gate is not Gate.STATIC else 0, set()
+        held_against = rule.folder.parent.name == "demonstrations"
+        number, seen = next(served) if rule.gate is not Gate.STATIC and not held_against else 0, set()
         for subject in subjects(rule):
             is_quick = (
-                subject.good not in seen and number % (40 if subject.good else 8) == 0 and rule.slug != "mypy-finds"
+                subject.good not in seen
+                and number % (40 if subject.good else 8) == 0
+                and rule.slug != "mypy-finds"
+                and not held_against
             )
             seen.add(subject.good)
             marks = [] if is_quick or rule.gate is Gate.STATIC else [pytest.mark.slow]

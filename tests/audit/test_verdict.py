@@ -101,6 +101,27 @@ def _said(gates: list[Ended], around: Circumstances = NO_CODE, kind: str = POLIC
         ),
         (_gates(), Circumstances(), "GREEN contract; conversions unproven (XPL260 proved nothing)"),
         (
+            _gates(_result("XPL270", proof={"episodes": 12}), _result("XPL271")),
+            NO_CODE,
+            "GREEN contract, demonstrations (12 episodes); conversions unproven (no native.py)",
+        ),
+        (
+            _gates(_result("XPL270", Outcome.FAIL, findings=(Finding("x"),))),
+            NO_CODE,
+            (
+                "RED 1 rule failed (XPL270); conversions unproven (no native.py); "
+                "conventions of training unproven (XPL270 found 1 difference)"
+            ),
+        ),
+        (
+            _gates(_result("XPL270", proof={"episodes": 5}), _result("XPL271", Outcome.WARN, findings=(Finding("x"),))),
+            NO_CODE,
+            (
+                "GREEN contract; conversions unproven (no native.py); "
+                "conventions of training unproven (XPL271 found 1 difference)"
+            ),
+        ),
+        (
             _gates(_result("XPL203", Outcome.FAIL, findings=(Finding("x"),))),
             NO_CODE,
             "RED 1 rule failed (XPL203); conversions unproven (no native.py)",

@@ -54,7 +54,7 @@ class Local:
         self.action_type = self.config["action_type"]
         self.profile = SimpleNamespace(name=Profile.FULL)
         self.required = tuple(self.package.manifest["inputs"]["required"])
-        self.model = load_module(package / "model.py").Model({**self.config, "policy_dir": str(package)})
+        self.model = load_module(package / "model.py").Model({**self.config, "manifest": self.package.manifest})
 
     def server(self) -> Any:
         """Return what would be connected to."""
@@ -93,7 +93,7 @@ class Local:
         """Return the answers under each block, as the errand does; the model is as it was afterwards."""
         own, predict = self.model.interface, self.model.predict
         order = {"calls": course.told(course.calls(wanted)), "seconds": seconds}
-        answers = [packed.unpack(one).get("result") for one in variants.variants(self.model, tried, order)]
+        answers = [packed.decode(one).get("result") for one in variants.variants(self.model, tried, order)]
         self.model.interface, self.model.predict = own, predict
         return [None if one is None else dict(zip(sorted(wanted), one, strict=True)) for one in answers]
 

@@ -58,15 +58,17 @@ def margin(declared: Errors, changed: Errors, episodes: Sequence[int]) -> Margin
         changed: those with the change, of the same questions.
         episodes: of each question, its episode.
     """
-    both = declared.known & changed.known
-    if 3 * both.sum() < declared.known.sum():
+    known = declared.known
+    if 3 * (known & changed.known).sum() < known.sum():
         return None
+    # Where it is not known what the change would command, it gains nothing.
+    other = np.where(changed.known, changed.steps, declared.steps)
     numbers = np.unique(np.asarray(episodes))
     sums = np.zeros((2, len(numbers)))
     for place, number in enumerate(numbers):
-        chosen = both & (np.asarray(episodes) == number)[:, None]
+        chosen = known & (np.asarray(episodes) == number)[:, None]
         if chosen.any():
-            sums[:, place] = declared.steps[chosen].mean(), changed.steps[chosen].mean()
+            sums[:, place] = declared.steps[chosen].mean(), other[chosen].mean()
     before, after = sums
     if not before.sum() > 0:
         return None

@@ -58,7 +58,7 @@ def read(package: Path) -> tuple[Path, Mapping[str, str]]:
 
 def written(path: str, digests: Mapping[str, str]) -> str:
     """Return the file's text for demonstrations at a path, as the package's folder sees it."""
-    lines = [f"  {json.dumps(name)}: {digest}" for name, digest in sorted(digests.items())]
+    lines = [f"  {json.dumps(name)}: {json.dumps(digest)}" for name, digest in sorted(digests.items())]
     return "\n".join(
         [
             "# Demonstrations that an audit holds this policy against; `xpl data declare` writes it.",

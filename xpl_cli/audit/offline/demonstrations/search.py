@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.native.pairs import Chunk
 
-SEARCH_S: Final = 240.0
+SEARCH_S: Final = 600.0
 """Longest search, s."""
 _PROMISING: Final = 0.93
 """What a change may leave of the error on a few questions to be tried on all."""
