@@ -210,7 +210,7 @@ class RobomimicWriter(FileWriter):
 
 def _matrices(episode: Episode) -> dict[str, NDArray[Any]]:
     """Return the matrices of the cameras in the standard's shape, by their place in the file."""
-    found = {}
+    found = {name: np.asarray(value) for name, value in episode.extras.items() if _is_of_camera(name)}
     for name, camera in episode.cameras.items():
         for leaf, matrix, size in (
             ("intrinsic_matrix", camera.intrinsics, 3),
@@ -225,6 +225,11 @@ def _matrices(episode: Episode) -> dict[str, NDArray[Any]]:
             if values.shape[-2:] == (size, size):
                 found[f"{name.rpartition('/')[0]}/{leaf}"] = values
     return found
+
+
+def _is_of_camera(name: str) -> bool:
+    """Tell whether a fact is what the standard's files have of a camera beside its images."""
+    return name.startswith(f"{spec.Obs.VISION}/") and name.endswith(("_matrix", "/shape"))
 
 
 def _finite(found: dict[str, float]) -> dict[str, float]:

@@ -117,6 +117,24 @@ def entries(root: Path, info: Mapping[str, Any], version: str) -> list[Entry]:
     return sorted(found, key=lambda entry: entry.index)
 
 
+def statistics(root: Path, version: str, feature: str) -> dict[int, dict[str, Any]]:
+    """Return the statistics of a feature, by episode; nothing of those that a set does not have.
+
+    Raises:
+        DataError: the files below `meta/` cannot be read.
+    """
+    if version == V21:
+        path = root / "meta/episodes_stats.jsonl"
+        found = lines(path) if path.is_file() else iter(())
+        told = {line.get("episode_index"): (line.get("stats") or {}).get(feature) for line in found}
+        return {int(index): stats for index, stats in told.items() if isinstance(index, int) and stats}
+    prefix = f"stats/{feature}/"
+    return {
+        int(row["episode_index"]): {key.removeprefix(prefix): row[key] for key in row if key.startswith(prefix)}
+        for row in _rows(root, prefix)
+    }
+
+
 def filled(template: Any, values: Mapping[str, Any]) -> str:
     """Return a path with values in the places of a template; it never leads out of the dataset.
 
@@ -223,8 +241,8 @@ def _pointer(row: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {name: int(row[f"{prefix}/{name}"]) for name in ("chunk_index", "file_index")}
 
 
-def _rows(root: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the tables of episodes, without their statistics."""
+def _rows(root: Path, statistics: str = "") -> Iterator[dict[str, Any]]:
+    """Yield the rows of the tables of episodes: without statistics, or numbers and those whose names begin so."""
     parquet = libraries.parquet()
     paths = sorted((root / EPISODES).glob("*/*.parquet"))
     if not paths:
@@ -233,6 +251,8 @@ def _rows(root: Path) -> Iterator[dict[str, Any]]:
         try:
             with parquet.ParquetFile(path) as file:
                 names = [name for name in file.schema_arrow.names if not name.startswith("stats/")]
+                if statistics:
+                    names = ["episode_index"] + [n for n in file.schema_arrow.names if n.startswith(statistics)]
                 for batch in file.iter_batches(columns=names):
                     yield from batch.to_pylist()
         except (OSError, libraries.arrow().ArrowException) as error:

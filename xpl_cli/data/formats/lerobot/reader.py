@@ -107,6 +107,11 @@ class LeRobotSet:
         with _opened(self.root / path) as file:
             return self._numbers(file.read_row_group(number, columns=[column]), column, path)
 
+    @functools.lru_cache(maxsize=16)  # noqa: B019 - as above
+    def statistics(self, feature: str) -> dict[int, dict[str, Any]]:
+        """Return the statistics of a feature by episode."""
+        return layout.statistics(self.root, self.version, feature)
+
     def rows(self, entry: layout.Entry, column: str, start: int, stop: int) -> NDArray[Any]:
         """Return rows of an episode."""
         pieces = []
@@ -219,6 +224,11 @@ class LeRobotEpisode:
             return None
         path, begins = self.entry.videos[camera]
         return Clip(self._owner.root / path, begins, self.cameras[camera].encoding)
+
+    def stats(self, camera: str) -> dict[str, Any] | None:
+        """Return the statistics of a camera's images that the set has; None if it has none."""
+        found = self._owner.statistics(camera).get(self.entry.index)
+        return found if found and {"min", "max", "mean", "std", "count"} <= set(found) else None
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""
