@@ -36,12 +36,12 @@ def eval_one_episode_batch(TASK_ENV: Any, model_client: Any) -> None:  # noqa: N
     running = TASK_ENV.get_running_env_idx_list()
     if running:
         model_client.call(func_name="update_obs_batch", obs=TASK_ENV.get_obs_batch(running))
-    while running:
+    while running and not TASK_ENV.is_episode_end():  # some environments tell the end by one of the two only
         answer = model_client.call(func_name="get_action_batch", obs=running)
         chunks = {env: answer[place] for place, env in enumerate(running)}
         for step in range(min(map(len, chunks.values()))):
             TASK_ENV.take_action_batch([chunks[env][step] for env in running], running)
             running = TASK_ENV.get_running_env_idx_list()
-            if not running:
+            if not running or TASK_ENV.is_episode_end():
                 break
             model_client.call(func_name="update_obs_batch", obs=TASK_ENV.get_obs_batch(running))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.support.places import ROOT, tracked
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome
@@ -44,6 +45,13 @@ def outcomes(report: GateReport) -> dict[str, Outcome]:
 def findings(report: GateReport, slug: str) -> list[str]:
     """Return the messages of one rule."""
     return [finding.message for result in report.results if result.slug == slug for finding in result.findings]
+
+
+@pytest.mark.parametrize("name", sorted({path.parent.name for path in tracked("policy/*/policy.yml")}))
+def test_our_own_policies_have_no_static_finding(name: str) -> None:
+    """What is shipped keeps the rules that others are held against, the newest ones too."""
+    report = audit(ROOT / "policy" / name)
+    assert [finding.message for result in report.results for finding in result.findings] == []
 
 
 def test_nothing_of_the_adapter_is_executed(adapter: Path, tmp_path: Path) -> None:
