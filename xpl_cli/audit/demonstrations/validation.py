@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -99,10 +100,10 @@ def validate(demonstrations: Demonstrations, shown: str, options: Options) -> Ta
         digest.update(repr((episode.key, episode.length, sorted(episode.shapes.items()))).encode())
         for check in checks:
             if check.code not in results:
-                _ask(results, check, lambda check=check, episode=episode: check.see(episode))
+                _ask(results, check, partial(check.see, episode))
     for check in checks:
         if check.code not in results:
-            _ask(results, check, lambda check=check: _close(results, check, options.waived))
+            _ask(results, check, partial(_close, results, check, options.waived))
     report = GateReport(DataGate.DATA, [results[check.code] for check in checks])
     report.digest = digest.hexdigest()[:16]
     report.fingerprint = "data"
@@ -194,7 +195,7 @@ def _shown(episode: Episode, camera: str) -> Shown:
     same: list[bool] = []
     try:
         for image in episode.frames(camera):
-            digest = hashlib.blake2b(np.ascontiguousarray(image), digest_size=16).digest()
+            digest = hashlib.blake2b(np.ascontiguousarray(image).data, digest_size=16).digest()
             if first is None:
                 step = max(1, -(-max(image.shape[:2]) // _SMALL))
                 first = np.array(image[::step, ::step])

@@ -89,8 +89,8 @@ def validate(
     )
     for name, path in delivery.files:
         if name == _JSON:
-            told = {"schema": "xpl.data-validate/1", **_document(report, context), "next": _next(report, context)}
-            output_file.write(path, json.dumps(told, indent=2, ensure_ascii=False))
+            document = {"schema": "xpl.data-validate/1", **_document(report, context), "next": _next(report, context)}
+            output_file.write(path, json.dumps(document, indent=2, ensure_ascii=False))
             console.note(f"wrote {path}")
     rest = Delivery(
         delivery.printed if delivery.printed != _JSON else None,

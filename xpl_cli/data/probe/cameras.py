@@ -194,5 +194,5 @@ def _colour(name: str, shown: Sequence[Any], episodes: Sequence[Episode]) -> Ans
         return unknown("channels", name, why, "instructions that name one red or blue thing, or a marked picture")
     value = "rgb" if red_first > blue_first else "bgr"
     share = max(red_first, blue_first) / max(min(red_first, blue_first), floor / 4)
-    said = "what the instruction calls red or blue has that colour, read so"
-    return Answer("channels", name, value, said, share)
+    evidence = "what the instruction calls red or blue has that colour, read so"
+    return Answer("channels", name, value, evidence, share)
