@@ -153,6 +153,18 @@ def test_what_is_broken_is_found_and_nothing_else(name: str, whole: MemorySet) -
         assert "1 of 4 episodes" in result.findings[0].message
 
 
+def test_the_wrist_camera_of_an_arm_that_stands_still_is_not_frozen(whole: MemorySet) -> None:
+    """The other arm's motion says nothing of it."""
+    for episode in whole.episodes:
+        episode.numbers["left_joints"] = np.zeros((episode.length, 6))
+        episode.numbers["right_joints"] = episode.numbers.pop("observation.joints")
+        del episode.numbers["observation.state"]
+        for side in ("left", "right"):
+            episode.images[f"{side}_wrist"] = np.repeat(episode.images["head"][:1], episode.length, axis=0)
+    (result,) = validate(whole, "demos", Options(names=("XPL703",))).results
+    assert [finding.message.partition(" ")[0] for finding in result.findings] == ["right_wrist"]
+
+
 def test_every_check_has_a_broken_set() -> None:
     """And a page that explains it, under the headings that rules have."""
     assert {code for _, code, _ in BROKEN.values()} == {check.code for check in catalogue.CHECKS}

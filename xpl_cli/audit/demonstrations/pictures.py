@@ -8,7 +8,7 @@ import numpy as np
 
 from xpl_cli.audit.demonstrations.check import About, Check, Seen, Tally
 from xpl_cli.audit.rules.model import Finding, NotApplicable
-from xpl_cli.data.probe.sample import STATE, role_of
+from xpl_cli.data.probe.sample import STATE, role_of, words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -89,10 +89,13 @@ class Frozen(Check):
     def see(self, episode: Seen) -> None:
         """Look at images that are equal."""
         self._tally.seen += 1
-        moves = _moves(episode)
         for name, shown in episode.cameras.items():
+            side = _side(name)
+            moves = _moves(episode, side)
             if shown.same is None or not len(shown.same) or moves is None:
                 continue
+            if side and shown.same.all() and not any(_side(column) == side for column in episode.columns):
+                continue  # the wrist camera of an arm that may well stand still
             count = min(len(moves), len(shown.same))
             held = shown.same[:count] & moves[:count]
             longest = _longest(held)
@@ -106,12 +109,24 @@ class Frozen(Check):
         yield from self._tally.told()
 
 
-def _moves(episode: Seen) -> np.ndarray | None:
-    """Return in which steps (T - 1,) the robot moves well, None where no state says it."""
+def _side(name: str) -> str:
+    """Return the side that a name says, "" if it says none."""
+    return "".join({"left", "right"} & set(words(name)))
+
+
+def _moves(episode: Seen, side: str) -> np.ndarray | None:
+    """Return in which steps (T - 1,) the robot moves well, None where no state says it.
+
+    Of a camera of one side only the columns of that side count, where columns have sides.
+    """
+    sided = side and any(_side(name) == side for name in episode.columns)
     speeds = [
         np.linalg.norm(np.diff(rows, axis=0), axis=1)
         for name, rows in episode.columns.items()
-        if role_of(name) == STATE and len(rows) == episode.length > 2 and np.isfinite(rows).all()
+        if (not sided or _side(name) == side)
+        and role_of(name) == STATE
+        and len(rows) == episode.length > 2
+        and np.isfinite(rows).all()
     ]
     fast = [speed > 0.2 * np.quantile(speed, 0.95) for speed in speeds if speed.max() > 0]
     return np.any(fast, axis=0) if fast else None
