@@ -32,7 +32,21 @@ SHELL = ("bash", "console")
 LANGUAGES = {*SHELL, "python", "yaml", "json", "diff", "toml", "dockerfile", "text"}
 """Languages of blocks. What stands in `text` is output, and no command."""
 
-PROGRAMS = {"cd", "curl", "docker", "find", "git", "pip", "python", "sha256sum", "sort", "ssh-keygen", "tr", "xargs"}
+PROGRAMS = {
+    "cd",
+    "curl",
+    "docker",
+    "find",
+    "git",
+    "pip",
+    "python",
+    "sha256sum",
+    "sort",
+    "ssh-keygen",
+    "tr",
+    "xargs",
+    "envs/maniskill/mesa.sh",
+}
 """Commands of others that pages show: a misspelt `xpl` is none of them."""
 
 FOREIGN = (

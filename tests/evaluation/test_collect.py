@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 from xpl import trajectory
 from xpl_cli.basics.errors import UserError
 from xpl_cli.environments import check
-from xpl_cli.evaluation.lanes import recorder
+from xpl_cli.evaluation.lanes import orders, recorder
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import collect, plan
 from xpl_cli.packages import environments
@@ -98,7 +98,7 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
             (tmp_path / recorder.file_of(index)).write_bytes(b"12345")
     cells = [{"task": "lift", "setting": "clean"}]
     line = {"environment": {"name": "E"}, "embodiment": "arx_x5", "action_type": "joint", "cells": cells}
-    request = collect.Request("E", recorder.Demos(str(tmp_path), recorder.SUCCESS), episodes=2)
+    request = collect.Request("E", orders.Demos(str(tmp_path), orders.SUCCESS), episodes=2)
     told = collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
     assert told["tasks"] == [
         {**cells[0], "episodes": 2, "wanted": 2, "tried": 4, "discarded": 1, "spoilt": 1, "steps": 14}

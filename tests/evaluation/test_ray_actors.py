@@ -22,7 +22,7 @@ from xpl_cli.packages import package
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.evaluation.lanes.lane import Orders
+    from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
 
 JOB = Job(0, 1, "hold", "clean", 0)

@@ -12,8 +12,8 @@ import pytest
 from xpl import rollout, trajectory
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.lanes.backend import Job
-from xpl_cli.evaluation.lanes.lane import Orders
-from xpl_cli.evaluation.lanes.recorder import ALL, SUCCESS, Demos, recorded
+from xpl_cli.evaluation.lanes.orders import ALL, SUCCESS, Demos, Orders
+from xpl_cli.evaluation.lanes.recorder import recorded
 
 STATE = ("arm_joint_state", "ee_joint_state")
 

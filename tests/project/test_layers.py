@@ -44,6 +44,7 @@ OWN = {
     "environments": ("environments", "static"),  # what env.yml and client.py say is read in the static gate
     "audit": ("engine", "static"),  # a rule about the audit itself asks for results of others
     "advice": ("static",),
+    "demonstrations": ("offline", "served"),  # what a recording shows goes through the adapter as in the offline gate
 }
 """The rooms of `xpl_cli.audit` that the rules of a folder of `conformance/` may import."""
 

@@ -32,7 +32,7 @@ from xpl_cli.standard.spec import data
 from xpl_cli.standard.validate import validate_yaml_file
 
 OURS = [path.parent.name for path in tracked("envs/*/env.yml")]
-FOREIGN = frozenset(("gymnasium", "libero", "metaworld", "robotwin"))
+FOREIGN = frozenset(("aloha", "gymnasium", "libero", "maniskill", "metaworld", "robosuite", "robotwin"))
 """Those over the code of others, which is not in the Python of the tests."""
 
 
@@ -164,7 +164,8 @@ def test_an_environment_that_hangs_or_dies_is_a_finding(
     line: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It runs in a process of its own: the audit goes on, and says what happened."""
-    monkeypatch.setattr("xpl_cli.audit.environments.stage.CALL_S", 1.0)
+    for limit in ("CALL_S", "MAKE_S") if "sleep" in line else ():  # of a call, and of a reset
+        monkeypatch.setattr(f"xpl_cli.audit.environments.stage.{limit}", 1.0 if limit == "CALL_S" else 5.0)
     target = tmp_path / "Foo"
     adapter.write(environment.render_env(_answers()), target)
     source = (target / "episode.py").read_text()

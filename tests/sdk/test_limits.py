@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 MODULES = tracked("xpl/**/*.py")
 
 LAZY = {
+    "h5py": {"xpl.trajectory.storage"},
     "msgpack": {"xpl.openpi.codec", "xpl.wire.codec"},
     "websockets": {"xpl.client.aio", "xpl.client.connection"},
     "PIL": {"xpl.images"},

@@ -23,7 +23,7 @@ from xpl_cli.submission.replay import Pair
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from xpl_cli.evaluation.lanes.lane import Orders
+    from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
     from xpl_cli.evaluation.records.records import Line, Run, Slot
     from xpl_cli.packages.package import Package

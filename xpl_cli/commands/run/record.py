@@ -60,12 +60,12 @@ def record(
     from xpl_cli.basics.errors import ExitCode
     from xpl_cli.basics.progress import progress
     from xpl_cli.environments.play import chosen
-    from xpl_cli.evaluation.lanes import backends, recorder
+    from xpl_cli.evaluation.lanes import backends, orders
     from xpl_cli.evaluation.runs import collect, remote
     from xpl_cli.packages import package
 
-    kept = chosen("choice for --keep", keep or (recorder.SUCCESS if policy is None else recorder.ALL), recorder.KEEP)
-    demos = recorder.Demos(str(out.absolute()), kept, chosen("form of images", form, FORMS), quality, not no_depth)
+    kept = chosen("choice for --keep", keep or (orders.SUCCESS if policy is None else orders.ALL), orders.KEEP)
+    demos = orders.Demos(str(out.absolute()), kept, chosen("form of images", form, FORMS), quality, not no_depth)
     request = collect.Request(
         environment=env,
         demos=demos,

@@ -10,7 +10,7 @@ from xpl_cli.evaluation.lanes.backend import NAMES, RAY
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.lanes.backend import Backend, Room
-    from xpl_cli.evaluation.lanes.lane import Orders
+    from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
 
 

@@ -6,11 +6,12 @@ import platform
 from typing import TYPE_CHECKING, Protocol
 
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.lane import Access, Lane, Orders
+from xpl_cli.evaluation.lanes.lane import Lane
 from xpl_cli.evaluation.lanes.servers import ServerLostError
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.lanes.backend import Job, Outcome
+    from xpl_cli.evaluation.lanes.orders import Access, Orders
 
 
 class PolicyServer(Protocol):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +24,7 @@ from xpl_cli.environments.film import Reel
 from xpl_cli.evaluation.lanes import blame, trial
 from xpl_cli.evaluation.lanes.backend import Job, Outcome
 from xpl_cli.evaluation.lanes.fitting import Fitting
+from xpl_cli.evaluation.lanes.orders import Access, Orders
 from xpl_cli.evaluation.lanes.recorder import recorded
 from xpl_cli.evaluation.lanes.scene import Scene, SpoiltError, hang_up, impatient, reset
 from xpl_cli.evaluation.lanes.watch import Watch
@@ -33,70 +33,14 @@ from xpl_cli.evaluation.loop.process import Loop, LoopLostError
 from xpl_cli.evaluation.records import failures
 from xpl_cli.evaluation.records.fingerprints import machine_facts
 from xpl_cli.evaluation.records.records import now
-from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments
 from xpl_cli.serving.secrets import client_tls_context
 
 if TYPE_CHECKING:
-    import ssl
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
-    from xpl_cli.evaluation.lanes.recorder import Demos
     from xpl_cli.evaluation.records.records import Line
-
-
-@dataclass(frozen=True)
-class Orders:
-    """What all lanes of a run play; everything in it may travel to another machine.
-
-    Attributes:
-        policy: folder of the adapter, whose loop is run where there is no horizon.
-        policy_digest: of its own files.
-        environment: folder of the environment package.
-        environment_digest: of its own files.
-        config: the adapter's configuration.
-        settings: configuration of the environment, but for task and setting.
-        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
-        eval_env: Python of the environment, as `interpreter.resolve` takes it; None is env.yml's, or ours.
-        num_envs: environments that a lane plays at once, in one batch.
-        env_workers: processes that share them; 0 plays them in the lane's own.
-        bounds: what the adapter's loop is kept from.
-        demos: where episodes are kept as trajectories, and how; None for not at all.
-    """
-
-    policy: str
-    policy_digest: str
-    environment: str
-    environment_digest: str
-    config: Mapping[str, Any]
-    settings: Mapping[str, Any]
-    horizon: int | None = None
-    eval_env: str | None = None
-    num_envs: int = 1
-    env_workers: int = 1
-    bounds: Bounds = field(default_factory=Bounds)
-    demos: Demos | None = None
-
-
-@dataclass(frozen=True)
-class Access:
-    """How a lane gets at policy servers.
-
-    Attributes:
-        token: bearer token, where they ask for one.
-        ssl_context: for `wss://`, where the system's certificates are not enough.
-        is_patient: whether it waits for a server as long as the configuration says, and not only until whoever looks
-            after servers must have noticed.
-        on_loading: is told while a model loads.
-        ca_file: certificate authority for `wss://`, for a lane in a process of its own.
-    """
-
-    token: str | None = None
-    ssl_context: ssl.SSLContext | None = None
-    is_patient: bool = False
-    on_loading: Callable[[Mapping[str, Any]], None] | None = None
-    ca_file: Path | None = None
 
 
 class Lane:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.basics import again
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
-from xpl_cli.evaluation.lanes.lane import Access, Orders
+from xpl_cli.evaluation.lanes.orders import Access, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
 
 if TYPE_CHECKING:

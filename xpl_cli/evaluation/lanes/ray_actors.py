@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import xpl_cli
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.lanes.lane import Access, Lane, Orders
+from xpl_cli.evaluation.lanes.lane import Lane
+from xpl_cli.evaluation.lanes.orders import Access, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerLostError, ServerOrders
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts, package_digest
 from xpl_cli.packages import package

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from xpl_cli.evaluation.lanes.backend import Room
-    from xpl_cli.evaluation.lanes.lane import Orders
+    from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
 
 PATIENCE_S = 1200.0

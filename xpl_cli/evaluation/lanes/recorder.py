@@ -7,15 +7,15 @@ when its episode has ended and is one to be kept; an episode that breaks off lea
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl import trajectory
 from xpl_cli import __version__
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.play import chosen
+from xpl_cli.evaluation.lanes.orders import ALL, KEEP, Demos
 from xpl_cli.evaluation.lanes.watch import Listener
 from xpl_cli.evaluation.records.records import now
 
@@ -23,33 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl_cli.evaluation.lanes.backend import Job
-    from xpl_cli.evaluation.lanes.lane import Orders
+    from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.records.records import Line
 
-SUCCESS, ALL = "success", "all"
-KEEP: Final = (SUCCESS, ALL)
-"""Which episodes are kept: those that succeeded, or all that were played to their end."""
-
 _TOLD = ("success", "score", "steps", "end_reason", "corrections", "digest")
-
-
-@dataclass(frozen=True)
-class Demos:
-    """Where episodes are kept as trajectories, and how.
-
-    Attributes:
-        folder: of the set, absolute.
-        keep: one of `KEEP`.
-        images: one of `xpl.trajectory.FORMS`.
-        quality: of JPEGs.
-        depth: whether depth is kept, too.
-    """
-
-    folder: str
-    keep: str = ALL
-    images: str = trajectory.FORMS[0]
-    quality: int = 95
-    depth: bool = True
 
 
 def file_of(index: int) -> str:

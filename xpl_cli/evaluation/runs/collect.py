@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from xpl_cli.basics.progress import Progress
-    from xpl_cli.evaluation.lanes.recorder import Demos
+    from xpl_cli.evaluation.lanes.orders import Demos
     from xpl_cli.evaluation.records.records import Line, Run
     from xpl_cli.packages.package import Package
 

@@ -13,8 +13,8 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes import backends
 from xpl_cli.evaluation.lanes.backend import LOCAL, Room
 from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
-from xpl_cli.evaluation.lanes.lane import Access, Orders
 from xpl_cli.evaluation.lanes.local import LocalBackend
+from xpl_cli.evaluation.lanes.orders import Access, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
 from xpl_cli.evaluation.records import manner, records
 from xpl_cli.evaluation.records.manner import Manner
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from xpl_cli.evaluation.lanes.backend import Backend
-    from xpl_cli.evaluation.lanes.recorder import Demos
+    from xpl_cli.evaluation.lanes.orders import Demos
     from xpl_cli.evaluation.records.records import Line, Run
     from xpl_cli.evaluation.runs.remote import Remote
     from xpl_cli.packages.package import Package

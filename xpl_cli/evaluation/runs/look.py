@@ -18,7 +18,7 @@ from xpl import _spec as sdk
 from xpl import get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
-from xpl_cli.evaluation.lanes.lane import Access, Orders
+from xpl_cli.evaluation.lanes.orders import Access, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
 from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
 from xpl_cli.evaluation.records.fingerprints import package_digest
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl_cli.basics.progress import Progress
-    from xpl_cli.evaluation.lanes.recorder import Demos
+    from xpl_cli.evaluation.lanes.orders import Demos
     from xpl_cli.evaluation.records.records import Line, Run
     from xpl_cli.packages.package import Package
 

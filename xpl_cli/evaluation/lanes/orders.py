@@ -1,0 +1,91 @@
+"""What the lanes of a run are told: what they play, what they keep of it, and how they get at policy servers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from xpl import trajectory
+from xpl_cli.isolation.bounds import Bounds
+
+if TYPE_CHECKING:
+    import ssl
+    from collections.abc import Callable
+
+SUCCESS, ALL = "success", "all"
+KEEP: Final = (SUCCESS, ALL)
+"""Which episodes are kept: those that succeeded, or all that were played to their end."""
+
+
+@dataclass(frozen=True)
+class Demos:
+    """Where episodes are kept as trajectories, and how.
+
+    Attributes:
+        folder: of the set, absolute.
+        keep: one of `KEEP`.
+        images: one of `xpl.trajectory.FORMS`.
+        quality: of JPEGs.
+        depth: whether depth is kept, too.
+    """
+
+    folder: str
+    keep: str = ALL
+    images: str = trajectory.FORMS[0]
+    quality: int = 95
+    depth: bool = True
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What all lanes of a run play; everything in it may travel to another machine.
+
+    Attributes:
+        policy: folder of the adapter, whose loop is run where there is no horizon.
+        policy_digest: of its own files.
+        environment: folder of the environment package.
+        environment_digest: of its own files.
+        config: the adapter's configuration.
+        settings: configuration of the environment, but for task and setting.
+        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
+        eval_env: Python of the environment, as `interpreter.resolve` takes it; None is env.yml's, or ours.
+        num_envs: environments that a lane plays at once, in one batch.
+        env_workers: processes that share them; 0 plays them in the lane's own.
+        bounds: what the adapter's loop is kept from.
+        demos: where episodes are kept as trajectories, and how; None for not at all.
+    """
+
+    policy: str
+    policy_digest: str
+    environment: str
+    environment_digest: str
+    config: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    horizon: int | None = None
+    eval_env: str | None = None
+    num_envs: int = 1
+    env_workers: int = 1
+    bounds: Bounds = field(default_factory=Bounds)
+    demos: Demos | None = None
+
+
+@dataclass(frozen=True)
+class Access:
+    """How a lane gets at policy servers.
+
+    Attributes:
+        token: bearer token, where they ask for one.
+        ssl_context: for `wss://`, where the system's certificates are not enough.
+        is_patient: whether it waits for a server as long as the configuration says, and not only until whoever looks
+            after servers must have noticed.
+        on_loading: is told while a model loads.
+        ca_file: certificate authority for `wss://`, for a lane in a process of its own.
+    """
+
+    token: str | None = None
+    ssl_context: ssl.SSLContext | None = None
+    is_patient: bool = False
+    on_loading: Callable[[Mapping[str, Any]], None] | None = None
+    ca_file: Path | None = None
