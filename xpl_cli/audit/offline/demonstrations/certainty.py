@@ -78,8 +78,10 @@ def margin(declared: Errors, changed: Errors, episodes: Sequence[int]) -> Margin
     spare = gained.mean() - (1 - CERTAIN) * before.mean()
     noise = float(gained.std(ddof=1)) if len(numbers) > 1 else 0.0
     needed = math.ceil((_Z * noise / spare) ** 2) + 1 if spare > 0 else len(numbers) + 1
+    least, most = np.percentile(shares, (100 - _ONE_SIDED, _ONE_SIDED))
     return Margin(
-        float(after.sum() / before.sum()),
-        *map(float, np.percentile(shares, (100 - _ONE_SIDED, _ONE_SIDED))),
-        max(LEAST_EPISODES, needed, len(numbers) + 1),
+        share=float(after.sum() / before.sum()),
+        least=float(least),
+        most=float(most),
+        needed=max(LEAST_EPISODES, needed, len(numbers) + 1),
     )

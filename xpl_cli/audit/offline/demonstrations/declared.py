@@ -48,10 +48,9 @@ def read(package: Path) -> tuple[Path, Mapping[str, str]]:
         raise DeclarationError(f"{FILE} cannot be read: {error.strerror or error}") from None
     except ValueError as error:
         raise DeclarationError(f"{FILE} is no YAML: {error}") from None
-    error = next(iter(_validator().iter_errors(document)), None)
-    if error is not None:
-        where = "/".join(map(str, error.instance_path))
-        raise DeclarationError(f"{FILE}{', ' + where if where else ''}: {error.message}")
+    for problem in _validator().iter_errors(document):
+        where = "/".join(map(str, problem.instance_path))
+        raise DeclarationError(f"{FILE}{', ' + where if where else ''}: {problem.message}")
     named = document["demonstrations"]
     return (package / str(named["path"])).resolve(), dict(named["digests"])
 

@@ -23,7 +23,7 @@ from xpl_cli.basics.atomic import write_file
 from xpl_cli.native.record import span
 
 if TYPE_CHECKING:
-    from xpl.trajectory import Folder
+    from xpl.trajectory import Folder, Trajectory
     from xpl_cli.audit.offline.demonstrations.episodes import Played
     from xpl_cli.audit.offline.demonstrations.measure import Chunks
     from xpl_cli.audit.served.probe import Probe
@@ -189,7 +189,7 @@ class Demonstrated:
     def _everything(self) -> Sequence[int]:
         return range(len(self.session.questions))
 
-    def _episodes(self) -> Folder | list[object]:
+    def _episodes(self) -> Sequence[Trajectory]:
         options, package = self.probe.options, self.probe.package.path
         if options.demos is not None:
             return _opened(options.demos)

@@ -110,7 +110,7 @@ class Ruler:
         for place, number in enumerate(wanted):
             for step, one in enumerate((given.get(number) or ())[: self.horizon]):
                 for key, values in said.items():
-                    if one is not None and np.shape(one.get(key)) == values.shape[2:]:
+                    if one is not None and key in one and np.shape(one[key]) == values.shape[2:]:
                         values[place, step] = one[key]
         values = np.concatenate([_apart(key, said[key], done[key]) for key in self._keys], axis=-1)
         shares = np.minimum(values / self._spread, _MOST)
@@ -156,11 +156,11 @@ class Ruler:
 
     # -- witnesses -----------------------------------------------------------------------------------------------------
 
-    def still(self) -> dict[int, list[Mapping[str, Any]]]:
+    def still(self) -> Chunks:
         """Return the witness that holds the pose of each question."""
         return {number: [self._state(*at)] * self.horizon for number, at in enumerate(self.session.asked)}
 
-    def before(self) -> dict[int, list[Mapping[str, Any]]]:
+    def before(self) -> Chunks:
         """Return the witness that repeats the action before each question; at the first step, it holds the pose."""
         found = {}
         for number, (episode, step) in enumerate(self.session.asked):
@@ -176,7 +176,8 @@ class Ruler:
 def _apart(key: str, said: np.ndarray, done: np.ndarray) -> np.ndarray:
     """Return how far rows (..., width) of one key are apart: by number, of poses three positions and one angle."""
     if not key.endswith(sdk.State.EE_POSE):
-        return np.abs(said - done)
+        far: np.ndarray = np.abs(said - done)
+        return far
     one, other = said[..., _TURN], done[..., _TURN]
     lengths = np.linalg.norm(one, axis=-1) * np.linalg.norm(other, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -127,11 +127,17 @@ class Search:
             found = [*(by_block or ()), *self._by_signals(around, all_of_them=by_block is None)]
             unread = tuple(self._unread(around))
         better = [one for one in found if one.given and one.margin.is_better]
-        best, *ties = _alike(better) or [None]
+        alike = _alike(better)
         told = {name for name, shares in self._shares.items() if any(not 1 / _TOLD < one < _TOLD for one in shares)}
         untold = sorted(self._shares.keys() - told)
         return Outcome(
-            self._count, self._complete, best, tuple(filter(None, ties)), tuple(sorted(told)), tuple(untold), unread
+            tried=self._count,
+            complete=self._complete,
+            best=alike[0] if alike else None,
+            ties=tuple(alike[1:]),
+            told=tuple(sorted(told)),
+            untold=tuple(untold),
+            unread=unread,
         )
 
     # -- families ------------------------------------------------------------------------------------------------------
@@ -173,11 +179,15 @@ class Search:
             stride=history.get("stride", 1),
             instructions=self._instructions,
         )
-        found = [
-            one
-            for one in (*rates(), *around_it)
-            if _can_be_told(one.words, one.convention) and (all_of_them or one.convention in _ALL_ADAPTERS)
-        ]
+        found, chunks = [], set[str]()
+        for one in (*rates(), *around_it):
+            # Of those of equal words the first orders the steps. The others order their changes, from the state: that
+            # takes away how far a prediction begins from there, which brings any policy nearer.
+            again, is_chunk = one.words in chunks, one.convention == "chunk"
+            chunks |= {one.words} if is_chunk else set()
+            wanted = _can_be_told(one.words, one.convention) and not (is_chunk and again)
+            if wanted and (all_of_them or one.convention in _ALL_ADAPTERS):
+                found.append(one)
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Chunks | None]:
             for number in chosen:
