@@ -39,6 +39,11 @@ def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof
     best = demonstrations.outcome.best
     if best is None and not demonstrations.outcome.complete:
         raise NotRun(f"there was no time for all conventions; of {demonstrations.outcome.tried} none fits better")
+    if best is None and demonstrations.outcome.far:
+        raise NotRun(
+            f"the policy is farther from the demonstrations than holding the pose, also with what fits better "
+            f"(`{demonstrations.outcome.far[0]}`): are they of the data that it was trained on?"
+        )
     if best is None:
         yield Proof(_numbers(demonstrations))
         return

@@ -73,6 +73,13 @@ def test_a_refused_question_is_as_wrong_as_can_be_and_one_without_answer_is_unkn
     assert found.units()[JOINTS] == 0.0
 
 
+def test_who_stands_still_is_told_from_who_moves(ruler: Ruler) -> None:
+    """A change that takes all motion away is no convention."""
+    assert ruler.moved(_done(ruler), _everything(ruler)) == pytest.approx(1.0)
+    assert ruler.moved(ruler.still(), _everything(ruler)) == 0.0
+    assert np.isnan(ruler.moved({}, _everything(ruler)))
+
+
 def test_poses_are_not_made_up_where_none_were_observed(package: Path) -> None:
     """What was commanded follows from kinematics; where the flange was is a witness that has to be recorded."""
     episode = next(iter(open_folder(package / "demonstrations")))

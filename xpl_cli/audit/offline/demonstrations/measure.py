@@ -169,6 +169,21 @@ class Ruler:
             found[number] = [said] * self.horizon
         return found
 
+    def moved(self, given: Chunks, wanted: Sequence[int]) -> float:
+        """Return how far answers lead arms from where they are, as a share of how far they were led.
+
+        NaN where nothing is known.
+        """
+        still, led = self.still(), [0.0, 0.0]
+        for number in wanted:
+            for said, done, held in zip(given.get(number) or (), self._done[number], still[number], strict=False):
+                if said is None or held is None:
+                    continue
+                for key in (key for key in self._keys if not key.endswith(sdk.State.EE_JOINT_STATE)):
+                    led[0] += float(np.abs(np.asarray(said[key]) - held[key]).sum())
+                    led[1] += float(np.abs(np.asarray(done[key]) - held[key]).sum())
+        return led[0] / led[1] if led[1] > 0 else float("nan")
+
     def _state(self, episode: int, step: int) -> dict[str, Any]:
         return {key: values[step] for key, values in self.session.recordings[episode].state.items()}
 

@@ -45,6 +45,11 @@ _LIKE: Final = 0.05
 """Changes whose gains differ by less than this share of the best one's are alike."""
 _TOLD: Final = 1.1
 """A convention is told apart if some other one makes the error grow to this share, or shrink as much."""
+_HARDLY: Final = 0.25
+"""Changes under which arms are led less far than by this share of what was done are not named: who hardly moves is
+nearer than who moves wrongly, whatever is wrong."""
+_FAR: Final = 1.1
+"""Nor are those that leave more than this share of the error of holding the pose: of such a policy nothing is told."""
 _ALL_ADAPTERS: Final = frozenset(("history", "chunk", sdk.Obs.INSTRUCTION))
 """Conventions whose changes around the adapter are tried although it converts by its block."""
 
@@ -83,6 +88,7 @@ class Outcome:
         told: conventions on which other words fit otherwise, sorted.
         untold: those on which none did: the demonstrations say nothing of them.
         unread: cameras and texts that change no answer.
+        far: changes that fit better, and yet no better than holding the pose; none where there is a best one.
     """
 
     tried: int
@@ -92,6 +98,7 @@ class Outcome:
     told: tuple[str, ...]
     untold: tuple[str, ...]
     unread: tuple[str, ...]
+    far: tuple[str, ...]
 
 
 class Search:
@@ -127,7 +134,7 @@ class Search:
             found = [*(by_block or ()), *self._by_signals(around, all_of_them=by_block is None)]
             unread = tuple(self._unread(around))
         better = [one for one in found if one.given and one.margin.is_better]
-        alike = _alike(better)
+        alike = _alike([one for one in better if self._is_near(one)])
         told = {name for name, shares in self._shares.items() if any(not 1 / _TOLD < one < _TOLD for one in shares)}
         untold = sorted(self._shares.keys() - told)
         return Outcome(
@@ -138,6 +145,7 @@ class Search:
             told=tuple(sorted(told)),
             untold=tuple(untold),
             unread=unread,
+            far=tuple(one.words for one in better) if not alike else (),
         )
 
     # -- families ------------------------------------------------------------------------------------------------------
@@ -230,7 +238,7 @@ class Search:
         changes = []
         for number, given in zip(good, ask(good, self._everything) if good else (), strict=False):
             found = self._margin(given, self._everything)
-            if found is not None and given is not None:
+            if found is not None and given is not None and not self._ruler.moved(given, self._everything) < _HARDLY:
                 changes.append(Change(*named[number], in_block, found, given))
         return changes
 
@@ -244,6 +252,13 @@ class Search:
     @cache  # noqa: B019 - lives as long as one search
     def _declared(self, wanted: tuple[int, ...]) -> Errors:
         return self._ruler.errors({number: self._given[number] for number in wanted}, wanted, self._refused)
+
+    def _is_near(self, change: Change) -> bool:
+        """Tell whether a change brings the policy about as near as holding the pose, or nearer."""
+        found = self._ruler.errors(change.given, self._everything)
+        still = self._ruler.errors(self._ruler.still(), self._everything)
+        known = found.known & still.known
+        return bool(found.steps[known].mean() <= _FAR * still.steps[known].mean())
 
     def _answers(self, around: Around, signal: Signal, wanted: Sequence[int]) -> Chunks | None:
         try:
