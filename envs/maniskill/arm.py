@@ -133,7 +133,7 @@ class Arm:
             spec.State.ARM_JOINT_STATE: angles[: self._dof],
             spec.State.EE_JOINT_STATE: np.array([self.gripper.opening(angles)]),
             spec.State.EE_POSE: _pose(self._flange.pose),
-            spec.State.TCP_POSE: _pose(self.agent.tcp_pose if hasattr(self.agent, "tcp_pose") else self.agent.tcp.pose),
+            spec.State.TCP_POSE: _pose(_tcp(self.agent)),
         }
 
     def reached(self, flange: Any) -> NDArray[np.float64]:
@@ -150,6 +150,14 @@ class Arm:
         controller = self.agent.controller
         config = getattr(controller, "controllers", {"arm": controller})["arm"].config
         return np.broadcast_to(np.asarray(config.upper, dtype=np.float64), len(config.joint_names))
+
+
+def _tcp(agent: Any) -> Any:
+    """Return where a robot's tool is; robots of ManiSkill tell it in two ways."""
+    try:
+        return agent.tcp_pose
+    except AttributeError:
+        return agent.tcp.pose
 
 
 def _pose(seen: Any) -> NDArray[np.float64]:

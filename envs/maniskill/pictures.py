@@ -11,7 +11,7 @@ from xpl import _spec as spec
 from xpl.environment import Setup
 
 _GOAL = "goal"
-_ONLY_COLOR = {"depth": False, "position": False, "segmentation": False, "normal": False, "albedo": False}
+_ONLY_COLOR = {spec.Camera.DEPTH: False, "position": False, "segmentation": False, "normal": False, "albedo": False}
 
 
 class Pictures:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from xpl import _spec as sdk
 from xpl_cli.audit.demonstrations.catalogue import CHECKS, find
 from xpl_cli.audit.demonstrations.check import About, Seen, Shown
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, DataGate
@@ -183,7 +184,7 @@ def _seen(episode: Episode, *, images: bool) -> Seen:
             continue
         columns[name] = rows.astype(np.float64).reshape(len(rows), -1)
     cameras = {
-        name: _shown(episode, name) if images and camera.kind == "color" else Shown(None, None, None)
+        name: _shown(episode, name) if images and camera.kind == sdk.Camera.COLOR else Shown(None, None, None)
         for name, camera in episode.cameras.items()
     }
     return Seen(episode.key, episode.length, tuple(episode.instructions), columns, shapes, cameras, errors)

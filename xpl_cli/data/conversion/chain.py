@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.conversion import mapping as mappings
+from xpl_cli.data.conversion import packing
 from xpl_cli.data.conversion.packing import PackedSet, UnpackedSet
 from xpl_cli.data.conversion.standard import NAME, FieldEpisode, StandardSet
 from xpl_cli.data.formats import open_set
@@ -78,7 +79,7 @@ class _FieldSet:
 def _unpacked(found: Demonstrations) -> Demonstrations:
     """Return a set with the standard's series again, if it was made of one that had them."""
     before: Any = found.extras.get(CONVERTED)
-    packed = before.get("packed") if isinstance(before, dict) else None
+    packed = before.get(packing.NAME) if isinstance(before, dict) else None
     if not isinstance(packed, dict):
         return found
     layout = {name: [(str(part), int(width)) for part, width in parts] for name, parts in packed.items()}

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import _spec as sdk
 from xpl.convert.actions import ActionOutput
 from xpl.convert.errors import NativeError
 from xpl.convert.gaps import refuse
@@ -31,14 +32,14 @@ _KEYS: Final = {
     "description": str,
     "formats": list,
     "robot": str,
-    "action_type": str,
+    sdk.Deploy.ACTION_TYPE: str,
     "rate_hz": (int, float),
     "action": dict,
     "native": dict,
     "sources": list,
     "caveats": list,
 }
-_NEEDED: Final = ("robot", "action_type", "action", "native")
+_NEEDED: Final = ("robot", sdk.Deploy.ACTION_TYPE, "action", "native")
 _MOST: Final = 1 << 20
 _PLAIN_STEPS: Final = ("mirror", "rotate")
 
@@ -96,7 +97,7 @@ def load(name: str) -> Conventions:
             one["input"]: Vector(one, embodiment, [path.parent], f"state {one['input']}")
             for one in native.get("state", ())
         }
-        action = ActionOutput(native["action"], embodiment, entry["action_type"], [path.parent])
+        action = ActionOutput(native["action"], embodiment, entry[sdk.Deploy.ACTION_TYPE], [path.parent])
     except (NativeError, UnknownEmbodimentError) as error:
         raise DataError(f"{where}: {error}", code=ExitCode.USAGE) from None
     for one in native.get("images", ()):

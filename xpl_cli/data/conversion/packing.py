@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.data.sets.interface import Demonstrations, Episode
 
-NAME: Final = "packed"
+NAME: Final = "packed series"
 STATE, ACTION = "state", "action"
 _PREFIXES: Final = tuple(dict.fromkeys(("left_", "right_", "")))
 _MOTION: Final = (spec.State.ARM_JOINT_STATE, spec.State.EE_POSE)

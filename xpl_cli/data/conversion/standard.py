@@ -108,7 +108,7 @@ class StandardEpisode(_Wrapped):
             height, width = camera.height, camera.width
             if self._mapping.images[source].view(np.zeros((height, width, 3), np.uint8)).shape[0] != height:
                 height, width = width, height
-            made[name] = Camera(height, width, "color", camera.encoding, camera.intrinsics, camera.extrinsics)
+            made[name] = Camera(height, width, spec.Camera.COLOR, camera.encoding, camera.intrinsics, camera.extrinsics)
         kept = {name: camera for name, camera in has.items() if name not in self._mapping.images}
         return {**made, **kept}
 
@@ -194,7 +194,7 @@ class FieldEpisode(_Wrapped):
         for name, source in self._shown.items():
             camera = has[source]
             shape = self._mapping.images[name].view(np.zeros((camera.height, camera.width, 3), np.uint8)).shape
-            made[name] = Camera(shape[0], shape[1], "color", camera.encoding)
+            made[name] = Camera(shape[0], shape[1], spec.Camera.COLOR, camera.encoding)
         kept = {name: camera for name, camera in has.items() if name not in self._shown.values()}
         return {**made, **kept}
 

@@ -21,7 +21,7 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.sizes import told_size
 from xpl_cli.data.conversion import chain, mapping
 from xpl_cli.data.conversion.names import Renamed, Renaming, renaming
-from xpl_cli.data.conversion.packing import PackedSet
+from xpl_cli.data.conversion.packing import NAME, PackedSet
 from xpl_cli.data.formats import open_set
 from xpl_cli.data.formats.writers import writer_of
 from xpl_cli.data.formats.writing import CONVERTED, Options, Plan
@@ -161,7 +161,7 @@ def _planned(job: Job, source: Demonstrations) -> tuple[Plan, Renaming]:
     numbers = [new for new, column in first.columns.items() if column.shape == ()]
     extras[CONVERTED] = {"from": source.format, "names": how.changed, "numbers": numbers}
     if isinstance(source, PackedSet):
-        extras[CONVERTED]["packed"] = source.layout
+        extras[CONVERTED][NAME] = source.layout
     episodes = [source[index] for index in range(len(source))]
     plan = Plan(
         rate,

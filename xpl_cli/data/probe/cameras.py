@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from xpl import _spec as sdk
 from xpl_cli.data.probe.answer import Answer, unknown
 from xpl_cli.data.probe.sample import spread, words
 
@@ -48,7 +49,9 @@ def answers(
         told: is told what is going on.
     """
     places = spread(len(episodes), _EPISODES)
-    names = [name for name, camera in episodes[0].cameras.items() if camera.kind == "color"] if episodes else []
+    names = (
+        [name for name, camera in episodes[0].cameras.items() if camera.kind == sdk.Camera.COLOR] if episodes else []
+    )
     found: list[Answer] = []
     for name in names:
         told(f"camera {name}")

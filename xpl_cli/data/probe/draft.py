@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli.data.probe.grippers import LARGER
 from xpl_cli.data.probe.parts import ARM, GRIPPER, JOINTS, POSITION, ROTATION, THREE
 from xpl_cli.data.probe.sample import COMMAND, STATE
@@ -99,7 +100,7 @@ def _image(found: Found, name: str) -> dict[str, Any]:
     """Return the entry of a camera."""
     place = found.value("camera", name)
     two = len(found.arms) == 2
-    known = {"fixed": "cam_head", "wrist": None if two else "cam_wrist"}
+    known = {"fixed": sdk.CAMERAS[1][0], "wrist": None if two else sdk.CAMERAS[1][1]}
     known |= {f"wrist of {side}": f"cam_{side}_wrist" for side in ("left", "right")}
     camera = known.get(place or "")
     entry: dict[str, Any] = {"input": name.replace("/", ".").replace("-", "_")}

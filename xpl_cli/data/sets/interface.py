@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
+
+from xpl import _spec as sdk
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,7 +46,7 @@ class Camera:
 
     height: int
     width: int
-    kind: Literal["color", "depth"] = "color"
+    kind: str = sdk.Camera.COLOR
     encoding: str = "raw"
     intrinsics: NDArray[Any] | None = field(default=None, compare=False)
     extrinsics: NDArray[Any] | None = field(default=None, compare=False)

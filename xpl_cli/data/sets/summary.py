@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import _spec as sdk
+
 if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Demonstrations
 
@@ -34,7 +36,7 @@ def document(demonstrations: Demonstrations) -> dict[str, Any]:
         "columns": columns,
         "cameras": cameras,
         "episodes": [
-            {"key": episode.key, "steps": episode.length, "instructions": list(episode.instructions)}
+            {"key": episode.key, "steps": episode.length, sdk.Obs.INSTRUCTIONS: list(episode.instructions)}
             for episode in episodes
         ],
     }
@@ -57,7 +59,7 @@ def text(told: Mapping[str, Any]) -> str:
             lines.append(f"  {word}  {name.ljust(width)}  {what}{names}")
     sentences: dict[str, int] = {}
     for episode in episodes:
-        for sentence in episode["instructions"] or ["(told nothing)"]:
+        for sentence in episode[sdk.Obs.INSTRUCTIONS] or ["(told nothing)"]:
             sentences[sentence] = sentences.get(sentence, 0) + 1
     most = sorted(sentences.items(), key=lambda item: -item[1])
     lines += [f"  {count:5d} x {sentence}" for sentence, count in most[:_MOST_SHOWN]]

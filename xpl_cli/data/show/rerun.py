@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from xpl import _spec as sdk
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.show.view import MOST_CURVES
 
@@ -29,7 +30,7 @@ def write(demonstrations: Demonstrations, episode: Episode, path: Path) -> None:
     recording = rerun.RecordingStream("xpl", recording_id=f"{demonstrations.path}:{episode.key}")
     recording.save(str(path))
     for sentence in episode.instructions:
-        recording.log("instruction", rerun.TextDocument(sentence), static=True)
+        recording.log(sdk.Obs.INSTRUCTION, rerun.TextDocument(sentence), static=True)
     for name, column in episode.columns.items():
         rows = episode.read(name)
         if column.dtype == "str" or rows[:1].size > MOST_CURVES:
@@ -40,7 +41,7 @@ def write(demonstrations: Demonstrations, episode: Episode, path: Path) -> None:
     for name, camera in episode.cameras.items():
         for index, image in enumerate(episode.frames(name)):
             _at(recording, index, demonstrations.rate_hz)
-            shown = rerun.DepthImage(image) if camera.kind == "depth" else rerun.Image(image).compress()
+            shown = rerun.DepthImage(image) if camera.kind == sdk.Camera.DEPTH else rerun.Image(image).compress()
             recording.log(name, shown)
     recording.flush()
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.sets.errors import DataError
 
@@ -135,7 +136,7 @@ def _strip(episode: Episode, name: str, count: int) -> Strip:
     images = []
     for step in steps if episode.length else ():
         (image,) = episode.frames(name, step, step + 1)
-        images.append(_grey(image) if camera.kind == "depth" else image)
+        images.append(_grey(image) if camera.kind == sdk.Camera.DEPTH else image)
     what = f"{camera.height} x {camera.width} {camera.kind}, {camera.encoding}"
     return Strip(name, what, steps[: len(images)], tuple(images))
 

@@ -35,7 +35,7 @@ def write(package: Path, robot: str, episodes: int, seed: int = 0) -> Path:
     folder, rng = package / "demonstrations", np.random.default_rng(seed)
     for number in range(episodes):
         path = folder / f"episode_{number:07d}.hdf5"
-        told = {"robot": robot, "action_type": sdk.ACTION_TYPES[0]}
+        told = {"robot": robot, sdk.Deploy.ACTION_TYPE: sdk.ACTION_TYPES[0]}
         with Writer(path, images="png", frequency=25.0, episode=told) as episode:
             for obs, action in _played(robot, rng):
                 episode.add(obs, action)
@@ -54,7 +54,7 @@ def _played(robot: str, rng: np.random.Generator) -> Any:
     opening = 1.0
     for step in range(STEPS):
         obs = {
-            sdk.Obs.VISION: {"cam_head": {sdk.Camera.COLOR: np.ascontiguousarray(picture)}},
+            sdk.Obs.VISION: {sdk.CAMERAS[1][0]: {sdk.Camera.COLOR: np.ascontiguousarray(picture)}},
             sdk.Obs.STATE: {
                 sdk.State.ARM_JOINT_STATE: joints.astype(np.float32),
                 sdk.State.EE_JOINT_STATE: np.array([opening], np.float32),
