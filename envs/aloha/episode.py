@@ -53,7 +53,8 @@ class AlohaEpisode(Episode):
     def reset(self, seed: int) -> None:
         """Begin an episode; the seed draws where the objects lie."""
         obs, _ = self._env.reset(seed=seed)
-        self._reward, self._highest, self._told = 0, 0, None
+        self._reward, self._highest = 0, 0
+        self._told: np.ndarray | None = None
         self._look(obs)
         self._expert.begin(self._state, self._objects())
 

@@ -38,7 +38,7 @@ class Point:
     """
 
     step: int
-    place: Sequence[float]
+    place: Sequence[float] | NDArray[np.float64]
     down: float
     roll: float
     opening: float

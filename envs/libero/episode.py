@@ -65,7 +65,8 @@ class LiberoEpisode(Episode):
         self._link = sim.model.body_name2id(robot.robot_model.naming_prefix + "link7")
         self._site = robot.eef_site_id
         self._tool = compose(invert(self._flange()), self._grip())
-        self._success, self._told = False, None
+        self._success = False
+        self._told: np.ndarray | None = None
         self._look(obs)
         self._changes.begin(self._reached(self._state[spec.State.EE_POSE].astype(np.float32)))
 

@@ -58,7 +58,8 @@ class ManiSkillEpisode(Episode):
         self._torch.manual_seed(seed)  # what a task draws in its steps, it draws from the generator that all share
         self._obs, info = self._env.reset(seed=seed)
         self._random = self._torch.get_rng_state()
-        self._success, self._told = bool(info.get("success", False)), None
+        self._success = bool(info.get("success", False))
+        self._told: np.ndarray | None = None
         for arm in self._arms:
             arm.begin()
         if self._planner is not None:

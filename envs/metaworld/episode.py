@@ -83,7 +83,8 @@ class MetaWorldEpisode(Episode):
         """Begin an episode; the seed draws goal and objects (`reset(seed)` of Meta-World ignores it)."""
         self._env.seed(seed)
         obs, _ = self._env.reset()
-        self._success, self._told = False, None
+        self._success = False
+        self._told: np.ndarray | None = None
         self._look(obs)
         self._changes.begin(self._state[spec.State.EE_POSE])
 

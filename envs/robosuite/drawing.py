@@ -92,12 +92,12 @@ class Pictures:
         """Return a picture for people, where policies want none."""
         from robosuite.utils.binding_utils import MjRenderContextOffscreen
 
-        sim = simulation.sim
+        sim: Any = simulation.sim
         height, width = self._size
         try:
             if sim._render_context_offscreen is None:  # noqa: SLF001 - robosuite's own code asks so
                 MjRenderContextOffscreen(sim, device_id=-1)
-                sim._render_context_offscreen.vopt.geomgroup[0] = 0  # noqa: SLF001
+                sim._render_context_offscreen.vopt.geomgroup[0] = 0  # type: ignore[attr-defined]  # noqa: SLF001
             seen: np.ndarray = sim.render(camera_name=source, height=height, width=width)
         except Exception as error:
             raise RendererMissingError(

@@ -66,7 +66,8 @@ class RobosuiteEpisode(Episode):
         # One generator, which everything that draws has: a new one would not reach what was made before.
         self._env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
         obs = self._env.reset()
-        self._success, self._is_over, self._told = False, False, None
+        self._success, self._is_over = False, False
+        self._told: np.ndarray | None = None
         for arm in self._arms:
             arm.find(self._env)
         self._look(obs)

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
-from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.gates import DataGate, Gate
 from xpl_cli.audit.rules.model import Finding, Proof
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics import content
@@ -192,7 +192,7 @@ class Entry:
             raise RegistryError(f"{self.path}: {wanted}")
         return self.gates[0] if declared is None else Gate(declared)
 
-    def runs_in(self, gate: Gate) -> bool:
+    def runs_in(self, gate: Gate | DataGate) -> bool:
         """Tell whether the rule runs in a gate; imports it only where its folder leaves that open."""
         if self.folder == _ENVIRONMENTS:
             return self.load().gate == gate

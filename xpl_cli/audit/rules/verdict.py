@@ -97,13 +97,13 @@ CLAIMS: Final[Mapping[str, tuple[Claim, ...]]] = {
 }
 """What can be proven of each kind of package, in the order in which it is told."""
 
-DEMONSTRATIONS: Final = Claim(
+FOLLOWED: Final = Claim(
     "demonstrations", "conventions of training", rule="XPL270", needs=("XPL271",), details=_of_demonstrations
 )
 """What is told only of who gave demonstrations. It stands in the statement; lists in reports,
 whose words are frozen, lack it."""
 
-_OF_RULES: Final = frozenset(code for claim in (PARITY, DEMONSTRATIONS) for code in (claim.rule, *claim.needs))
+_OF_RULES: Final = frozenset(code for claim in (PARITY, FOLLOWED) for code in (claim.rule, *claim.needs))
 
 
 @dataclass(frozen=True)
@@ -332,9 +332,9 @@ def _asides(gates: Sequence[Ended], around: Circumstances) -> Iterable[str]:
 
 def _beside(gates: Sequence[Ended], around: Circumstances) -> Iterable[Proven | Unproven]:
     """Yield what follows from demonstrations, where there were some."""
-    codes = {DEMONSTRATIONS.rule, *DEMONSTRATIONS.needs}
+    codes = {FOLLOWED.rule, *FOLLOWED.needs}
     if any(codes & {*gate.proofs, *gate.doubts} for gate in gates):
-        yield _by_rule(DEMONSTRATIONS, gates, around)
+        yield _by_rule(FOLLOWED, gates, around)
 
 
 def _by_rule(claim: Claim, gates: Sequence[Ended], around: Circumstances) -> Proven | Unproven:
