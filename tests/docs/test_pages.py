@@ -6,6 +6,7 @@ import ast
 import importlib
 import itertools
 import json
+import os
 import re
 import subprocess
 import sys
@@ -141,6 +142,8 @@ def test_a_shell_block_is_shell(block: pages.Block) -> None:
     for words in found:
         if words[0] == "./dev":
             assert words[1] in re.findall(r"^  ([a-z]+) ", helped, re.MULTILINE)
+        elif "/" in words[0]:
+            assert os.access(ROOT / words[0], os.X_OK), f"{words[0]} is no program of the checkout"
         else:
             assert words[0] in {"xpl", *PROGRAMS}
 

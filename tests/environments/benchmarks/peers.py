@@ -11,6 +11,8 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parent
 LIMIT_S = 900.0
+patient = pytest.mark.timeout(LIMIT_S + 60)
+"""The mark of modules whose first test looks at everything: a minute of an idle core, ten of a busy machine."""
 
 
 def needed(name: str, python: Path | None) -> pytest.MarkDecorator:

@@ -24,6 +24,7 @@ ROBOT = MANIFEST["embodiments"][0]
 PYTHON = build.interpreter("aloha", locks=ENV)
 
 needed = peers.needed("aloha", PYTHON)
+pytestmark = peers.patient
 
 
 def test_every_setting_draws_declared_cameras_and_the_one_of_gym_aloha() -> None:
@@ -76,6 +77,15 @@ def test_joints_and_flanges_agree_by_kinematics(looked: dict[str, Any]) -> None:
 def test_random_actions_solve_nothing(looked: dict[str, Any]) -> None:
     """Two episodes about the first pose."""
     assert looked["guessed"] == 0
+
+
+@needed
+@pytest.mark.slow
+def test_rewards_are_gym_alohas_own_all_the_way_to_success(looked: dict[str, Any]) -> None:
+    """It is told of contacts by something faster than its physics."""
+    assert looked["rewards"][-1] == [4, 4]
+    assert all(ours == theirs for ours, theirs in looked["rewards"])
+    assert {ours for ours, _ in looked["rewards"]} >= {0, 1, 2, 4}
 
 
 @needed

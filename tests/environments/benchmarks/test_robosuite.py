@@ -23,6 +23,7 @@ PYTHON = build.interpreter("robosuite", locks=ENV)
 ROBOTS = MANIFEST["embodiments"]
 
 needed = peers.needed("robosuite", PYTHON)
+pytestmark = peers.patient
 
 
 def test_every_task_is_offered_with_one_arm_or_with_two_and_stands_in_that_split() -> None:

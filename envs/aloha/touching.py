@@ -1,0 +1,41 @@
+"""Who touches whom, for gym-aloha's own reward: the same numbers and names as of its physics, read once a step."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class _Contact:
+    geom1: int
+    geom2: int
+
+
+class Touching:
+    """What gym-aloha's `get_reward` asks a physics for: contacts and names of geoms.
+
+    It asks for the list of contacts twice for each, and the list is made anew each time; names are looked up in each
+    step, and never change.
+
+    Attributes:
+        data: itself.
+        model: itself.
+        ncon: number of contacts.
+        contact: the contacts, with the numbers of their two geoms.
+
+    Args:
+        physics: dm_control's.
+    """
+
+    def __init__(self, physics: Any) -> None:
+        self._physics = physics
+        self.data = self.model = self
+        self.id2name = functools.cache(physics.model.id2name)
+        self.look()
+
+    def look(self) -> None:
+        """See who touches whom now."""
+        self.contact = [_Contact(*pair) for pair in self._physics.data.contact.geom.tolist()]
+        self.ncon = len(self.contact)
