@@ -184,6 +184,32 @@ def test_steps_that_differ_are_refused_with_what_was_expected(tmp_path: Path) ->
         pass
 
 
+def test_an_episode_that_is_put_part_by_part_is_read_by_parts(tmp_path: Path) -> None:
+    """Also texts, unknown names, and numbers that have as many rows as there are steps but hold for all of them."""
+    frames = [_obs(step)["vision"]["cam_head"]["color"] for step in range(3)]
+    with Writer(tmp_path / "a.hdf5", images="png") as writer:
+        writer.put("state/arm_joint_state", np.eye(3))
+        writer.put("action/arm_joint_states", np.eye(3))
+        writer.put("additional_info/mode", ["a", "a", "a"])
+        writer.put_images("touch/left", frames)
+        writer.keep("vision/cam_head/intrinsic_matrix", np.eye(3))
+        writer.keep("instructions", ["lift", "pick"])
+        with pytest.raises(TrajectoryError, match="already"):
+            writer.put("state/arm_joint_states", np.eye(3))
+    with trajectory.read(tmp_path / "a.hdf5") as found:
+        assert sorted(found.columns) == ["action/arm_joint_states", "additional_info/mode", "state/arm_joint_states"]
+        assert found.rows("additional_info/mode", 1).tolist() == ["a", "a"]
+        assert list(found.pictures) == ["touch/left"]
+        np.testing.assert_array_equal(list(found.frames("touch/left", 1)), frames[1:])
+        assert found.rest["vision/cam_head/intrinsic_matrix"] == np.eye(3).tolist()
+        assert found.instructions == ("lift", "pick")
+    writer = Writer(tmp_path / "b.hdf5")
+    writer.put("state/arm_joint_states", np.eye(3))
+    with pytest.raises(TrajectoryError, match="2 steps"):
+        writer.put("action/arm_joint_states", np.eye(3)[:2])
+    writer.discard()
+
+
 def test_a_folder_is_listed_without_opening_a_file(tmp_path: Path) -> None:
     """Lengths come from the index; files that are none prove that nobody looked into them."""
     lines = []

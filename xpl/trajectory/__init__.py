@@ -13,8 +13,9 @@ Needs h5py, and Pillow where images are encoded (extra `data`); both are importe
 from __future__ import annotations
 
 from xpl.trajectory.errors import TrajectoryError
-from xpl.trajectory.folder import Folder, open_folder
+from xpl.trajectory.folder import Folder, open_files, open_folder
+from xpl.trajectory.pictures import Picture
 from xpl.trajectory.reading import Trajectory, read
 from xpl.trajectory.writing import FORMS, Writer
 
-__all__ = ["FORMS", "Folder", "Trajectory", "TrajectoryError", "Writer", "open_folder", "read"]
+__all__ = ["FORMS", "Folder", "Picture", "Trajectory", "TrajectoryError", "Writer", "open_files", "open_folder", "read"]

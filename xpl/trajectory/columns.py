@@ -41,10 +41,13 @@ class Rows:
         path: where in it.
         first: the first value, which all others have to be like.
         chunk: rows of a chunk.
+        marked: whether the file says that it has a row for each step, where its name does not.
         compression: options of h5py for the dataset.
     """
 
-    def __init__(self, file: Any, path: Place, first: np.ndarray, chunk: int = _ROWS, **compression: Any) -> None:
+    def __init__(
+        self, file: Any, path: Place, first: np.ndarray, chunk: int = _ROWS, *, marked: bool = False, **compression: Any
+    ) -> None:
         self._name = "/".join(path)
         self._shape, self._dtype = first.shape, first.dtype
         self._most = max(1, min(_ROWS, _WAITING_BYTES // max(1, first.nbytes)))
@@ -53,9 +56,11 @@ class Rows:
         sizes = {
             "shape": (0, *first.shape),
             "maxshape": (None, *(size or None for size in first.shape)),
-            "chunks": (chunk, *(max(1, size) for size in first.shape)),
+            "chunks": (min(chunk, self._most), *(max(1, size) for size in first.shape)),
         }
         self._dataset = file.create_dataset(self._name, dtype=first.dtype, **sizes, **compression)
+        if marked:
+            self._dataset.attrs[PER_STEP] = True
 
     def fitting(self, value: Any) -> np.ndarray:
         """Return a copy: simulators use their arrays again.
@@ -185,8 +190,8 @@ class Steady:
             made = self._file.create_dataset(name, data=value, dtype=hdf5().string_dtype())
         else:
             made = self._file.create_dataset(name, data=value if self._series is None else np.stack(value))
-        if self._series is not None:
-            made.attrs[PER_STEP] = True
+        if self._series is not None or np.ndim(self._first):  # an array may have as many rows as there are steps
+            made.attrs[PER_STEP] = self._series is not None
         if isinstance(self._first, Listed):
             made.attrs[LIST] = True
 

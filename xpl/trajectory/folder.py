@@ -24,24 +24,36 @@ def open_folder(path: str | os.PathLike[str]) -> Folder:
     Raises:
         TrajectoryError: it is not there, or holds none.
     """
-    return Folder(Path(path))
+    root = Path(path)
+    found = list(_files(root))
+    if not found:
+        told = f"holds no file that ends in {' or '.join(ENDINGS)}" if root.is_dir() else "is not there"
+        raise TrajectoryError(f"{path} {told}")
+    return Folder(path, root if root.is_dir() else root.parent, found)
+
+
+def open_files(paths: Sequence[str | os.PathLike[str]]) -> Folder:
+    """Return the trajectories in these files, in their order; none is opened. The folder is where all of them lie."""
+    root = Path(os.path.commonpath([Path(path).absolute().parent for path in paths])) if paths else Path()
+    return Folder(root, root, [Path(path).absolute().relative_to(root) for path in paths])
 
 
 class Folder(Sequence[Trajectory]):
-    """The trajectories below a folder; see `open_folder`.
+    """The trajectories below a folder; see `open_folder` and `open_files`.
+
+    Args:
+        path: what was opened.
+        root: the folder.
+        files: relative to it.
 
     Attributes:
         path: the folder.
         keys: the name of each, relative to the folder and without its ending.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = str(path)
-        self._root = path if path.is_dir() else path.parent
-        self._files = list(_files(path))
-        if not self._files:
-            told = f"holds no file that ends in {' or '.join(ENDINGS)}" if path.is_dir() else "is not there"
-            raise TrajectoryError(f"{path} {told}")
+    def __init__(self, path: str | os.PathLike[str], root: Path, files: Sequence[Path]) -> None:
+        self.path = os.fspath(path)
+        self._root, self._files = root, files
         self.keys = tuple(name.with_suffix("").as_posix() for name in self._files)
         self._indices: dict[Path, dict[str, dict[str, Any]]] = {}
 

@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl import images as codec
-from xpl.observation import ObservationError
-from xpl.trajectory import names, storage
+from xpl.trajectory import names, pictures, storage
 from xpl.trajectory.errors import TrajectoryError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from types import TracebackType
 
+    from xpl.trajectory.pictures import Picture
+
 _INFO = spec.Trajectory.ADDITIONAL_INFO
-_LISTS = ((spec.Trajectory.INSTRUCTIONS,), (spec.Trajectory.SUBTASKS,))
+_READS = {(spec.Trajectory.INSTRUCTIONS,): storage.wordings, (spec.Trajectory.SUBTASKS,): storage.document}
+_FRAMES = (spec.Camera.COLOR, spec.Camera.DEPTH)
 _BLOCK_BYTES = 1 << 22
 _NO_VALUE = object()
 
@@ -57,6 +58,7 @@ class Trajectory:
         self._steps = steps
         self._file: Any = None
         self._found: dict[names.Place, Any] | None = None
+        self._seen: dict[str, Picture] | None = None
         self._blocks: dict[names.Place, tuple[int, np.ndarray]] = {}
         self._kinds: dict[names.Place, tuple[str, Any]] = {}
 
@@ -86,11 +88,11 @@ class Trajectory:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the open file behind: whoever gets the rest, another process for example, opens it again."""
-        return {**self.__dict__, "_file": None, "_found": None, "_blocks": {}, "_kinds": {}}
+        return {**self.__dict__, "_file": None, "_found": None, "_seen": None, "_blocks": {}, "_kinds": {}}
 
     def close(self) -> None:
         """Close the file; it is opened again when something is asked for."""
-        file, self._file, self._found, self._blocks, self._kinds = self._file, None, None, {}, {}
+        file, self._file, self._found, self._seen, self._blocks, self._kinds = self._file, None, None, None, {}, {}
         if file is not None:
             file.close()
 
@@ -117,10 +119,7 @@ class Trajectory:
         """What the robot was told: one wording, or several; none where the file has none."""
         several = self.datasets.get((spec.Trajectory.INSTRUCTIONS,))
         if several is not None:
-            told = storage.document(several)
-            if not isinstance(told, list) or not all(isinstance(one, str) for one in told):
-                raise TrajectoryError(f"{self._at(several)}: expected a list of texts")
-            return tuple(told)
+            return tuple(storage.wordings(several))
         one = self.datasets.get((spec.Trajectory.INSTRUCTION,))
         told = None if one is None else storage.text(one)
         return () if told is None else tuple(dict.fromkeys([told] if isinstance(told, str) else told))
@@ -151,31 +150,54 @@ class Trajectory:
         return tuple(path[1] for path in self.datasets if names.is_image(path, spec.Camera.DEPTH))
 
     @property
+    def pictures(self) -> dict[str, Picture]:
+        """What datasets are images, by path: colour and depth of cameras, and whatever else has an image a step.
+
+        Raises:
+            TrajectoryError: a camera's images are none, or larger than is read.
+        """
+        if self._seen is None:
+            rows = ((path, data) for path, data in self.datasets.items() if (data.shape or ())[:1] == (len(self),))
+            seen = (("/".join(path), pictures.found(path, dataset)) for path, dataset in rows)
+            self._seen = {name: picture for name, picture in seen if picture is not None}
+        return self._seen
+
+    @property
     def columns(self) -> dict[str, tuple[tuple[int, ...], str]]:
-        """The datasets of numbers with a row for each step, images aside: shape of a row and dtype by path."""
-        images = (spec.Camera.COLOR, spec.Camera.DEPTH)
-        return {
-            "/".join(path): (tuple(dataset.shape[1:]), str(dataset.dtype))
-            for path, dataset in self.datasets.items()
-            if not names.is_image(path, *images) and self._read_as(path, dataset)[0] == "row"
-        }
+        """The datasets of numbers and texts with a row for each step: shape of a row and dtype by path, text as str."""
+        found = {}
+        for path, dataset in self.datasets.items():
+            name, kind = "/".join(path), self._read_as(path, dataset)[0]
+            if kind in ("row", "text") and name not in self.pictures:
+                found[name] = (tuple(dataset.shape[1:]), dataset.dtype.name if kind == "row" else "str")
+        return found
+
+    @property
+    def rest(self) -> dict[str, Any]:
+        """What is neither column nor image, plain data by name: attributes of the file, and what holds for all steps.
+
+        JSON is left as text, and what is too large to be a fact left out.
+        """
+        known = {*self.columns, *self.pictures}
+        found = {name: storage.plain(value) for name, value in self._file.attrs.items()}
+        for path, dataset in self.datasets.items():
+            name = "/".join(path)
+            if name not in known and dataset.shape is not None and dataset.size <= storage.MOST_FACT:
+                found[name] = storage.plain(dataset[()])
+        return found
 
     def form(self, camera: str) -> tuple[int, int, str]:
-        """Return height and width of a camera's colour images, and how they lie in the file: raw, jpeg or png.
+        """Return height and width of a camera's colour images, and how they lie in the file, as `Picture` says it.
 
         Raises:
             KeyError: there is no such camera.
             TrajectoryError: the first image cannot be read.
         """
         _, dataset = self._camera(camera, spec.Camera.COLOR)
-        if not storage.is_encoded(dataset):
-            return int(dataset.shape[1]), int(dataset.shape[2]), "raw"
-        data = self._encoded(dataset, self._checked(0))
-        try:
-            width, height = codec.size_of(data)
-        except ObservationError as error:
-            raise TrajectoryError(f"{self._at(dataset)}, step 0: {error}") from None
-        return height, width, "jpeg" if data.startswith(b"\xff\xd8") else "png"
+        picture = self.pictures.get(dataset.name.lstrip("/"))
+        if picture is None:
+            raise TrajectoryError(f"{self._at(dataset)}: expected images, got {dataset.shape} {dataset.dtype}")
+        return picture.height, picture.width, picture.encoding
 
     def observation(self, step: int) -> dict[str, Any]:
         """Return the observation of a step as a policy gets it: colour images decoded, RGB.
@@ -219,7 +241,7 @@ class Trajectory:
         return depth
 
     def rows(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """Return rows of a dataset of numbers, as it is stored.
+        """Return rows of a dataset of numbers, as it is stored, or of a column of texts.
 
         Args:
             name: its path in the file, `state/arm_joint_states`.
@@ -228,12 +250,31 @@ class Trajectory:
 
         Raises:
             KeyError: there is no such dataset.
-            TrajectoryError: it holds no numbers, or cannot be read.
+            TrajectoryError: it holds neither, or cannot be read.
         """
-        dataset = self.datasets.get(tuple(name.split("/")))
-        if dataset is None:
+        path = tuple(name.split("/"))
+        if path not in self.datasets:
             raise KeyError(f"{self.path} has no {name}; it has {', '.join(map('/'.join, self.datasets))}")
-        return self._rows(dataset, slice(start, stop) if dataset.ndim else ())
+        dataset = self.datasets[path]
+        index = slice(start, stop) if dataset.ndim else ()
+        if dataset.ndim == 1 and self._read_as(path, dataset)[0] == "text":
+            return np.array(storage.text(dataset, index), dtype=str)
+        return self._rows(dataset, index)
+
+    def frames(self, name: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
+        """Yield images of one of `pictures`, decoded one after the other; arguments as of `rows`.
+
+        Raises:
+            KeyError: there are no such images.
+            TrajectoryError: one cannot be decoded; it says which.
+        """
+        picture = self.pictures.get(name)
+        if picture is None:
+            raise KeyError(f"{self.path} has no images {name}; it has {', '.join(self.pictures) or 'none at all'}")
+        dataset = self.datasets[tuple(name.split("/"))]
+        for step in range(*slice(start, stop).indices(len(self))):
+            image = self._rows(dataset, step) if picture.encoding == "raw" else pictures.decoded(dataset, step)
+            yield image[..., 0] if picture.kind == spec.Camera.DEPTH and image.ndim == 3 else image
 
     # -- reading -------------------------------------------------------------------------------------------------------
 
@@ -253,8 +294,7 @@ class Trajectory:
 
     @staticmethod
     def _has_rows(path: names.Place, dataset: Any) -> bool:
-        images = (spec.Camera.COLOR, spec.Camera.DEPTH)
-        return dataset.ndim > 0 and (names.is_series(path) or names.is_image(path, *images))
+        return dataset.ndim > 0 and (names.is_series(path) or names.is_image(path, *_FRAMES))
 
     def _checked(self, step: int) -> int:
         count = len(self)
@@ -293,7 +333,7 @@ class Trajectory:
         if kind == "constant":
             return np.array(constant) if isinstance(constant, np.ndarray) else constant
         if kind == "image":
-            return self._decoded(dataset, step)
+            return pictures.decoded(dataset, step)
         if kind == "text":
             return storage.text(dataset, (step,))
         row = self._row(path, dataset, step)
@@ -311,10 +351,9 @@ class Trajectory:
         if names.is_image(path, spec.Camera.COLOR) and storage.is_encoded(dataset):
             return "image", None
         if storage.hdf5().check_string_dtype(dataset.dtype) is not None:
-            if dataset.attrs.get(storage.PER_STEP, False):
-                return "text", None
-            is_list = path in _LISTS or dataset.attrs.get(storage.LIST, False)
-            return "constant", (storage.document if is_list else storage.text)(dataset)
+            reads = _READS.get(path, storage.document if dataset.attrs.get(storage.LIST, False) else storage.text)
+            is_column = path not in _READS and dataset.ndim == 1 and self._is_per_step(path, dataset)
+            return ("text", None) if is_column else ("constant", reads(dataset))
         if dataset.dtype.kind not in "biuf":
             return "constant", _NO_VALUE  # what somebody else put beside it
         if self._is_per_step(path, dataset):
@@ -349,23 +388,12 @@ class Trajectory:
     def _rows(self, dataset: Any, index: Any = ()) -> np.ndarray:
         if dataset.dtype.kind not in "biuf":
             raise TrajectoryError(f"{self._at(dataset)}: expected numbers, got {dataset.shape} {dataset.dtype}")
+        if storage.size_of(dataset, index) > storage.MOST_READ:
+            raise TrajectoryError(f"{self._at(dataset)} claims more than {storage.MOST_READ} bytes: read it in parts")
         try:
             return np.asarray(dataset[index])
         except (OSError, RuntimeError, ValueError) as error:
             raise TrajectoryError(f"{self._at(dataset)} cannot be read: {error}") from None
-
-    def _decoded(self, dataset: Any, step: int) -> np.ndarray:
-        try:
-            return codec.decode(self._encoded(dataset, step))
-        except (ObservationError, ValueError) as error:
-            raise TrajectoryError(f"{self._at(dataset)}, step {step}: {error}") from None
-
-    def _encoded(self, dataset: Any, step: int) -> bytes:
-        try:
-            data = dataset[step]
-        except (OSError, RuntimeError, ValueError) as error:
-            raise TrajectoryError(f"{self._at(dataset)}, step {step} cannot be read: {error}") from None
-        return data if isinstance(data, bytes) else np.asarray(data, np.uint8).tobytes()
 
     def _at(self, dataset: Any) -> str:
         return f"{self.path}: {dataset.name.lstrip('/')}"

@@ -26,6 +26,10 @@ MOST_STEPS = 1 << 24
 """A week at 25 Hz."""
 MOST_BYTES = 1 << 28
 """Of one row of a dataset, and of one of its chunks."""
+MOST_READ = 1 << 31
+"""Bytes that are read at once; a small file can claim any."""
+MOST_FACT = 1 << 20
+"""Numbers or texts of what is told of a whole episode."""
 MOST_TEXT = 1 << 24
 """Characters of one text."""
 
@@ -118,6 +122,14 @@ def is_encoded(dataset: Any) -> bool:
     return bool(dataset.dtype == np.uint8) and dataset.ndim == 2
 
 
+def size_of(dataset: Any, index: Any) -> int:
+    """Return how many bytes a read takes: of a row, of a slice of them, or of all."""
+    row = int(math.prod(dataset.shape[1:])) * int(dataset.dtype.itemsize)
+    if isinstance(index, slice):
+        return row * len(range(*index.indices(dataset.shape[0])))
+    return row * (dataset.shape[0] if index == () and dataset.ndim else 1)
+
+
 def text(dataset: Any, index: Any = ()) -> Any:
     """Return a text, or a list of them.
 
@@ -151,12 +163,28 @@ def document(dataset: Any) -> Any:
         raise TrajectoryError(f"{where}: expected a JSON text, got {told[:60]!r}") from None
 
 
+def wordings(dataset: Any) -> list[str]:
+    """Return the texts in a list of them, JSON or none, or the one text that is no list.
+
+    Raises:
+        TrajectoryError: it holds anything else.
+    """
+    told = text(dataset)
+    found = document(dataset) if isinstance(told, str) and told.startswith("[") else told
+    listed = [found] if isinstance(found, str) else found
+    if not all(isinstance(one, str) for one in listed):
+        raise TrajectoryError(f"{dataset.file.filename}: {dataset.name.lstrip('/')}: expected a list of texts")
+    return list(listed)
+
+
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: arrays as lists, numpy's numbers as Python's."""
+    """Return a value as JSON has it: arrays as lists, numpy's numbers as Python's, bytes as text."""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray):
-        return value.tolist()
+        return value.tolist() if value.dtype.kind in "biuf" else [plain(entry) for entry in value]
     if isinstance(value, np.generic):
         return value.item()
     return [plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value

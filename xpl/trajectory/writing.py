@@ -6,9 +6,9 @@ import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
@@ -31,6 +31,8 @@ Every JPEG is a standard one, stamped with the marker of `xpl.images`.
 
 _NO_PART = (spec.Obs.DATA_FORMAT_VERSION, spec.Obs.ENV_IDX, spec.Obs.PRIVILEGED, spec.Trajectory.ACTION)
 """What an observation may hold beside what a trajectory keeps of it: its place in a batch, and what no robot sees."""
+_OWN = ((spec.Trajectory.DATA_FORMAT_VERSION,), (spec.Trajectory.ADDITIONAL_INFO, names.EPISODE))
+"""What the writer itself says in each file."""
 _STEADY = (spec.Camera.INTRINSIC_MATRIX, spec.Camera.EXTRINSICS_MATRIX, spec.Camera.SHAPE)
 _SMALL = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
@@ -42,6 +44,12 @@ class Writer:
 
         with Writer("demos/episode_0000000.hdf5", episode={"robot": "arx_x5"}) as writer:
             writer.add(obs, action)
+
+    Who has an episode part by part instead of step by step puts each whole, by its path in the file:
+
+            writer.put("state/ee_poses", rows)
+            writer.put_images("vision/cam_head/colors", images)
+            writer.keep("instruction", "lift the cube")
 
     Args:
         path: the file; its folder is made where it is missing, and a file that is there is replaced.
@@ -128,6 +136,50 @@ class Writer:
                 column.add(fitting[path])
         self.steps += 1
 
+    def put(self, name: str, rows: Iterable[Any]) -> None:
+        """Put a whole column.
+
+        Args:
+            name: its path in the file; names of an observation are taken as well.
+            rows: one value for each step, numbers or texts.
+
+        Raises:
+            TrajectoryError: there are more or fewer than of what was put before, or one is of another kind than the
+                first; the name is taken; or the file cannot be written.
+        """
+
+        def column(path: names.Place, first: Any) -> Column:
+            if isinstance(first, str):
+                return Steady(self._file, path, always=True)
+            return Rows(self._file, path, numbers(first, name), marked=not names.is_series(path))
+
+        self._put(name, rows, column)
+
+    def put_images(self, name: str, images: Iterable[Any]) -> None:
+        """Put all images of a camera.
+
+        Args:
+            name: as of `put`.
+            images: one for each step: colour (H, W, 3) uint8 RGB or encoded, or depth (H, W).
+
+        Raises:
+            TrajectoryError: as `put`.
+        """
+
+        def column(path: names.Place, first: Any) -> Column:
+            is_depth = not is_encoded(first) and _flat(first).ndim == 2
+            return self._depth(path, first) if is_depth else self._images(path, first)
+
+        self._put(name, images, column)
+
+    def keep(self, name: str, value: Any) -> None:
+        """Keep what holds for all steps: numbers, a text, or a list of texts; name and errors as of `put`."""
+        for path, told in _leaves({name.rpartition("/")[2]: value}, tuple(name.split("/")[:-1])):
+            with self._told():
+                column = Steady(self._file, self._free(names.stored(path)))
+                column.add(column.fitting(told))
+                self._columns[names.stored(path)] = column
+
     def commit(self) -> None:
         """Put the file in place; it is on the disk when this returns.
 
@@ -195,17 +247,38 @@ class Writer:
         for name, value in steps.items():
             yield (info, names.STEPS, name), value
 
+    def _put(self, name: str, values: Iterable[Any], make: Callable[[names.Place, Any], Column]) -> None:
+        path = self._free(names.stored(tuple(name.split("/"))))
+        column, count = None, 0
+        with self._told():
+            for value in values:
+                if column is None:
+                    column = self._columns[path] = make(path, value)
+                column.add(column.fitting(value))
+                count += 1
+        if count != (self.steps or count):
+            raise TrajectoryError(f"{self.path}: {name} has {count} steps, and what was put before it {self.steps}")
+        self.steps = count
+
+    def _free(self, path: names.Place) -> names.Place:
+        if path in self._columns or path in _OWN or not all(path):
+            raise TrajectoryError(f"{self.path}: {'/'.join(path)!r} is there already, or cannot name a dataset")
+        return path
+
     def _column(self, path: names.Place, value: Any) -> Column:
         """Return what takes the values of a part, by where it lies and its first one."""
         if names.is_image(path, spec.Camera.COLOR):
             return self._images(path, value)
         if names.is_image(path, spec.Camera.DEPTH):
-            return _Depth(self._file, path, _flat(value), chunk=1, **_SMALL)
+            return self._depth(path, value)
         is_of_steps = path[:2] == (spec.Trajectory.ADDITIONAL_INFO, names.STEPS)
         is_constant = path[0] == spec.Trajectory.ADDITIONAL_INFO and not is_of_steps
         if isinstance(value, str) or is_constant or names.is_image(path, *_STEADY):
             return Steady(self._file, path, always=is_of_steps)
         return Rows(self._file, path, numbers(value, "/".join(path)))
+
+    def _depth(self, path: names.Place, value: Any) -> Column:
+        return _Depth(self._file, path, _flat(value), chunk=1, **_SMALL)
 
     def _images(self, path: names.Place, value: Any) -> Column:
         if self._form == RAW:

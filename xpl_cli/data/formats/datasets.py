@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.data.sets.interface import Camera, Episode
 
-_SAMPLED: Final = 16
+SAMPLED: Final = 16
 """Every so many images are decoded again, to tell what they lost."""
 _MOST_ATTRIBUTE: Final = 32 << 20
 
@@ -40,7 +40,7 @@ def write(group: Any, episode: Episode, images: str) -> dict[str, float]:
     Args:
         group: where.
         episode: under the names that are written.
-        images: raw, png, jpeg, or marked: JPEGs of the standard.
+        images: raw, png or jpeg.
     """
     for name, column in episode.columns.items():
         if column.dtype == "str":
@@ -90,7 +90,7 @@ def _encoded(group: Any, episode: Episode, name: str, images: str) -> float:
     for index, frame in enumerate(episode.frames(name)):
         data = pictures.encoded(frame, images)
         rows.append(np.frombuffer(data, np.uint8))
-        if index % _SAMPLED == 0:
+        if index % SAMPLED == 0:
             worst = min(worst, pictures.psnr(frame, pictures.pixels(data, name)))
     if not rows:
         raise DataError(f"the episode {episode.key} has no images of {name}")

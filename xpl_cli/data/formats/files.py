@@ -1,4 +1,4 @@
-"""Writers of formats that are HDF5: robomimic, ACT / ALOHA, RoboTwin, and the standard's own."""
+"""Writers of formats that are HDF5: robomimic, ACT / ALOHA and RoboTwin."""
 
 from __future__ import annotations
 
@@ -7,26 +7,16 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
-from xpl import _spec as spec
 from xpl_cli.basics.atomic import write_file
-from xpl_cli.data.formats import aloha, datasets, hdf5, libraries, robomimic, robotwin, standard
+from xpl_cli.data.formats import aloha, datasets, hdf5, robomimic, robotwin
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from xpl_cli.data.formats.writing import Plan
     from xpl_cli.data.sets.interface import Camera, Column, Episode
 
 _SET: Final = "set"
-_OWN: Final = (
-    *("instruction", "instructions", spec.Obs.DATA_FORMAT_VERSION),
-    *(f"{spec.Obs.ADDITIONAL_INFO}/{name}" for name in ("frequency", "episode")),
-)
-"""What the standard's files have anyway."""
 
 
 class FileWriter:
@@ -51,7 +41,7 @@ class FileWriter:
 
     def check(self, plan: Plan) -> None:
         """Stop before anything is written."""
-        if self._images(plan) == "video":
+        if self.kept(plan) == "video":
             raise DataError(f"{self.name} keeps images in HDF5; --images takes raw, png or jpeg here")
         if self.needed and not any(name in plan.columns for name in self.needed):
             has = ", ".join(plan.columns) or "none at all"
@@ -63,7 +53,7 @@ class FileWriter:
     def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
         """Write one episode's file."""
         with datasets.created(self.path(folder, index)) as file:
-            found = datasets.write(file, episode, self._images(plan))
+            found = datasets.write(file, episode, self.kept(plan))
             told = dict(episode.extras)
             if plan.rate_hz is not None:
                 told["frequency"] = plan.rate_hz
@@ -72,7 +62,7 @@ class FileWriter:
             told[CONVERTED] = plan.extras.get(CONVERTED, {})
             large = datasets.attribute(file, {**told, **self.told(episode)})
         self.beside(folder, index, episode)
-        return {"psnr_db": _finite(found), "large": large}
+        return {"psnr_db": finite(found), "large": large}
 
     def finish(self, folder: Path, plan: Plan, pieces: list[dict[str, Any]]) -> Path:
         """Return the folder: the files are the set."""
@@ -92,7 +82,8 @@ class FileWriter:
     def beside(self, folder: Path, index: int, episode: Episode) -> None:
         """Write what lies beside the file."""
 
-    def _images(self, plan: Plan) -> str:
+    def kept(self, plan: Plan) -> str:
+        """Return how cameras are kept."""
         return self.images if plan.options.images == "auto" else plan.options.images
 
 
@@ -132,45 +123,6 @@ class RobotwinWriter(FileWriter):
         write_file(path, json.dumps({"seen": list(episode.instructions), "unseen": []}).encode())
 
 
-class StandardWriter(FileWriter):
-    """The standard's own files: a mapping has to say which column is which part."""
-
-    name = standard.NAME
-    names = Names("", "", "", "vision/")
-    images = "jpeg"
-
-    def check(self, plan: Plan) -> None:
-        """Stop before anything is written."""
-        super().check(plan)
-        parts = (f"{spec.Trajectory.STATE}/", f"{spec.Trajectory.ACTION}/")
-        if not any(name.startswith(parts) for name in plan.columns):
-            raise DataError(
-                f"the standard's form has state/ and action/, and {', '.join(plan.columns)} do not say what they are",
-                hint="say it by --map MAPPING; libero, aloha and robotwin are ready",
-            )
-
-    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
-        """Write one episode's file, as `xpl.trajectory` does."""
-        told = {key: value for key, value in episode.extras.items() if key not in _OWN}
-        told |= {"robot": plan.robot} if plan.robot is not None else {}
-        told[CONVERTED] = plan.extras.get(CONVERTED, {})
-        text = libraries.h5py().string_dtype()
-        with datasets.created(self.path(folder, index)) as file:
-            images = self._images(plan)
-            found = datasets.write(file, episode, "marked" if images == "jpeg" else images)
-            for name, matrix in _matrices(episode).items():
-                told.pop(name, None)
-                if name not in file:
-                    file[name] = matrix
-            file[spec.Obs.DATA_FORMAT_VERSION] = spec.DATA_FORMAT_VERSION
-            for name, value in super().told(episode).items():
-                file.create_dataset(name, data=value if isinstance(value, str) else json.dumps(value), dtype=text)
-            if plan.rate_hz is not None:
-                file[f"{spec.Obs.ADDITIONAL_INFO}/frequency"] = plan.rate_hz
-            file.create_dataset(f"{spec.Obs.ADDITIONAL_INFO}/episode", data=json.dumps(told), dtype=text)
-        return {"psnr_db": _finite(found), "large": []}
-
-
 class RobomimicWriter(FileWriter):
     """robomimic's single file, made of one for each episode."""
 
@@ -208,30 +160,6 @@ class RobomimicWriter(FileWriter):
         return result
 
 
-def _matrices(episode: Episode) -> dict[str, NDArray[Any]]:
-    """Return the matrices of the cameras in the standard's shape, by their place in the file."""
-    found = {name: np.asarray(value) for name, value in episode.extras.items() if _is_of_camera(name)}
-    for name, camera in episode.cameras.items():
-        for leaf, matrix, size in (
-            ("intrinsic_matrix", camera.intrinsics, 3),
-            ("extrinsic_matrix", camera.extrinsics, 4),
-        ):
-            if matrix is None or not name.startswith(f"{spec.Obs.VISION}/"):
-                continue
-            values = np.asarray(matrix, np.float64)
-            if values.shape[-2:] == (3, 4) and size == 4:  # its last row says nothing
-                last = np.broadcast_to(np.array([[0.0, 0.0, 0.0, 1.0]]), (*values.shape[:-2], 1, 4))
-                values = np.concatenate([values, last], axis=-2)
-            if values.shape[-2:] == (size, size):
-                found[f"{name.rpartition('/')[0]}/{leaf}"] = values
-    return found
-
-
-def _is_of_camera(name: str) -> bool:
-    """Tell whether a fact is what the standard's files have of a camera beside its images."""
-    return name.startswith(f"{spec.Obs.VISION}/") and name.endswith(("_matrix", "/shape"))
-
-
-def _finite(found: dict[str, float]) -> dict[str, float]:
+def finite(found: dict[str, float]) -> dict[str, float]:
     """Return the PSNR of what is not exactly the same."""
     return {name: value for name, value in found.items() if value != float("inf")}

@@ -7,11 +7,17 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as spec
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
 from xpl_cli.data.formats.writing import CONVERTED
 
+if TYPE_CHECKING:
+    from xpl_cli.data.sets.interface import Episode
+
+_RATE = (f"{spec.Trajectory.ADDITIONAL_INFO}/{spec.Obs.FREQUENCY}", "frequency", "fps", "control_freq")
+"""Names under which files of this kind keep steps per second."""
 _TOLD = ("instruction", "instructions", "language_instruction", "language_raw", "task_description")
 """Names under which files of this kind keep a sentence."""
 
@@ -26,7 +32,7 @@ class FolderSet:
         opens: makes an episode of a file and a key.
     """
 
-    def __init__(self, path: Path, name: str, files: list[Path], opens: Callable[[Path, str], Hdf5Episode]) -> None:
+    def __init__(self, path: Path, name: str, files: list[Path], opens: Callable[[Path, str], Episode]) -> None:
         self._path, self._name, self._files, self._opens = path, name, files, opens
 
     @property
@@ -43,7 +49,7 @@ class FolderSet:
     def rate_hz(self) -> float | None:
         """Steps per second, if the first episode says so."""
         extras = self[0].extras if self._files else {}
-        for name in ("additional_info/frequency", "frequency", "fps", "control_freq"):
+        for name in _RATE:
             told = extras.get(name)
             if isinstance(told, (int, float)) and told > 0:
                 return float(told)
@@ -69,12 +75,12 @@ class FolderSet:
         """How many episodes there are."""
         return len(self._files)
 
-    def __getitem__(self, index: int) -> Hdf5Episode:
+    def __getitem__(self, index: int) -> Episode:
         """Return an episode, by its place."""
         return self._episodes[index]
 
     @functools.cached_property
-    def _episodes(self) -> list[Hdf5Episode]:
+    def _episodes(self) -> list[Episode]:
         names = [path.stem for path in self._files]
         is_unique = len(set(names)) == len(names)
         keys = names if is_unique else [path.relative_to(self._path).with_suffix("").as_posix() for path in self._files]
@@ -87,11 +93,12 @@ class ToldEpisode(Hdf5Episode):
     @property
     def instructions(self) -> tuple[str, ...]:
         """What the robot was told: an attribute or a dataset of one of the usual names."""
-        for name in _TOLD:
-            told = sentences(self.extras.get(name))
-            if told:
-                return told
-        return ()
+        return told_in(self.extras)
+
+
+def told_in(extras: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the sentences under one of the usual names."""
+    return next(filter(None, (sentences(extras.get(name)) for name in _TOLD)), ())
 
 
 def sentences(value: Any) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""HDF5 files whose datasets have a row for each step: what robomimic, ACT, RoboTwin and RoboDojo have in common."""
+"""HDF5 files whose datasets have a row for each step: what robomimic, ACT and RoboTwin have in common."""
 
 from __future__ import annotations
 
@@ -152,12 +152,8 @@ class Hdf5Episode:
                 except OSError as error:
                     raise DataError(f"{where} cannot be read: {str(error)[:200]}") from None
                 if stored.camera.encoding != "raw":
-                    row = self.decoded(as_bytes(row), where)
+                    row = pictures.pixels(as_bytes(row), where)
                 yield row[..., 0] if stored.camera.kind == "depth" and row.ndim == 3 else row
-
-    def decoded(self, data: bytes, where: str) -> NDArray[np.uint8]:
-        """Return the pixels of an encoded image, in the file's own order of channels."""
-        return pictures.pixels(data, where)
 
     def _root(self, file: Any) -> Any:
         return file[self._group] if self._group else file

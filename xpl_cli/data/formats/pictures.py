@@ -49,22 +49,12 @@ def pixels(data: bytes, where: str) -> NDArray[np.uint8]:
     Raises:
         DataError: it cannot be decoded.
     """
-    image = pixels_rgb(data, where)
-    is_exchanged = data.startswith(_JPEG) and not images.has_marker(data)
-    return np.ascontiguousarray(image[:, :, ::-1]) if is_exchanged else image
-
-
-def pixels_rgb(data: bytes, where: str) -> NDArray[np.uint8]:
-    """Return the pixels (H, W, 3) uint8 of an image of the standard, RGB: JPEGs without its mark are exchanged.
-
-    Raises:
-        DataError: it cannot be decoded.
-    """
     try:
         image: NDArray[np.uint8] = images.decode(data)
     except ObservationError as error:
         raise DataError(f"{where}: {error}") from None
-    return image
+    is_exchanged = data.startswith(_JPEG) and not images.has_marker(data)
+    return np.ascontiguousarray(image[:, :, ::-1]) if is_exchanged else image
 
 
 def encoded(image: NDArray[np.uint8], encoding: str) -> bytes:
@@ -72,16 +62,14 @@ def encoded(image: NDArray[np.uint8], encoding: str) -> bytes:
 
     Args:
         image: the pixels.
-        encoding: png, jpeg, or marked: a JPEG of the standard, whose mark says that it is RGB.
+        encoding: png or jpeg.
     """
     target = io.BytesIO()
     made = Image.fromarray(np.ascontiguousarray(image))
     if encoding == "png":
         made.save(target, "PNG", compress_level=1)
-    elif encoding == "jpeg":
-        made.save(target, "JPEG", quality=images.DEFAULT_QUALITY)
     else:
-        target.write(images.encode_jpeg(image))
+        made.save(target, "JPEG", quality=images.DEFAULT_QUALITY)
     return target.getvalue()
 
 

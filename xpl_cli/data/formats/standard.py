@@ -1,4 +1,4 @@
-"""The standard's own HDF5 form, which RoboDojo's sets have: `state/`, `action/` and `vision/<camera>/`.
+"""The standard's own HDF5 form, which RoboDojo's sets have, over `xpl.trajectory`, which reads and writes it.
 
 Source: spec/v1/trajectory.schema.json.
 """
@@ -7,52 +7,245 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
+
+import numpy as np
 
 from xpl import _spec as spec
-from xpl_cli.data.formats import pictures
-from xpl_cli.data.formats.folders import FolderSet, ToldEpisode
+from xpl import images, trajectory
+from xpl.trajectory import TrajectoryError, names
+from xpl_cli.data.formats import libraries, pictures
+from xpl_cli.data.formats.datasets import SAMPLED
+from xpl_cli.data.formats.files import FileWriter, finite
+from xpl_cli.data.formats.folders import FolderSet, told_in
+from xpl_cli.data.formats.writing import CONVERTED, Names
+from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.interface import Camera, Column
 
 if TYPE_CHECKING:
-    import numpy as np
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
+    from xpl.trajectory import Trajectory
+    from xpl_cli.data.formats.writing import Plan
+    from xpl_cli.data.sets.interface import Episode
+
 NAME: Final = "xpl"
-FACTS: Final = "additional_info/episode"
-"""Facts of the episode, JSON text, as `xpl.trajectory` writes them."""
-_SIDES: Final = ("", "left_", "right_")
-_SERIES: Final = tuple(f"{stem}{end}" for stem in ("arm_joint_state", "ee_pose", "ee_joint_state") for end in ("s", ""))
-_STEPS: Final = tuple(
-    f"{group}/{side}{series}" for group in ("state", "action") for series in _SERIES for side in _SIDES
+_FACTS: Final = f"{spec.Trajectory.ADDITIONAL_INFO}/{names.EPISODE}"
+_OWN: Final = (
+    *(spec.Trajectory.INSTRUCTION, spec.Trajectory.INSTRUCTIONS, spec.Trajectory.SUBTASKS),
+    *(spec.Trajectory.DATA_FORMAT_VERSION, f"{spec.Trajectory.ADDITIONAL_INFO}/{spec.Obs.FREQUENCY}", _FACTS),
 )
+"""What the standard's files have a place for."""
+_MATRICES: Final = {spec.Camera.INTRINSIC_MATRIX: 3, spec.Camera.EXTRINSICS_MATRIX: 4}
+"""What lies beside a camera's images, with rows and columns."""
 
 
 def recognises(file: Any) -> bool:
     """Tell whether an open HDF5 file is one."""
-    return spec.Obs.STATE in file and (spec.Obs.VISION in file or "action" in file)
+    return spec.Trajectory.STATE in file and (spec.Trajectory.VISION in file or spec.Trajectory.ACTION in file)
 
 
 def opened(path: Path, files: list[Path]) -> FolderSet:
-    """Return the set in these files."""
-    return FolderSet(path, NAME, files, lambda file, key: _Episode(file, "", key, _STEPS))
+    """Return the set in these files; lengths come from the folder's index where it has them."""
+    folder = trajectory.open_files(files)
+    places = {file: place for place, file in enumerate(files)}
+    return FolderSet(path, NAME, files, lambda file, key: _Episode(folder, places[file], key))
 
 
-class _Episode(ToldEpisode):
-    """An episode, whose JPEGs are RGB by the standard's rule: with its mark as they are, without it exchanged."""
+@dataclass(frozen=True)
+class _Content:
+    """What a file says without its rows and images."""
+
+    instructions: tuple[str, ...]
+    columns: dict[str, Column]
+    cameras: dict[str, Camera]
+    extras: dict[str, Any]
+
+
+class _Episode:
+    """An episode; its file is open only while something is read."""
+
+    def __init__(self, folder: trajectory.Folder, place: int, key: str) -> None:
+        self._folder, self._place, self._key = folder, place, key
+
+    @property
+    def key(self) -> str:
+        """Its name in the set."""
+        return self._key
 
     @functools.cached_property
+    def length(self) -> int:
+        """How many steps it has."""
+        with self._open() as found:
+            return len(found)
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told."""
+        return self._content.instructions
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns of numbers and texts."""
+        return self._content.columns
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras."""
+        return self._content.cameras
+
+    @property
     def extras(self) -> Mapping[str, Any]:
         """What the file says beside its parts, with the facts of the episode opened."""
-        found = dict(super().extras)
-        told = found.pop(FACTS, None)
-        try:
-            facts = json.loads(told) if isinstance(told, str) else {}
-        except ValueError:
-            facts = {}
-        return {**found, **(facts if isinstance(facts, dict) else {})}
+        return self._content.extras
 
-    def decoded(self, data: bytes, where: str) -> NDArray[np.uint8]:
-        """Return the pixels of an encoded image, RGB."""
-        return pictures.pixels_rgb(data, where)
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return rows of a column."""
+        self.columns[column]  # whoever asks for another one gets KeyError
+        with self._open() as found:
+            return found.rows(column, start, stop)
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
+        """Yield images of a camera; JPEGs are RGB by the standard's rule, with its mark or exchanged without."""
+        self.cameras[camera]
+        with self._open() as found:
+            yield from found.frames(camera, start, stop)
+
+    @contextmanager
+    def _open(self) -> Iterator[Trajectory]:
+        libraries.h5py()
+        try:
+            with self._folder[self._place] as found:
+                yield found
+        except TrajectoryError as error:
+            raise DataError(str(error)) from None
+        except (OSError, RuntimeError, KeyError) as error:
+            raise DataError(f"{found.path} is damaged: {str(error)[:200]}") from None
+
+    @functools.cached_property
+    def _content(self) -> _Content:
+        with self._open() as found:
+            columns = {name: Column(shape, dtype) for name, (shape, dtype) in found.columns.items()}
+            cameras = {name: _camera(found, name, picture) for name, picture in found.pictures.items()}
+            extras = found.rest
+            told = tuple(one for one in found.instructions if one.strip())
+            try:
+                facts = found.episode
+            except TrajectoryError:  # another file's, which means something else by it
+                facts = {}
+            else:
+                extras.pop(_FACTS, None)
+            extras |= facts
+        return _Content(told or told_in(extras), columns, cameras, extras)
+
+
+def _camera(found: Trajectory, name: str, picture: trajectory.Picture) -> Camera:
+    beside = tuple(name.split("/")[:-1])
+    matrices = {
+        names.shown(path)[-1]: found.rows("/".join(path))
+        for path in found.datasets
+        if path[:-1] == beside and names.is_image(path, *_MATRICES)
+    }
+    return Camera(
+        picture.height,
+        picture.width,
+        cast("Literal['color', 'depth']", picture.kind),
+        picture.encoding,
+        *(matrices.get(leaf) for leaf in _MATRICES),
+    )
+
+
+class StandardWriter(FileWriter):
+    """The standard's own files: a mapping has to say which column is which part."""
+
+    name = NAME
+    names = Names("", "", "", f"{spec.Trajectory.VISION}/")
+    images = trajectory.FORMS[0]
+
+    def check(self, plan: Plan) -> None:
+        """Stop before anything is written."""
+        super().check(plan)
+        parts = (f"{spec.Trajectory.STATE}/", f"{spec.Trajectory.ACTION}/")
+        if not any(name.startswith(parts) for name in plan.columns):
+            raise DataError(
+                f"the standard's form has state/ and action/, and {', '.join(plan.columns)} do not say what they are",
+                hint="say it by --map MAPPING; libero, aloha and robotwin are ready",
+            )
+
+    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
+        """Write one episode's file, and its line in the index."""
+        libraries.h5py()
+        path, form = self.path(folder, index), self.kept(plan)
+        for left in path.parent.glob(f".{path.name}.*"):  # by a run that was killed
+            left.unlink()
+        beside = _beside_images(episode)
+        told = {key: value for key, value in episode.extras.items() if key not in (*_OWN, *beside)}
+        told |= {"robot": plan.robot} if plan.robot is not None else {}
+        told[CONVERTED] = plan.extras.get(CONVERTED, {})
+        samples: dict[str, list[float]] = {}
+        try:
+            with trajectory.Writer(path, images=form, frequency=plan.rate_hz, episode=told) as writer:
+                for name, column in episode.columns.items():
+                    rows = episode.read(name)
+                    writer.put(name, rows.tolist() if column.dtype == "str" else rows)
+                for name, camera in episode.cameras.items():
+                    frames = episode.frames(name)
+                    is_lossy = camera.kind == "color" and form == trajectory.FORMS[0]
+                    writer.put_images(name, _jpegs(frames, samples.setdefault(name, [])) if is_lossy else frames)
+                for name, value in beside.items():
+                    (writer.put if np.ndim(value) > 2 else writer.keep)(name, value)
+                for name, value in self.told(episode).items():
+                    if name not in episode.columns:
+                        writer.keep(name, value)
+                writer.subtasks = _subtasks(episode.extras.get(spec.Trajectory.SUBTASKS))
+        except TrajectoryError as error:
+            raise DataError(str(error)) from None
+        return {"psnr_db": finite({name: min(values) for name, values in samples.items() if values}), "large": []}
+
+    def told(self, episode: Episode) -> dict[str, Any]:
+        """Return what the robot was told, under the standard's names."""
+        told = list(episode.instructions)
+        if len(told) > 1:
+            return {spec.Trajectory.INSTRUCTIONS: told}
+        return {spec.Trajectory.INSTRUCTION: told[0]} if told else {}
+
+
+def _jpegs(frames: Iterable[NDArray[Any]], psnr_db: list[float]) -> Iterator[bytes]:
+    """Yield images as the standard's JPEGs; note how near those of a sample are."""
+    for index, frame in enumerate(frames):
+        data = images.encode_jpeg(frame)
+        if index % SAMPLED == 0:
+            psnr_db.append(pictures.psnr(frame, images.decode(data)))
+        yield data
+
+
+def _beside_images(episode: Episode) -> dict[str, Any]:
+    """Return what the standard's files have of a camera beside its images, by place, where no column has it."""
+    leaves = (*_MATRICES, spec.Camera.SHAPE)
+    found = {name: value for name, value in episode.extras.items() if names.is_image(tuple(name.split("/")), *leaves)}
+    for name, camera in episode.cameras.items():
+        for (leaf, size), matrix in zip(_MATRICES.items(), (camera.intrinsics, camera.extrinsics), strict=True):
+            if matrix is None or not name.startswith(f"{spec.Trajectory.VISION}/"):
+                continue
+            values = np.asarray(matrix, np.float64)
+            if values.shape[-2:] == (3, 4) and size == 4:  # its last row says nothing
+                last = np.broadcast_to(np.array([[0.0, 0.0, 0.0, 1.0]]), (*values.shape[:-2], 1, 4))
+                values = np.concatenate([values, last], axis=-2)
+            if values.shape[-2:] == (size, size):
+                found["/".join(names.stored((*name.split("/")[:-1], leaf)))] = values
+    return {name: value for name, value in found.items() if name not in episode.columns}
+
+
+def _subtasks(value: Any) -> list[Any] | None:
+    """Return annotations of an episode, which a file has as JSON."""
+    try:
+        told = json.loads(value) if isinstance(value, str) else value
+    except ValueError:
+        return None
+    return told if isinstance(told, list) else None

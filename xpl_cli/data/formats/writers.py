@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.basics.errors import one_of
 from xpl_cli.data.formats.diffusion import DiffusionWriter
-from xpl_cli.data.formats.files import AlohaWriter, RobomimicWriter, RobotwinWriter, StandardWriter
+from xpl_cli.data.formats.files import AlohaWriter, RobomimicWriter, RobotwinWriter
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.lerobot.writer import LeRobotWriter
+from xpl_cli.data.formats.standard import StandardWriter
 
 if TYPE_CHECKING:
     from xpl_cli.data.formats.writing import Writer

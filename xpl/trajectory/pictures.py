@@ -1,0 +1,116 @@
+"""Which datasets of a file are images: found by name and by content, sized by a header, decoded one by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl import images as codec
+from xpl.observation import ObservationError
+from xpl.trajectory import names, storage
+from xpl.trajectory.errors import TrajectoryError
+
+if TYPE_CHECKING:
+    from xpl.trajectory.names import Place
+
+COLOR, DEPTH = spec.Camera.COLOR, spec.Camera.DEPTH
+_BEGINS = {b"\xff\xd8\xff": "jpeg", b"\x89PNG\r\n\x1a\n": "png"}
+_SMALLEST = 8
+"""Pixels of the smallest image that is taken for one where the standard does not know its name."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Images of a trajectory, one for each step.
+
+    Attributes:
+        height: in pixels.
+        width: in pixels.
+        kind: `color`, (H, W, 3) uint8 RGB, or `depth`, (H, W) as stored.
+        encoding: how they lie in the file: `raw`, `jpeg`, `png`, or `other` that can be decoded.
+    """
+
+    height: int
+    width: int
+    kind: str
+    encoding: str = "raw"
+
+
+def found(path: Place, dataset: Any) -> Picture | None:
+    """Return what images a dataset with a row for each step holds; None if they are none.
+
+    Raises:
+        TrajectoryError: its name says that it holds some, and the first is none; or they are larger than is read.
+    """
+    shape = dataset.shape or ()
+    is_named = names.is_image(path, COLOR, DEPTH)
+    least = 1 if is_named else _SMALLEST
+    picture = None
+    if len(shape) == 4 and dataset.dtype == np.uint8 and shape[3] == 3 and min(shape[1:3]) >= least:
+        picture = Picture(shape[1], shape[2], COLOR)
+    elif _is_depth(path, dataset) and min(shape[1:3]) >= least:
+        picture = Picture(shape[1], shape[2], DEPTH)
+    elif shape[:1] != (0,) and _may_be_encoded(dataset):
+        data = encoded(dataset, 0)
+        encoding = next((name for begins, name in _BEGINS.items() if data.startswith(begins)), None)
+        if encoding is not None or is_named:
+            width, height = _size(dataset, data)
+            picture = Picture(height, width, COLOR, encoding or "other")
+    if picture is not None and picture.height * picture.width > codec.PIXELS:
+        raise TrajectoryError(f"{_at(dataset)}: images have {shape[1:3]} pixels, more than {codec.PIXELS} in all")
+    return picture
+
+
+def decoded(dataset: Any, step: int) -> np.ndarray:
+    """Return an encoded image, (H, W, 3) uint8 RGB.
+
+    Raises:
+        TrajectoryError: it cannot be decoded; the text says which.
+    """
+    data = encoded(dataset, step)
+    try:
+        return codec.decode(data)
+    except (ObservationError, ValueError) as error:
+        raise TrajectoryError(f"{_at(dataset)}, step {step}: {error}") from None
+
+
+def encoded(dataset: Any, step: int) -> bytes:
+    """Return an encoded image as it lies in the file, padding included.
+
+    Raises:
+        TrajectoryError: it cannot be read.
+    """
+    try:
+        data = dataset[step]
+    except (OSError, RuntimeError, ValueError) as error:
+        raise TrajectoryError(f"{_at(dataset)}, step {step} cannot be read: {error}") from None
+    return data if isinstance(data, bytes) else np.asarray(data, np.uint8).tobytes()
+
+
+def _is_depth(path: Place, dataset: Any) -> bool:
+    shape = dataset.shape or ()
+    is_flat = len(shape) == 3 or (len(shape) == 4 and shape[3] == 1)
+    is_called_so = names.is_image(path, DEPTH) or DEPTH in "/".join(path).lower()
+    return is_flat and is_called_so and dataset.dtype.kind in "uf"
+
+
+def _may_be_encoded(dataset: Any) -> bool:
+    library = storage.hdf5()
+    if not storage.is_encoded(dataset):
+        return False
+    is_bytes = library.check_vlen_dtype(dataset.dtype) == np.uint8
+    return bool(dataset.dtype.kind != "O" or is_bytes or library.check_string_dtype(dataset.dtype) is not None)
+
+
+def _size(dataset: Any, data: bytes) -> tuple[int, int]:
+    try:
+        return codec.size_of(data)
+    except ObservationError as error:
+        raise TrajectoryError(f"{_at(dataset)}, step 0: {error}") from None
+
+
+def _at(dataset: Any) -> str:
+    return f"{dataset.file.filename}: {dataset.name.lstrip('/')}"
