@@ -45,7 +45,7 @@ def found(path: Place, dataset: Any) -> Picture | None:
     Raises:
         TrajectoryError: its name says that it holds some, and the first is none; or they are larger than is read.
     """
-    shape = dataset.shape or ()
+    shape: tuple[int, ...] = dataset.shape or ()
     is_named = names.is_image(path, COLOR, DEPTH)
     least = 1 if is_named else _SMALLEST
     picture = None
@@ -91,7 +91,7 @@ def encoded(dataset: Any, step: int) -> bytes:
 
 
 def _is_depth(path: Place, dataset: Any) -> bool:
-    shape = dataset.shape or ()
+    shape: tuple[int, ...] = dataset.shape or ()
     is_flat = len(shape) == 3 or (len(shape) == 4 and shape[3] == 1)
     is_called_so = names.is_image(path, DEPTH) or DEPTH in "/".join(path).lower()
     return is_flat and is_called_so and dataset.dtype.kind in "uf"

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from xpl.trajectory.pictures import Picture
 
 _INFO = spec.Trajectory.ADDITIONAL_INFO
-_READS = {(spec.Trajectory.INSTRUCTIONS,): storage.wordings, (spec.Trajectory.SUBTASKS,): storage.document}
+_READS: dict[names.Place, Any] = {
+    (spec.Trajectory.INSTRUCTIONS,): storage.wordings,
+    (spec.Trajectory.SUBTASKS,): storage.document,
+}
 _FRAMES = (spec.Camera.COLOR, spec.Camera.DEPTH)
 _BLOCK_BYTES = 1 << 22
 _NO_VALUE = object()

@@ -34,7 +34,7 @@ _NO_PART = (spec.Obs.DATA_FORMAT_VERSION, spec.Obs.ENV_IDX, spec.Obs.PRIVILEGED,
 _OWN = ((spec.Trajectory.DATA_FORMAT_VERSION,), (spec.Trajectory.ADDITIONAL_INFO, names.EPISODE))
 """What the writer itself says in each file."""
 _STEADY = (spec.Camera.INTRINSIC_MATRIX, spec.Camera.EXTRINSICS_MATRIX, spec.Camera.SHAPE)
-_SMALL = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+_SMALL: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 class Writer:
