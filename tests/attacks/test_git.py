@@ -24,10 +24,13 @@ STATIC = ("--gate", "static", "--no-cache")
 
 
 def git(folder: Path, *arguments: str) -> str:
-    """Run git as somebody."""
+    """Run git as somebody, always at the same time: git walks through history by dates, and tests by its ways."""
     who = ["-c", "user.name=Somebody", "-c", "user.email=somebody@example.org", "-c", "commit.gpgsign=false"]
     command = [str(shutil.which("git")), *who, *arguments]
-    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    env = {**os.environ, **dict.fromkeys(("GIT_AUTHOR_DATE", "GIT_COMMITTER_DATE"), "2026-01-01T00:00:00Z")}
+    done = subprocess.run(
+        command, cwd=folder, check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL, env=env
+    )
     return done.stdout.strip()
 
 
