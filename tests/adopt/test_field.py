@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import trained
+from tests.support.adapters import trained
 from xpl import _spec as sdk
 from xpl_cli.adopt import field
 from xpl_cli.adopt.checkpoints import block, start

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import literal_agent
-from tests.support.literal_agent import Answers, GapError, LiteralAgent
+from tests.support.outside import literal_agent
+from tests.support.outside.literal_agent import Answers, GapError, LiteralAgent
 from xpl.embodiment import get_embodiment
 from xpl_cli.agents.skills.bundle import Bundle, bundles, chosen
 

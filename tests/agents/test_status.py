@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.support.places import tracked
-from tests.support.runs import synthetic
+from tests.support.recordings.runs import synthetic
 from tests.support.told import Command, fault
 from xpl_cli.agents.status import memory, standing
 from xpl_cli.audit.rules import registry

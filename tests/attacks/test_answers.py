@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 
 from tests.support.examples import examples
 from tests.support.killable import listens
+from tests.support.outside.raw import page
 from tests.support.peer import Peer, wait_until
-from tests.support.raw import page
 from xpl import Client
 from xpl import _spec as spec
 from xpl.wire import codec, packed, telling

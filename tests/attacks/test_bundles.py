@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 
 from tests.attacks.fuzz import bundles as fuzz
-from tests.support import bundles
 from tests.support.commands import problem, xpl
+from tests.support.recordings import bundles
 from xpl_cli.submission import archive, bundle
 
 CODES = (1, 2, 4)

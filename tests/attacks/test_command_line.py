@@ -12,9 +12,9 @@ import pytest
 import typer
 import yaml
 
-from tests.support import bundles
 from tests.support.commands import problem, xpl
-from tests.support.runs import synthetic
+from tests.support.recordings import bundles
+from tests.support.recordings.runs import synthetic
 from xpl_cli.main import app
 
 VALUES = [

@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.examples import examples
+from tests.support.outside.raw import CLOSE, Raw, dial, page
 from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
-from tests.support.raw import CLOSE, Raw, dial, page
 from xpl import Client
 from xpl import _spec as spec
 from xpl.client import EnvironmentMismatchError, ServerConnectionError

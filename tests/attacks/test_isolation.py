@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support import breakout
+from tests.support.outside import breakout
 from tests.support.peer import DEADLINE_S
 from xpl import Client
 from xpl_cli.basics.errors import UserError

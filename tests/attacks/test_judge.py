@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import drill
+from tests.support.adapters import drill
 from tests.support.peer import wait_until, xpl
 from tests.support.places import ROOT, copy
 from xpl_cli.basics.errors import ExitCode

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.support.runs import synthetic
+from tests.support.recordings.runs import synthetic
 from xpl_cli.evaluation.report import live
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.outside.raw import page
 from tests.support.peer import DEADLINE_S, MARK, processes, wait_until
-from tests.support.raw import page
 from xpl_cli.isolation import family
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes through /proc")

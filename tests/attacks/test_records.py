@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tests.support.commands import problem, xpl
 from tests.support.examples import examples
-from tests.support.runs import synthetic
+from tests.support.recordings.runs import synthetic
 from xpl_cli.evaluation.leaderboard import board, field, ranking
 from xpl_cli.evaluation.records import lines, records
 from xpl_cli.evaluation.records.records import RecordError

@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.attacks.fuzz import texts
+from tests.support.adapters.rules import made_adapter, made_room
 from tests.support.examples import examples
 from tests.support.peer import xpl
-from tests.support.rules import made_adapter, made_room
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from tests.support.killable import listens
+from tests.support.outside.raw import page
 from tests.support.peer import DEADLINE_S, wait_until
-from tests.support.raw import page
 from xpl_cli.basics.errors import ExitCode
 
 MODEL = """

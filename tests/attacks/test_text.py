@@ -18,8 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
+from tests.support.adapters.rules import made_adapter
 from tests.support.peer import xpl
-from tests.support.rules import made_adapter
 from xpl_cli.agents.review import page
 from xpl_cli.agents.review.change import Change, Touched
 from xpl_cli.agents.review.harm import harm

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.rules import made_adapter
+from tests.support.adapters.rules import made_adapter
 from xpl_cli.audit.engine import cache, engine
 from xpl_cli.audit.engine.fixes import plan_all
 from xpl_cli.audit.rules import registry

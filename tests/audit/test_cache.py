@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import forked
-from tests.support.rules import Room, made_adapter, made_room
+from tests.support.adapters.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import cache, engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.support.adapters.rules import Room, made_adapter, made_room
 from tests.support.peer import xpl
-from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.engine.checks import outcome_of
 from xpl_cli.audit.engine.waivers import Waiver, waive

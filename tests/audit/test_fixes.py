@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.support.adapters.rules import Room, made_adapter, made_room
 from tests.support.peer import xpl
-from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import engine, fixes
 from xpl_cli.audit.engine.subjects import Subject, build, subjects
 from xpl_cli.audit.rules import registry

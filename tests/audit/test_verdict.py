@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.adapters.rules import Room, made_adapter, made_room
 from tests.support.places import ROOT
-from tests.support.rules import Room, made_adapter, made_room
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, GATES, Gate
 from xpl_cli.audit.rules.model import Circumstances, Finding, GateReport, Outcome, Result, Waived

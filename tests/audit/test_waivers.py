@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support.adapters.rules import made_adapter
 from tests.support.peer import xpl
-from tests.support.rules import made_adapter
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome, Result
@@ -135,7 +135,7 @@ def test_an_entry_that_the_schema_refuses_waives_nothing(adapter: Path, entry: A
 
 def test_a_crash_cannot_be_waived(adapter: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A rule that crashed found nothing that could be accepted."""
-    from tests.support.rules import made_room
+    from tests.support.adapters.rules import made_room
 
     made_room(tmp_path / "room", monkeypatch).rule("crash", "raise ZeroDivisionError", code="XPL101")
     waive(adapter, {"rule": "crash", "reason": REASON})

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.chaos import Fault, Proxy
+from tests.support.outside.chaos import Fault, Proxy
+from tests.support.outside.raw import page
+from tests.support.outside.stand_in import standing_in
 from tests.support.peer import Peer, wait_until
-from tests.support.raw import page
-from tests.support.stand_in import standing_in
 from xpl import Client, images
 from xpl import _spec as spec
 from xpl.client import (

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support.adapters.rules import made_adapter
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from tests.support.rules import made_adapter
 from xpl_cli.audit.formats import FORMATS
 from xpl_cli.audit.physics.claims import claims
 from xpl_cli.audit.physics.simulation import Simulation

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.support import pages, parity
-from tests.support.native import observation
+from tests.support import pages
+from tests.support.adapters import parity
+from tests.support.adapters.native import observation
 from tests.support.places import ROOT
 from xpl_cli.native import record
 from xpl_cli.packages import package

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from tests.support import sights
+from tests.support.adapters import sights
 from tests.support.places import ROOT
 from xpl_cli.native.show import scene, seen, sheet
 from xpl_cli.native.show.subject import subject

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.debug_client import LIMIT, DebugEnv, NeverEndsError, checkout
+from tests.support.outside.debug_client import LIMIT, DebugEnv, NeverEndsError, checkout
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 from xpl import rollout

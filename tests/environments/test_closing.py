@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from tests.support import drill
+from tests.support.adapters import drill
 from tests.support.peer import DEADLINE_S, wait_until
 from tests.support.places import ROOT
 from xpl.simulator.asking import TERMINAL, NobodyThereError

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from tests.support.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.statistics import comparison, intervals, verdicts

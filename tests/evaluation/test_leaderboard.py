@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.support.peer import xpl
-from tests.support.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.leaderboard import board, export, field, ranking
 from xpl_cli.evaluation.records import records

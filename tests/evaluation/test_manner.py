@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.support import drill
+from tests.support.adapters import drill
 from tests.support.peer import xpl
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job

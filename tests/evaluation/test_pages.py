@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.browser import Page, browser
+from tests.support.outside.browser import Page, browser
 from tests.support.peer import wait_until
-from tests.support.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.evaluation.leaderboard import field, ranking
 from xpl_cli.evaluation.leaderboard import written as board
 from xpl_cli.evaluation.records import records

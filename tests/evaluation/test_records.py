@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.support.places import ROOT
-from tests.support.runs import synthetic
+from tests.support.recordings.runs import synthetic
 from tests.support.work import calls
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.evaluation.records import records

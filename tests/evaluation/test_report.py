@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 from tests.support.peer import DEADLINE_S, wait_until, xpl
-from tests.support.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic
 from tests.support.work import calls
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records

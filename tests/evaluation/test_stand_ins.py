@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.runs import synthetic
+from tests.support.recordings.runs import synthetic
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.leaderboard import export, field, trees
 from xpl_cli.evaluation.records import records, stand_ins

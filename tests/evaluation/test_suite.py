@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import drill
+from tests.support.adapters import drill
 from tests.support.peer import MARK, processes, wait_until, xpl
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Room

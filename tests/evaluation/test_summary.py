@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs.stopping import stopping_point
 from xpl_cli.evaluation.statistics import intervals, wording

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.support import drill
+from tests.support.adapters import drill
 from tests.support.peer import xpl
 from xpl_cli.basics.errors import ExitCode
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs.view import Tally, view
 

@@ -18,9 +18,9 @@ from typing import Any
 
 import pytest
 
+from tests.support.outside.web import Web, serving_files
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
-from tests.support.web import Web, serving_files
 from xpl import Client
 from xpl.checkpoint import resolve
 from xpl_cli import main

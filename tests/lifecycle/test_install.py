@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from tests.support import forked
+from tests.support.outside.wheels import numpy_wheel, pinned, wheel
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
-from tests.support.wheels import numpy_wheel, pinned, wheel
 from xpl import Client
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.lifecycle import interpreter

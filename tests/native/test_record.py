@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support import parity
+from tests.support.adapters import parity
 from tests.support.peer import xpl
 from xpl.embodiment import get_embodiment
 from xpl.worker import native as worker

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.openpi import METADATA, policy_server
+from tests.support.outside.openpi import METADATA, policy_server
+from tests.support.outside.stand_in import standing_in
 from tests.support.peer import DEADLINE_S
-from tests.support.stand_in import standing_in
 from xpl import AsyncClient, Client, get_embodiment
 from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
 from xpl.client.openpi import OpenpiClient

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from tests.support import openpi as theirs
+from tests.support.outside import openpi as theirs
 from xpl.openpi import codec
 from xpl.wire.codec import WireError
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from tests.support.openpi import OpenpiPeer, pack, unpack
+from tests.support.outside.openpi import OpenpiPeer, pack, unpack
 from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
 from xpl import Client
 from xpl_cli.basics.errors import UserError

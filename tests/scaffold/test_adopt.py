@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.adopted import DEPLOY, FILES, MODEL, written
+from tests.support.adapters.adopted import DEPLOY, FILES, MODEL, written
 from tests.support.examples import examples
 from tests.support.peer import xpl
 from tests.support.places import ROOT

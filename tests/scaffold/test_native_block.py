@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.support.native import observation
+from tests.support.adapters.native import observation
 from tests.support.peer import xpl
 from xpl import get_embodiment
 from xpl.action import check_chunk

@@ -11,8 +11,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
+from tests.support.adapters.recurrent import MODEL, advance
 from tests.support.examples import examples
-from tests.support.recurrent import MODEL, advance
 from xpl import Client
 from xpl import _spec as spec
 from xpl.memory import MemoryUseError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.native import CASES, Case, observation, steps
+from tests.support.adapters.native import CASES, Case, observation, steps
 from xpl import training
 from xpl.trajectory import Folder, Writer, open_folder
 from xpl.worker.loading import load_model_class

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import counting
-from tests.support.chaos import ANSWER, KILLS, PAIRS, REQUEST, Fault, Message, Proxy, deck, dice
+from tests.support.adapters import counting
 from tests.support.killable import Server, nothing_left
+from tests.support.outside.chaos import ANSWER, KILLS, PAIRS, REQUEST, Fault, Message, Proxy, deck, dice
 from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
 from xpl import Client
 from xpl import _spec as spec

@@ -22,8 +22,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from websockets.exceptions import ConnectionClosed
 
+from tests.support.outside.raw import CLOSE, Raw, page
 from tests.support.peer import DEADLINE_S, Peer, wait_until
-from tests.support.raw import CLOSE, Raw, page
 from xpl import Client
 from xpl.client import AsyncClient, PolicyServerError, ServerConnectionError
 from xpl_cli.basics.errors import ExitCode

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support.outside.stand_in import standing_in
 from tests.support.peer import Peer, xpl
-from tests.support.stand_in import standing_in
 from xpl import Client
 from xpl.client import AsyncClient, ClientError, EnvironmentMismatchError, PolicyServerError
 from xpl_cli.basics.errors import ExitCode

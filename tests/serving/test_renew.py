@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.rules import made_adapter
+from tests.support.adapters.rules import made_adapter
 from xpl import Client
 from xpl.client import ClientError
 from xpl_cli.packages import environments, package

@@ -17,8 +17,8 @@ import msgpack
 import numpy as np
 import pytest
 
+from tests.support.outside.raw import BINARY, CONTINUATION, PING, PONG, TEXT, Raw, dial, page
 from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
-from tests.support.raw import BINARY, CONTINUATION, PING, PONG, TEXT, Raw, dial, page
 from xpl import Client
 from xpl import _spec as spec
 from xpl.client import AsyncClient, PolicyServerError, ServerConnectionError

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 
+from tests.support.outside.raw import BINARY, CLOSE, Raw, page
 from tests.support.peer import Peer, wait_until
-from tests.support.raw import BINARY, CLOSE, Raw, page
 from xpl import Client
 from xpl import _spec as spec
 from xpl.client import PolicyServerError, ServerConnectionError, ServerFailedError

@@ -19,7 +19,7 @@ from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
 from tests.support.places import ROOT, tracked
-from tests.support.runs import synthetic
+from tests.support.recordings.runs import synthetic
 from tests.support.told import Command, fault
 from xpl_cli import main
 from xpl_cli.basics import console, failures

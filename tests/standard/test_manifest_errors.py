@@ -11,10 +11,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.adapters.rules import made_adapter
 from tests.support.examples import examples
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from tests.support.rules import made_adapter
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.yaml import text as yaml_text
 from xpl_cli.packages import manifests, package

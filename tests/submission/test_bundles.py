@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.audit.rules.model import TargetReport
 from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.errors import NotFoundError, UserError

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import bundles
 from tests.support.commands import xpl
+from tests.support.recordings import bundles
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.submission import signature
 

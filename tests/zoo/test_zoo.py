@@ -14,7 +14,7 @@ import yaml
 
 from tests.support.commands import xpl
 from tests.support.places import ROOT
-from tests.support.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.verdict import judged

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.support import trained
-from tests.support.adopted import written
+from tests.support.adapters import trained
+from tests.support.adapters.adopted import written
 from xpl import _spec as sdk
 from xpl_cli.adopt.checkpoints.block import Choices
 from xpl_cli.adopt.package import Adoption, Trained, adoption

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.support import trained
+from tests.support.adapters import trained
 from xpl.convert import compile_interface
 from xpl.embodiment import get_embodiment
 from xpl_cli.adopt.checkpoints import block, registry

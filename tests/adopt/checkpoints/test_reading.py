@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support import trained
+from tests.support.adapters import trained
 from tests.support.examples import examples
 from xpl_cli.adopt.checkpoints import registry
 from xpl_cli.adopt.checkpoints.reading import Document, Folder

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.support import trained
+from tests.support.adapters import trained
 from tests.support.peer import xpl
 from xpl import _spec as sdk
 from xpl.convert.gaps import gaps

@@ -9,8 +9,8 @@ from copy import deepcopy
 import numpy as np
 import pytest
 
-from tests.support.demonstrations import Convention, MemorySet, write
-from tests.support.motion import motion
+from tests.support.recordings.demonstrations import Convention, MemorySet, write
+from tests.support.recordings.motion import motion
 from xpl_cli.audit.demonstrations import catalogue
 from xpl_cli.audit.demonstrations.validation import Options, validate
 from xpl_cli.audit.formats import FORMATS, Context, render

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.audit.formats import sample
+from tests.support.adapters.rules import made_adapter, made_room
 from tests.support.peer import xpl
-from tests.support.rules import made_adapter, made_room
 from xpl_cli import __version__
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import FORMATS, Context, as_json, render

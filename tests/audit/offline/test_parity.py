@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support import parity
+from tests.support.adapters import parity
 from xpl import Policy
 from xpl.wire import packed
 from xpl.worker import variants

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support import sights
+from tests.support.adapters import sights
 from tests.support.peer import xpl
 from xpl import get_embodiment
 from xpl.wire import codec

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.rules import made_adapter
+from tests.support.adapters.rules import made_adapter
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome, Result

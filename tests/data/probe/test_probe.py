@@ -10,8 +10,8 @@ import yaml
 
 from tests.data.probe.truth import judge
 from tests.data.probe.written import LAST, NEW, ONE, TUNED
-from tests.support.demonstrations import Convention, MemorySet, write
-from tests.support.motion import Motion, motion
+from tests.support.recordings.demonstrations import Convention, MemorySet, write
+from tests.support.recordings.motion import Motion, motion
 from xpl_cli.data.probe import draft, page
 from xpl_cli.data.probe.answer import MARGIN, Contest
 from xpl_cli.data.probe.probe import Found, probe

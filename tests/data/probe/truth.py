@@ -11,8 +11,8 @@ from xpl import get_embodiment
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tests.support.demonstrations import Convention
-    from tests.support.motion import Motion
+    from tests.support.recordings.demonstrations import Convention
+    from tests.support.recordings.motion import Motion
     from xpl_cli.data.probe.probe import Found
 
 WIDTHS = {"position": 3, "gripper": 1, "fingers": 2}

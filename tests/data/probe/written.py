@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from tests.support.demonstrations import Convention
+from tests.support.recordings.demonstrations import Convention
 
 DEGREE = math.pi / 180
 POSE = ("position", "rotation", "gripper")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.support.arms import moments, rows
 from tests.support.peer import xpl
+from tests.support.recordings.arms import moments, rows
 from xpl import get_embodiment
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.native.kinematics import declared

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.arms import moments, rows
+from tests.support.recordings.arms import moments, rows
 from xpl import get_embodiment
 from xpl.convert import NativeError, tables
 from xpl_cli.native.kinematics import samples, witness

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.arms import ROBOTS, moments, rows
+from tests.support.recordings.arms import ROBOTS, moments, rows
 from xpl import get_embodiment
 from xpl.convert import rotations
 from xpl_cli.native.kinematics import witness

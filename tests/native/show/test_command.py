@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.support import parity, sights
-from tests.support.browser import browser
+from tests.support.adapters import parity, sights
+from tests.support.outside.browser import browser
 from tests.support.peer import xpl
 from xpl import images
 from xpl_cli.basics.errors import ExitCode, UserError

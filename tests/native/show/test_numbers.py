@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support import native as support
-from tests.support import sights
+from tests.support.adapters import native as support
+from tests.support.adapters import sights
 from xpl import get_embodiment
 from xpl.convert import compile_interface
 from xpl_cli.native import script

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support import sights
+from tests.support.adapters import sights
 from xpl_cli.native.show import looks, scene, seen
 from xpl_cli.native.show.cards import card
 from xpl_cli.native.show.subject import subject

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.support.native import observation
+from tests.support.adapters.native import observation
 from xpl.convert import compile_interface
 from xpl.embodiment import get_embodiment
 

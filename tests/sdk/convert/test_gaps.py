@@ -9,7 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from tests.support.native import CASES, observation, steps
+from tests.support.adapters.native import CASES, observation, steps
 from xpl import get_embodiment
 from xpl.convert import NativeError, compile_interface
 from xpl.convert.gaps import absent, filled, gaps

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.native import CASES, observation
+from tests.support.adapters.native import CASES, observation
 from xpl.action import ActionError
 from xpl.convert import NativeError, compile_interface
 from xpl.embodiment import get_embodiment

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.native import observation
+from tests.support.adapters.native import observation
 from xpl.convert import NativeError
 from xpl.policy import Policy
 

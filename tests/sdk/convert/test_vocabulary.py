@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.native import CAMERAS, CASES, Case, observation, steps, vocabulary, words
+from tests.support.adapters.native import CAMERAS, CASES, Case, observation, steps, vocabulary, words
 from xpl import rotation
 from xpl_cli.standard import spec
 

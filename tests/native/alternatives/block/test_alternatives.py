@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from tests.support import pages
-from tests.support.native import CASES, Case
+from tests.support.adapters.native import CASES, Case
+from tests.support.adapters.planted import Rig
 from tests.support.places import ROOT
-from tests.support.planted import Rig
 from xpl.action import ActionError
 from xpl.convert import NativeError, compile_interface
 from xpl.embodiment import get_embodiment

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.native import fields
+from tests.support.adapters.native import fields
 from xpl.embodiment import get_embodiment
 from xpl.wire import packed
 from xpl_cli.native.alternatives.signals import Signal, arms, deltas, pictures, poses, signals

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tests.support.native import Case, fields, observation
+from tests.support.adapters.native import Case, fields, observation
 from xpl import rotation
 from xpl.convert import compile_interface
 from xpl.policy import Policy

@@ -14,7 +14,7 @@ from xpl.rotation import conjugate, multiply, rotate
 from xpl_cli.data.sets.interface import Camera, Column
 
 if TYPE_CHECKING:
-    from tests.support.motion import Motion
+    from tests.support.recordings.motion import Motion
 
 
 @dataclass

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.places import ROOT
-from tests.support.runs import synthetic
+from tests.support.recordings.runs import synthetic
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.packages import package
 from xpl_cli.submission import archive, bundle, claims
