@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.support import examples, forked, once, schedule
+from tests.support import examples, forked, once, peer, schedule
 from tests.support.peer import MARK, processes, wait_until
 from xpl_cli.serving import nursery
 from xpl_cli.serving.launch import RunningServer, serving
@@ -38,17 +38,31 @@ _ANY_MACHINE: dict[str, Any] = {"deadline": None, "suppress_health_check": [Heal
 settings.register_profile("whole", **_ANY_MACHINE)
 settings.load_profile("whole")
 
+WHOLE_RUN_S = 600.0
+"""What a test of the whole run waits for one thing: servers, simulators and clusters start beside each other there."""
+
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Try properties with fewer examples where slow tests are left out."""
-    examples.are_few(config.option.markexpr == "not slow")
+    """Try properties with fewer examples where slow tests are left out, and wait longer where they are not."""
+    is_quick = config.option.markexpr == "not slow"
+    examples.are_few(is_quick)
+    if not is_quick:
+        peer.DEADLINE_S = WHOLE_RUN_S
     settings.register_profile("this run", max_examples=examples.examples(100), **_ANY_MACHINE)
     settings.load_profile("this run")
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave of a test with `sampled(n)` n cases, evenly spread, to the quick run; the others are slow."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave of a test with `sampled(n)` n cases, evenly spread, to the quick run; the others are slow.
+
+    A test's own limit is raised to the command's: that says how busy the machine may be.
+    """
+    least = config.getoption("timeout") or 0.0
+    for item in items:
+        own = item.get_closest_marker("timeout")
+        if own is not None and own.args[0] < least:
+            item.add_marker(pytest.mark.timeout(least), append=False)
     groups: dict[tuple[str, Any], list[tuple[pytest.Item, int]]] = {}
     for item in items:
         marker = item.get_closest_marker("sampled")

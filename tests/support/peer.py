@@ -17,7 +17,7 @@ from tests.support import forked
 from xpl.wire import codec
 
 DEADLINE_S = 100.0
-"""What any test waits for one thing before it gives up: nothing is that slow, however busy the machine is."""
+"""What any test waits for one thing before it gives up; tests/conftest.py makes it longer where all tests run."""
 MARK = "XPL_TEST_SERVER"
 
 

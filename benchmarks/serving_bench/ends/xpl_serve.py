@@ -7,7 +7,6 @@ one host, `websocket` declines it; `+shared` lets several clients share one mode
 
 from __future__ import annotations
 
-import inspect
 import json
 import tempfile
 import textwrap
@@ -139,9 +138,7 @@ class XplConnection:
 
 async def connect(address: str, setting: str) -> XplConnection:
     """Connect and start an episode."""
-    options: dict[str, Any] = {"config": {spec.Deploy.MAX_CONNECT_SECONDS: CONNECT_S}}
-    if "shared_memory" in inspect.signature(Client).parameters:
-        options["shared_memory"] = "websocket" not in setting
-    client = Client(address, **options)
+    config = {spec.Deploy.MAX_CONNECT_SECONDS: CONNECT_S}
+    client = Client(address, config=config, shared_memory="websocket" not in setting)
     client.reset()
     return XplConnection(client)
