@@ -51,6 +51,7 @@ def main() -> None:
     told = {key: _torch(_still(value) if "min" in value else value) for key, value in numbers.items()}
     target = place(config)
     target.mkdir(parents=True, exist_ok=True)
+    (target / ".training.pt").unlink(missing_ok=True)  # of a training on other numbers
     settings._save_pretrained(target)
     for pipeline in make_act_pre_post_processors(settings, dataset_stats=told):
         pipeline.save_pretrained(target)

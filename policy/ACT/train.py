@@ -7,7 +7,7 @@ import math
 import os
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import torch
 from lerobot.configs.policies import PreTrainedConfig
@@ -16,7 +16,7 @@ from process_data import demonstrations, place
 
 from xpl.training import Windows, windows
 
-SAVED_EVERY, TOLD_EVERY, WARM_UP, AVERAGE = 60.0, 100, 200, 0.999
+TOLD_EVERY, WARM_UP, AVERAGE = 100, 200, 0.999
 
 
 class Data:
@@ -72,16 +72,15 @@ def main() -> None:  # noqa: PLR0915 - one training, from the top to the bottom
     rates = [group["lr"] for group in optimizer.param_groups]
     average = [value.detach().clone() for value in policy.parameters()]
     kept = target / ".training.pt"
-    step, spent = 0, 0.0
+    step, spent, total = 0, 0.0, torch.zeros((), device=device)
     if kept.exists():
         state = torch.load(kept, map_location=device, weights_only=True)
         policy.load_state_dict(state["policy"])
         optimizer.load_state_dict(state["optimizer"])
-        average, step, spent = state["average"], state["step"], state["spent"]
+        average, step, spent, total = state["average"], state["step"], state["spent"], state["total"]
     limit, minutes = config["steps"], config.get("minutes") or math.inf
     begun = saved = time.monotonic()
-    before, log = spent, (target / "log.jsonl").open("a")
-    total = torch.zeros((), device=device)
+    before, log = spent, _curve(target / "log.jsonl", step)
     while step < limit and spent < minutes * 60:
         step += 1
         torch.manual_seed(seed * 1_000_003 + step)  # of each step by itself, so that a run that goes on draws the same
@@ -105,10 +104,11 @@ def main() -> None:  # noqa: PLR0915 - one training, from the top to the bottom
             print(json.dumps(told), file=log, flush=True)
             print(told, flush=True)
             total.zero_()
-        if time.monotonic() - saved > SAVED_EVERY:
+        if time.monotonic() - saved > config["save_every"]:
             saved = time.monotonic()
             state = {"policy": policy.state_dict(), "optimizer": optimizer.state_dict(), "average": average}
-            _whole(kept, lambda path: torch.save({**state, "step": step, "spent": spent}, path))  # noqa: B023
+            state |= {"step": step, "spent": spent, "total": total}
+            _whole(kept, lambda path: torch.save(state, path))  # noqa: B023
     for value, mean in zip(policy.parameters(), average):
         value.data.copy_(mean)
     _whole(target / "model.safetensors", lambda path: _save(policy, path))
@@ -130,6 +130,14 @@ def _calibrate(policy: ACTPolicy, data: Data) -> None:
         policy.forward(data.batch(torch.randperm(len(data.targets))[:128].to(data.targets.device)))
     for hook in hooks:
         hook.remove()
+
+
+def _curve(path: Path, step: int) -> TextIO:
+    """Open the curve, without what a killed run told after it was saved for the last time."""
+    told = path.read_text().splitlines(keepends=True) if path.exists() else []
+    kept = [line for line in told if line.endswith("\n") and json.loads(line)["step"] <= step]
+    _whole(path, lambda part: part.write_text("".join(kept)))
+    return path.open("a")
 
 
 def _save(policy: Any, path: Path) -> None:

@@ -7,26 +7,26 @@ from __future__ import annotations
 
 import json
 import os
-import re
+import signal
+import subprocess
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from tests.support.adapters.learned import needed, small
 from tests.support.peer import xpl
-from tests.support.places import ROOT, copy
+from tests.support.places import ROOT
 from xpl import training
 from xpl.trajectory import Writer
 from xpl_cli.basics.errors import ExitCode
 
 if TYPE_CHECKING:
-    import subprocess
     from pathlib import Path
 
-PYTHON = os.environ.get("XPL_LEROBOT_PYTHON", "")
 STATE = ("ACT_state", "DiffusionPolicy_state")
 ALL = ("ACT", "DiffusionPolicy", *STATE)
-SMALL = {"act": "dim_model: 16, n_heads: 2, dim_feedforward: 16", "diffusion": "down_dims: [8, 16]"}
 
 
 @pytest.mark.parametrize("name", ["ACT", "DiffusionPolicy"])
@@ -67,18 +67,11 @@ def test_the_scene_is_an_input_of_its_own(name: str, robot: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.skipif(not PYTHON, reason="not run: XPL_LEROBOT_PYTHON names no Python that has LeRobot")
+@needed
 @pytest.mark.parametrize("name", STATE)
 def test_a_policy_goes_the_whole_way(tmp_path: Path, name: str) -> None:
     """Demonstrations, statistics, steps whose loss falls, and an episode: the checkpoint is found and answers."""
-    folder = copy(tmp_path, f"policy/{name}/**") / "policy" / name
-    manifest = (folder / "policy.yml").read_text(encoding="utf-8")
-    environment = f"environment: {{ manager: path, python: {json.dumps(PYTHON)} }}"
-    (folder / "policy.yml").write_text(re.sub(r"(?m)^environment:.*$", environment, manifest), encoding="utf-8")
-    settings = (folder / "deploy.yml").read_text(encoding="utf-8")
-    small = SMALL["act" if name.startswith("ACT") else "diffusion"]
-    settings = re.sub(r"dim_model: 128, n_heads: 4, dim_feedforward: 512|down_dims: \[[0-9, ]+\]", small, settings)
-    (folder / "deploy.yml").write_text(settings, encoding="utf-8")
+    folder = small(tmp_path, name)
     _recorded(tmp_path / "demos")
     given = ("--set", f"demonstrations={tmp_path / 'demos'}", "--set", "batch=4", "--set", "ckpt_name=mine")
     assert _clean(xpl("prepare", str(folder), *given, cwd=tmp_path))
@@ -93,6 +86,49 @@ def test_a_policy_goes_the_whole_way(tmp_path: Path, name: str) -> None:
         cwd=tmp_path,
     )
     assert played.returncode in (ExitCode.CLEAN, ExitCode.FINDINGS), played.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@needed
+@pytest.mark.parametrize("name", STATE)
+def test_a_training_that_was_killed_ends_as_one_that_was_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """The same weights, byte for byte, and the same curve: saved after each step, killed after a hundred."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    folder = small(tmp_path, name)
+    _recorded(tmp_path / "demos")
+    given = ("--set", f"demonstrations={tmp_path / 'demos'}", "--set", "batch=4", "--set", "steps=220")
+    whole, cut = (folder / "checkpoints" / one for one in ("whole", "cut"))
+    for place in (whole, cut):
+        assert _clean(xpl("prepare", str(folder), *given, "--set", f"ckpt_name={place.name}", cwd=tmp_path))
+    assert _clean(xpl("train", str(folder), *given, "--set", "ckpt_name=whole", cwd=tmp_path))
+    again = ("train", str(folder), *given, "--set", "ckpt_name=cut", "--set", "save_every=0")
+    begun = subprocess.Popen(
+        [sys.executable, "-m", "xpl_cli", *again],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert begun.stdout is not None
+    said = next(line for line in begun.stdout if "'step': 100" in line)
+    os.killpg(begun.pid, signal.SIGKILL)
+    begun.communicate()
+    assert (cut / ".training.pt").exists(), said
+    assert not (cut / "model.safetensors").exists()
+    assert _clean(xpl(*again, cwd=tmp_path))
+    assert (cut / "model.safetensors").read_bytes() == (whole / "model.safetensors").read_bytes()
+    assert _curve(cut) == _curve(whole)
+    assert [step for step, _ in _curve(cut)] == [100, 200]
+    assert not (cut / ".training.pt").exists()
+
+
+def _curve(checkpoint: Path) -> list[tuple[int, float]]:
+    lines = (checkpoint / "log.jsonl").read_text(encoding="utf-8").splitlines()
+    return [(told["step"], told["loss"]) for told in map(json.loads, lines)]
 
 
 def _clean(done: subprocess.CompletedProcess[str]) -> bool:

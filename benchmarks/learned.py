@@ -1,0 +1,243 @@
+"""Records, prepares, trains and judges a policy of docs/learned-policies.md with the settings that it was trained with.
+
+    ./dev bench learned                                          what there is
+    ./dev bench learned --policy ACT --task lift_cube            a GPU, and some minutes
+    ./dev bench learned --policy ACT_state --task mw-push        two cores
+
+Everything lies in results/learned/POLICY-TASK, the checkpoint in the package. Who is stopped goes on with the same
+command: recording and judging episode by episode, training where it was saved last. result.json is there when all is
+done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+XPL = [sys.executable, "-m", "xpl_cli"]
+CLEAN, RANDOMIZED = "clean", "randomized"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a policy of the table was trained, and is judged.
+
+    Attributes:
+        environment, task, robot: where.
+        record: by setting, how many episodes the environment's expert records.
+        images: of the demonstrations; None: none, and what the simulator tells instead.
+        train: keys of deploy.yml.
+        horizon: executed actions of a chunk when it is judged; None: all.
+        judged: settings that it is judged in.
+    """
+
+    environment: str
+    task: str
+    robot: str
+    record: Mapping[str, int]
+    images: str | None
+    train: Mapping[str, float]
+    horizon: int | None = None
+    judged: tuple[str, ...] = (CLEAN,)
+
+
+def _ours(task: str, *, images: bool, horizon: int | None, **train: float) -> Recipe:
+    record = {CLEAN: 130, RANDOMIZED: 130} if images else {CLEAN: 260}
+    judged = (CLEAN, RANDOMIZED) if images else (CLEAN,)
+    return Recipe("mujoco", task, "arx_x5_single", record, "96x96" if images else None, train, horizon, judged)
+
+
+def _metaworld(task: str, **train: float) -> Recipe:
+    return Recipe("metaworld", task, "sawyer", {CLEAN: 50}, None, {"batch": 64, "noise": 0.02, **train})
+
+
+RECIPES: dict[tuple[str, str], Recipe] = {
+    ("ACT", "lift_cube"): _ours("lift_cube", images=True, horizon=None, batch=64, noise=0.01, steps=4050),
+    ("ACT", "push_block"): _ours("push_block", images=True, horizon=None, batch=128, noise=0.01, steps=5692),
+    ("DiffusionPolicy", "lift_cube"): _ours("lift_cube", images=True, horizon=1, batch=256, noise=0.03, steps=4961),
+    ("DiffusionPolicy", "push_block"): _ours("push_block", images=True, horizon=1, batch=256, noise=0.03, steps=4998),
+    ("ACT_state", "lift_cube"): _ours("lift_cube", images=False, horizon=None, batch=64, noise=0.01, steps=8850),
+    ("ACT_state", "push_block"): _ours("push_block", images=False, horizon=None, batch=64, noise=0.01, steps=9250),
+    ("DiffusionPolicy_state", "lift_cube"): _ours(
+        "lift_cube", images=False, horizon=1, batch=256, noise=0.02, steps=9057
+    ),
+    ("DiffusionPolicy_state", "push_block"): _ours(
+        "push_block", images=False, horizon=1, batch=256, noise=0.02, steps=9183
+    ),
+    **{
+        (policy, f"mw-{task}"): _metaworld(task, steps=steps)
+        for policy, tasks in {
+            "ACT_state": {
+                "push": 11932,
+                "pick-place": 11635,
+                "door-open": 11813,
+                "drawer-open": 11090,
+                "peg-insert-side": 12454,
+            },
+            "DiffusionPolicy_state": {
+                "push": 5562,
+                "pick-place": 5350,
+                "door-open": 5305,
+                "drawer-open": 5333,
+                "peg-insert-side": 5114,
+            },
+        }.items()
+        for task, steps in tasks.items()
+    },
+}
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One command.
+
+    Attributes:
+        name: under which it is told, and noted when it is done.
+        words: what comes after `xpl`.
+        good: exit codes that mean done.
+        begun: a file that is there once it was begun: then it is told to go on.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    good: tuple[int, ...] = (0,)
+    begun: Path | None = None
+
+
+def stages(recipe: Recipe, package: Path, out: Path, asked: argparse.Namespace) -> Iterator[Stage]:
+    """Yield the commands of a recipe, in their order.
+
+    Args:
+        recipe: what is made.
+        package: folder of the policy.
+        out: folder of demonstrations, runs and report.
+        asked: the command line.
+    """
+    sees = ("--images", recipe.images, "--quality", "90", "--no-depth") if recipe.images else ("--images", "none")
+    demos = {setting: out / "demos" / setting for setting in recipe.record}
+    where = () if asked.eval_env is None else ("--eval-env", asked.eval_env)
+    robot = ("--task", recipe.task, "--embodiment", recipe.robot, "--action-type", "ee")
+    for setting, count in recipe.record.items():
+        words = ("record", recipe.environment, *robot, "--setting", setting, "--episodes", str(count), *sees)
+        more = ("--privileged", "--workers", asked.workers, "--out", str(demos[setting]), *where)
+        yield Stage(f"record {setting}", (*words, *more), begun=demos[setting] / "run" / "records.jsonl")
+    if not asked.installed:
+        yield Stage("install", ("install", str(package)))
+    sets = json.dumps([str(demo) for demo in demos.values()])
+    keys = {"ckpt_name": asked.name, "env_cfg_type": recipe.robot, "demonstrations": sets, **recipe.train}
+    given = tuple(word for key, value in keys.items() for word in ("--set", f"{key}={value}"))
+    yield Stage("prepare", ("prepare", str(package), *given))
+    yield Stage("train", ("train", str(package), *given))
+    whole = () if recipe.horizon is None else ("--horizon", str(recipe.horizon))
+    for setting in recipe.judged:
+        run = out / "runs" / setting
+        words = ("eval", str(package), "--env", recipe.environment, "--task", recipe.task, "--setting", setting)
+        count = ("--episodes", str(asked.judge), "--workers", asked.workers, "--film", "0", *whole, *where)
+        which = ("--set", f"ckpt_name={asked.name}", "--set", f"env_cfg_type={recipe.robot}", "--out", str(run))
+        yield Stage(f"judge {setting}", (*words, *count, *which), (0, 1), begun=run / "records.jsonl")
+        yield Stage(f"report {setting}", ("report", str(run)))
+
+
+def write(file: Path, value: Any) -> None:
+    """Write JSON that is there whole or not at all."""
+    part = file.with_name(f".{file.name}.part")
+    part.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+    part.replace(file)
+
+
+def run(recipe: Recipe, asked: argparse.Namespace) -> dict[str, Any]:
+    """Do what is not done yet, and return the result.
+
+    Raises:
+        SystemExit: a command failed, or the folder holds what was made otherwise.
+    """
+    package = Path(asked.package or ROOT / "policy" / asked.policy).resolve()
+    out = Path(asked.out or ROOT / "results" / "learned" / f"{asked.policy}-{asked.task}").resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    settings = {**asdict(recipe), "policy": asked.policy, "package": str(package), "checkpoint": asked.name}
+    settings = json.loads(json.dumps({**settings, "episodes_judged": asked.judge}))
+    file = out / "state.json"
+    state = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"settings": settings, "seconds": {}}
+    if state["settings"] != settings:
+        sys.exit(f"{out} was begun with other settings ({file}): go on with those, or name another folder with --out")
+    write(file, state)
+    found = list(stages(recipe, package, out, asked))
+    for place, stage in enumerate(found, 1):
+        if stage.name in state["seconds"]:
+            continue
+        resumed = ("--resume",) if stage.begun is not None and stage.begun.exists() else ()
+        print(f"== {place} of {len(found)}: {stage.name}", file=sys.stderr, flush=True)
+        begun = time.monotonic()
+        command = [*XPL, *stage.words, *resumed]
+        code = subprocess.run(command, env=_variables(), stdout=sys.stderr, check=False).returncode
+        if code not in stage.good:
+            sys.exit(f"{stage.name} ended with exit code {code}; the same command goes on there")
+        state["seconds"][stage.name] = round(time.monotonic() - begun, 1)
+        write(file, state)
+    told = {setting: out / "runs" / setting / "report" / "report.json" for setting in recipe.judged}
+    reports = {setting: json.loads(path.read_text(encoding="utf-8")) for setting, path in told.items()}
+    return {"schema": "xpl.learned/1", **state, "reports": reports, "out": str(out)}
+
+
+def _variables() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
+
+
+def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Return what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--policy", choices=sorted({policy for policy, _ in RECIPES}))
+    parser.add_argument("--task", help="as in the list; mw- for those of Meta-World")
+    parser.add_argument("--out", help="folder; results/learned/POLICY-TASK by default")
+    parser.add_argument("--name", help="of the checkpoint; learned-TASK by default")
+    parser.add_argument("--package", help="folder of the policy; policy/POLICY by default")
+    parser.add_argument("--installed", action="store_true", help="leave `xpl install` out")
+    parser.add_argument("--eval-env", help="Python of the environment, as for `xpl eval`")
+    parser.add_argument("--workers", default="auto", help="episodes at once (default: auto, one a core)")
+    parser.add_argument("--judge", type=int, default=50, metavar="N", help="episodes of each setting (default: 50)")
+    parser.add_argument("--episodes", type=int, metavar="N", help="demonstrations of each setting, to try it out")
+    parser.add_argument("--steps", type=int, metavar="N", help="of the training, to try it out")
+    parser.add_argument("--json", action="store_true", help="print result.json, too")
+    asked = parser.parse_args(arguments)
+    if (asked.policy is None) != (asked.task is None):
+        parser.error("--policy and --task go together; without both what there is is listed")
+    if asked.policy is not None and (asked.policy, asked.task) not in RECIPES:
+        there = ", ".join(task for policy, task in RECIPES if policy == asked.policy)
+        parser.error(f"{asked.policy} was not trained on {asked.task}: {there}")
+    if asked.name is None:
+        asked.name = f"learned-{asked.task}"
+    return asked
+
+
+def changed(recipe: Recipe, asked: argparse.Namespace) -> Recipe:
+    """Return a recipe with the numbers that the command line has for it."""
+    if asked.episodes is not None:
+        recipe = replace(recipe, record=dict.fromkeys(recipe.record, asked.episodes))
+    return recipe if asked.steps is None else replace(recipe, train={**recipe.train, "steps": asked.steps})
+
+
+def main() -> None:
+    """List the recipes, or follow one."""
+    asked = parsed()
+    if asked.policy is None:
+        for (policy, task), recipe in RECIPES.items():
+            told = "  ".join(f"{key} {value:g}" for key, value in recipe.train.items())
+            print(f"--policy {policy} --task {task}".ljust(58), f"{sum(recipe.record.values())} episodes  {told}")
+        return
+    result = run(changed(RECIPES[asked.policy, asked.task], asked), asked)
+    file = Path(result["out"]) / "result.json"
+    write(file, result)
+    print(json.dumps(result, indent=2) if asked.json else file)
+
+
+if __name__ == "__main__":
+    main()

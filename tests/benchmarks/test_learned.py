@@ -1,0 +1,99 @@
+"""`benchmarks/learned.py`: one command makes a policy of the table, and goes on where it was stopped."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from benchmarks import learned
+from tests.support.adapters.learned import needed, small
+from tests.support.places import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.mark.parametrize("which", learned.RECIPES, ids="-".join)
+def test_every_recipe_records_prepares_trains_and_judges(which: tuple[str, str], tmp_path: Path) -> None:
+    """With what its package reads: cameras, or what the simulator tells."""
+    policy, task = which
+    asked = learned.parsed(["--policy", policy, "--task", task])
+    found = list(learned.stages(learned.RECIPES[which], ROOT / "policy" / policy, tmp_path, asked))
+    names = [stage.words[0] for stage in found]
+    assert list(dict.fromkeys(names)) == ["record", "install", "prepare", "train", "eval", "report"]
+    assert [name for name in names if name in ("prepare", "train")] == ["prepare", "train"]
+    recorded = " ".join(found[0].words)
+    assert ("--images none" in recorded) == policy.endswith("_state")
+    assert (ROOT / "policy" / policy).is_dir()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--policy", "ACT"], "go together"),
+        (["--policy", "ACT", "--task", "mw-push"], "lift_cube, push_block"),
+        (["--policy", "Foo", "--task", "lift_cube"], "DiffusionPolicy_state"),
+    ],
+)
+def test_what_there_is_not_is_refused_with_what_there_is(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is recorded."""
+    with pytest.raises(SystemExit) as ended:
+        learned.parsed(words)
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_it_goes_on_after_what_is_done_and_never_with_other_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stage that failed is the next one; other settings in the same folder are an error."""
+    codes = {"train": 4}
+    called: list[str] = []
+
+    def ran(command: list[str], **_: object) -> subprocess.CompletedProcess[bytes]:
+        words = command[len(learned.XPL) :]
+        called.append(words[0])
+        if words[0] == "report":
+            learned_report = tmp_path / "runs" / words[1].rpartition("/")[2] / "report"
+            learned_report.mkdir(parents=True)
+            (learned_report / "report.json").write_text("{}")
+        return subprocess.CompletedProcess(command, codes.get(words[0], 0))
+
+    monkeypatch.setattr(learned.subprocess, "run", ran)
+    recipe = learned.RECIPES["ACT_state", "lift_cube"]
+    given = ["--policy", "ACT_state", "--task", "lift_cube", "--out", str(tmp_path), "--judge", "2"]
+    asked = learned.parsed(given)
+    with pytest.raises(SystemExit, match="train ended with exit code 4"):
+        learned.run(recipe, asked)
+    codes.clear()
+    assert called == ["record", "install", "prepare", "train"]
+    result = learned.run(recipe, asked)
+    assert called[4:] == ["train", "eval", "report"]
+    assert set(result["reports"]) == {"clean"}
+    with pytest.raises(SystemExit, match="other settings"):
+        learned.run(recipe, learned.parsed([*given[:-1], "3"]))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@needed
+def test_a_policy_is_made_by_one_command(tmp_path: Path) -> None:
+    """Three demonstrations, some steps, one episode: nothing stands in for anything."""
+    pytest.importorskip("mujoco")
+    folder = small(tmp_path, "ACT_state")
+    words = ["--policy", "ACT_state", "--task", "lift_cube", "--package", str(folder), "--out", str(tmp_path / "out")]
+    few = ["--episodes", "3", "--steps", "100", "--judge", "1", "--workers", "1", "--installed", "--json"]
+    command = [sys.executable, "benchmarks/learned.py", *words, *few]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result == json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert set(result["seconds"]) == {"record clean", "prepare", "train", "judge clean", "report clean"}
+    assert result["reports"]["clean"]["schema"] == "xpl.report/1"
+    assert (folder / "checkpoints" / "learned-lift_cube" / "model.safetensors").is_file()
