@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -163,3 +164,24 @@ def test_the_page_has_the_digest_of_a_folder_and_every_option() -> None:
     assert line in PAGE
     options = set(re.findall(r'"(--[a-z-]+)"', Path(command.__file__).read_text(encoding="utf-8")))
     assert options - {"--json", "--force"} <= set(re.findall(r"--[a-z][a-z-]+", PAGE))
+
+
+LOOKS = """
+import importlib.util, json, subprocess, sys
+look = "import importlib.util as u; print([u.find_spec(n) is not None for n in ('xpl', 'xpl_cli', 'tests')])"
+print(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout)
+"""
+
+
+def test_a_script_finds_the_sdk_in_a_python_that_has_nothing_installed(made: Path, tmp_path: Path) -> None:
+    """So do processes that it starts; the tool, and what lies beside the SDK, they do not find."""
+    folder = tmp_path / "Foo"
+    shutil.copytree(made / "policy" / "Foo", folder)
+    (folder / "train.py").write_text(LOOKS)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "bare")], check=True)
+    manifest = yaml.safe_load((folder / "policy.yml").read_text())
+    manifest["environment"] = {"manager": "path", "python": str(tmp_path / "bare" / "bin" / "python")}
+    (folder / "policy.yml").write_text(yaml.safe_dump(manifest))
+    done = xpl("train", str(folder), cwd=tmp_path)
+    assert done.returncode == ExitCode.CLEAN, done.stderr
+    assert "[True, False, False]" in done.stdout

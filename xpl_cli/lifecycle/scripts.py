@@ -6,10 +6,14 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import xpl
 from xpl import _spec as sdk
 from xpl import checkpoint
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
@@ -18,8 +22,7 @@ from xpl_cli.lifecycle.python_env import place
 from xpl_cli.lifecycle.python_env.plan import plan_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping
 
     from xpl_cli.packages.package import Package
 
@@ -28,6 +31,8 @@ CONFIG_VARIABLE = "XPL_CONFIG"
 
 MANIFEST_VARIABLE = "XPL_MANIFEST"
 """Environment variable that hands it policy.yml, as JSON: its own Python need not read YAML (`xpl.training`)."""
+
+PATH_VARIABLE = "PYTHONPATH"
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,8 @@ def run_script(
     """Run an author's script with the configuration of the run in `XPL_CONFIG` (JSON); return how long it took, s.
 
     The configuration also names the conventional `run_name` of data and checkpoints. `XPL_MANIFEST` holds policy.yml:
-    the policy's own Python need not read YAML. With `aside` what the script prints goes to standard error.
+    the policy's own Python need not read YAML. `import xpl` works in the script, and in processes that it starts,
+    whatever is installed there. With `aside` what the script prints goes to standard error.
 
     Raises:
         NotFoundError: if the author has not written the script.
@@ -103,10 +109,20 @@ def run_script(
     python = interpreter.resolve(package.path, package.manifest)
     started = time.monotonic()
     output = sys.stderr if aside else None
-    done = subprocess.run([python, str(script)], cwd=package.path, env=environment, stdout=output, check=False)
+    with _sdk_alone() as folder:
+        environment[PATH_VARIABLE] = os.pathsep.join(filter(None, (folder, os.environ.get(PATH_VARIABLE))))
+        done = subprocess.run([python, str(script)], cwd=package.path, env=environment, stdout=output, check=False)
     if done.returncode:
         raise UserError(f"{script} failed with exit code {done.returncode}", code=ExitCode.NOT_RUN)
     return time.monotonic() - started
+
+
+@contextmanager
+def _sdk_alone() -> Iterator[str]:
+    """Yield a folder that has `xpl` to import and nothing else: neither this tool nor what lies beside it."""
+    with tempfile.TemporaryDirectory(prefix="xpl-sdk-") as folder:
+        (Path(folder) / xpl.__name__).symlink_to(Path(xpl.__file__).parent, target_is_directory=True)
+        yield folder
 
 
 def gpu_setting(gpu: str | None) -> dict[str, Any]:
