@@ -103,13 +103,13 @@ def test_the_likeliest_come_first() -> None:
         (
             "one arm, poses in the base, history",
             "frame",
-            lambda b: [part[kind].update(frame="world") for part in b["action"]["parts"][:2] for kind in part],
+            lambda b: b["state"][0]["parts"][0]["position"].update(unit="m"),
         ),
         ("one arm, poses in the base, history", "history", lambda b: b["history"].update(stride=1)),
         (
             "one arm, cumulative poses",
             "image_filter",
-            lambda b: b["images"][0]["steps"][0]["resize"].update(filter="area"),
+            lambda b: b["images"][0]["steps"][0]["resize"].update(filter="nearest"),
         ),
         ("one arm, cumulative poses", "joint_order", lambda b: b["action"]["parts"].reverse()),
         ("numbers that never moved", "rotation", lambda b: b["action"]["parts"][1]["rotation"].update(euler="ZYX")),
