@@ -206,7 +206,7 @@ def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--judge", type=int, default=50, metavar="N", help="episodes of each setting (default: 50)")
     parser.add_argument("--episodes", type=int, metavar="N", help="demonstrations of each setting, to try it out")
     parser.add_argument("--steps", type=int, metavar="N", help="of the training, to try it out")
-    parser.add_argument("--json", action="store_true", help="print result.json, too")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result there, too")
     asked = parser.parse_args(arguments)
     if (asked.policy is None) != (asked.task is None):
         parser.error("--policy and --task go together; without both what there is is listed")
@@ -234,9 +234,10 @@ def main() -> None:
             print(f"--policy {policy} --task {task}".ljust(58), f"{sum(recipe.record.values())} episodes  {told}")
         return
     result = run(changed(RECIPES[asked.policy, asked.task], asked), asked)
-    file = Path(result["out"]) / "result.json"
-    write(file, result)
-    print(json.dumps(result, indent=2) if asked.json else file)
+    files = [Path(result["out"]) / "result.json", *([] if asked.json is None else [asked.json])]
+    for file in files:
+        write(file, result)
+    print(files[0])
 
 
 if __name__ == "__main__":

@@ -65,7 +65,7 @@ def test_it_goes_on_after_what_is_done_and_never_with_other_settings(
             (learned_report / "report.json").write_text("{}")
         return subprocess.CompletedProcess(command, codes.get(words[0], 0))
 
-    monkeypatch.setattr(learned.subprocess, "run", ran)
+    monkeypatch.setattr(subprocess, "run", ran)
     recipe = learned.RECIPES["ACT_state", "lift_cube"]
     given = ["--policy", "ACT_state", "--task", "lift_cube", "--out", str(tmp_path), "--judge", "2"]
     asked = learned.parsed(given)
@@ -88,11 +88,12 @@ def test_a_policy_is_made_by_one_command(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     folder = small(tmp_path, "ACT_state")
     words = ["--policy", "ACT_state", "--task", "lift_cube", "--package", str(folder), "--out", str(tmp_path / "out")]
-    few = ["--episodes", "3", "--steps", "100", "--judge", "1", "--workers", "1", "--installed", "--json"]
-    command = [sys.executable, "benchmarks/learned.py", *words, *few]
+    few = ["--episodes", "3", "--steps", "100", "--judge", "1", "--workers", "1", "--installed"]
+    file = tmp_path / "figures.json"
+    command = [sys.executable, "benchmarks/learned.py", *words, *few, "--json", str(file)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+    result = json.loads(file.read_text(encoding="utf-8"))
     assert result == json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert set(result["seconds"]) == {"record clean", "prepare", "train", "judge clean", "report clean"}
     assert result["reports"]["clean"]["schema"] == "xpl.report/1"

@@ -15,12 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.adapters.learned import needed, small
+from tests.support.adapters.learned import PYTHON, needed, small
+from tests.support.killable import Server
 from tests.support.peer import xpl
-from tests.support.places import ROOT
-from xpl import training
+from tests.support.places import ROOT, copy
+from xpl import Client, training
 from xpl.trajectory import Writer
 from xpl_cli.basics.errors import ExitCode
+from xpl_cli.isolation import errand
+from xpl_cli.packages import package
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -124,6 +127,37 @@ def test_a_training_that_was_killed_ends_as_one_that_was_not(
     assert _curve(cut) == _curve(whole)
     assert [step for step, _ in _curve(cut)] == [100, 200]
     assert not (cut / ".training.pt").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@needed
+@pytest.mark.parametrize("name", STATE)
+def test_what_ships_answers_a_client_as_it_answers_in_one_process(tmp_path: Path, name: str) -> None:
+    """To the last bit: XPL255 cannot ask a policy that wants what only a simulator tells, so this does."""
+    folder = copy(tmp_path, f"policy/{name}/**") / "policy" / name
+    found = package.load(str(folder))
+    place = errand.Place(python=PYTHON, checkout=folder, patience=600, limit_s=1800)
+    seen = [{**_observation(step), "env_idx": 0} for step in range(6)]
+    calls: list[tuple[str, list[Any]]] = [("reset", [])]
+    for obs in seen:
+        calls += [("update_obs", [obs]), ("get_action", [])]
+    order = {"policy_dir": str(folder), "config": found.config({}), "manifest": found.manifest, "script": calls}
+    done = errand.run("xpl.worker.inprocess", {**order, "watch": False}, place)
+    local = [
+        answer["result"] for answer, (method, _) in zip(done.answers[1:], calls, strict=True) if method == "get_action"
+    ]
+    with Server(folder, "--python", PYTHON) as server, Client(server.url) as client:
+        client.reset()
+        remote = []
+        for obs in seen:
+            client.update_obs(obs)
+            remote.append(client.get_action())
+    for one, other in zip(local, remote, strict=True):
+        assert [sorted(step) for step in one] == [sorted(step) for step in other]
+        for step, same in zip(one, other, strict=True):
+            for key, values in step.items():
+                assert np.asarray(values).tobytes() == np.asarray(same[key]).tobytes()
 
 
 def _curve(checkpoint: Path) -> list[tuple[int, float]]:
