@@ -42,11 +42,14 @@ WHOLE_RUN_S = 600.0
 """What a test of the whole run waits for one thing: servers, simulators and clusters start beside each other there."""
 
 
+def _is_whole(config: pytest.Config) -> bool:
+    return bool(config.option.markexpr != "not slow")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Try properties with fewer examples where slow tests are left out, and wait longer where they are not."""
-    is_quick = config.option.markexpr == "not slow"
-    examples.are_few(is_quick)
-    if not is_quick:
+    examples.are_few(not _is_whole(config))
+    if _is_whole(config):
         peer.DEADLINE_S = WHOLE_RUN_S
     settings.register_profile("this run", max_examples=examples.examples(100), **_ANY_MACHINE)
     settings.load_profile("this run")
@@ -75,7 +78,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for index, (item, _) in enumerate(group):
             if index not in kept:
                 item.add_marker(pytest.mark.slow)
-    schedule.order(items)
+    schedule.order(items, is_whole=_is_whole(config))
 
 
 def pytest_collection_finish() -> None:
@@ -86,7 +89,7 @@ def pytest_collection_finish() -> None:
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Keep the tests of a file in one process, where several run them."""
-    return schedule.ByFile(config, log)
+    return schedule.ByFile(config, log, is_whole=_is_whole(config))
 
 
 @pytest.fixture(scope="session", autouse=True)
