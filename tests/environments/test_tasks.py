@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from xpl import _spec as spec
 from xpl import get_embodiment
 from xpl_cli.basics.content import load_module, room
 from xpl_cli.basics.errors import NotFoundError, UserError
@@ -86,9 +87,15 @@ def test_frozen_seeds_are_solved_by_the_expert_and_not_by_chance(task: str, sett
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("task", "embodiment"), PAIRS)
-@pytest.mark.parametrize(("action_type", "episodes"), [("joint", None), ("ee", 20)])
-def test_all_frozen_seeds_hold(task: str, embodiment: str, action_type: str, episodes: int | None) -> None:
-    """Every embodiment and setting that is offered, in both kinds of control."""
+@pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
+def test_frozen_seeds_hold(task: str, embodiment: str, action_type: str) -> None:
+    """Every embodiment and setting that is offered, in both kinds of control.
+
+    All seeds of each task and of each embodiment in one pair at least, ten of the others: all of all take two cores
+    three hours, as `xpl env check mujoco`, which is run when the scene is changed.
+    """
+    place = list(FACTS["tasks"]).index(task) + FACTS["embodiments"].index(embodiment)
+    episodes = None if action_type == "joint" and place % 4 == 0 else 10
     choice = check.Choice([task], [embodiment], episodes=episodes, action_type=action_type)
     report = check.check("mujoco", choice, Progress())
     assert report["ok"], check.text(report)
