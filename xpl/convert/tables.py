@@ -51,6 +51,17 @@ def read(path: Path, key: Sequence[str]) -> Any:
     return _entry(_document(path), words, path)
 
 
+def names(path: Path) -> list[str]:
+    """Return the names of a safetensors file's arrays.
+
+    Raises:
+        NativeError: if it is too large, or is not one.
+    """
+    if path.stat().st_size > SIZE_LIMIT:
+        raise NativeError(f"{path} is larger than files of numbers may be: at most {SIZE_LIMIT} bytes")
+    return sorted(_safetensors(path))
+
+
 def _name(words: Sequence[str], there: Mapping[str, Any], path: Path) -> str:
     for joint in ("/", "."):
         if joint.join(words) in there:

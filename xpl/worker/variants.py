@@ -46,9 +46,10 @@ def variants(model: Policy, blocks: Sequence[Mapping[str, Any]], order: Mapping[
         order: `calls` and `seconds`.
     """
     until = time.monotonic() + order["seconds"]
-    asked_alike = not blocks[0].get("recurrent") and blocks[0].get("sampling", "none") == "none" if blocks else False
-    if asked_alike:  # equal inputs have equal answers
-        model.predict = _remembering(model.predict)  # type: ignore[method-assign]
+    sampling = blocks[0].get("sampling", "none") if blocks else ""
+    memory = _Memory(model, seeded=sampling == "seeded")
+    if sampling in {"none", "seeded"} and not blocks[0].get("recurrent"):
+        model.predict = memory.predict  # type: ignore[method-assign]
     pictures = _Pictures(blocks[0]) if blocks else None
     folders = checkpoint.folders(model.config, model.policy_dir)
     for block in blocks:
@@ -59,6 +60,7 @@ def variants(model: Policy, blocks: Sequence[Mapping[str, Any]], order: Mapping[
             if pictures is not None:
                 pictures.take_over(interface, block)
             model.interface = interface
+            memory.begin()
             yield result(list(renewed(model, order["calls"])))
         except FAILURES as error:
             yield failed(error)
@@ -77,23 +79,44 @@ def renewed(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
             yield from model.get_action_batch(call["ask"])
 
 
-def _remembering(predict: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the model with a memory: a block that changes commands alone asks it nothing new."""
-    known: dict[str, Any] = {}
-    held = 0
+class _Memory:
+    """What a model answered to equal inputs: a block that changes commands alone asks it nothing new.
 
-    def remembered(inputs: Any, envs: list[int]) -> Any:
-        nonlocal held
+    Equal inputs have equal answers if nothing is drawn. A model that draws from the generators of its environments has
+    equal ones if all inputs since its beginning are equal; its generators are then as after the answer. One that draws
+    from elsewhere is asked each time.
+    """
+
+    def __init__(self, model: Policy, *, seeded: bool) -> None:
+        self._model, self._predict, self._seeded = model, model.predict, seeded
+        self._known: dict[str, tuple[Any, dict[int, Any]]] = {}
+        self._held = 0
+        self._before = ""
+
+    def begin(self) -> None:
+        """Tell that the model is as it was when it was loaded."""
+        self._before = ""
+
+    def predict(self, inputs: Any, envs: list[int]) -> Any:
+        """Answer as the model does."""
         key = _digest(inputs)
-        if key not in known:
-            answer = predict(inputs, envs)
-            held += getattr(answer, "nbytes", 1 << 16)
-            if held > _MOST_BYTES:
-                return answer
-            known[key] = answer
-        return known[key]
+        if self._seeded:
+            key = self._before = _digest({"before": self._before, "now": key, "envs": tuple(envs)})
+        if key in self._known:
+            answer, drawn = self._known[key]
+            for env, state in drawn.items():
+                self._model.rng(env).bit_generator.state = state
+            return answer
+        states = self._states(envs)
+        answer = self._predict(inputs, envs)
+        drawn = self._states(envs)
+        self._held += getattr(answer, "nbytes", 1 << 16)
+        if self._held <= _MOST_BYTES and (not self._seeded or all(drawn[env] != states[env] for env in envs)):
+            self._known[key] = answer, drawn
+        return answer
 
-    return remembered
+    def _states(self, envs: list[int]) -> dict[int, Any]:
+        return {env: self._model.rng(env).bit_generator.state for env in envs} if self._seeded else {}
 
 
 def _digest(inputs: Mapping[str, Any]) -> str:

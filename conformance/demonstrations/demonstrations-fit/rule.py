@@ -11,6 +11,9 @@ from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
 from xpl_cli.audit.offline.demonstrations.search import Change
 from xpl_cli.audit.served.probe import blame
 
+_WITHOUT = {"instruction": "blank", "history": "with the newest observation only"}
+"""What is shown instead of an input."""
+
 
 @rule(code="XPL270", requirement="XPL-ACT-12", after=("serves",))
 def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof]:
@@ -21,7 +24,8 @@ def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof
     compares the actions that it predicts with those that were commanded, part by part over its horizon. Then every
     single change that is known is tried: other words of the `native` block; of an adapter that converts in code,
     changes of what it is shown and commands; and for all, other histories, instructions and rates. A change that leaves
-    80 % of the error or less, with 99 % certainty 92 % (paired bootstrap over episodes), is a finding.
+    80 % of the error or less, with 99 % certainty 92 % (paired bootstrap over episodes), is a finding. So is a camera,
+    the instruction or the history where the block hands it over, and without it all commands are exactly the same.
 
     ## Why it matters
     Wherever red and blue, two cameras, the gripper's ends or the reference of a command are exchanged, the policy was
@@ -37,6 +41,9 @@ def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof
     No automatic fix.
     """
     best = demonstrations.outcome.best
+    if best is None and demonstrations.outcome.deaf:
+        yield from _unread(demonstrations)
+        return
     if best is None and not demonstrations.outcome.complete:
         raise NotRun(f"there was no time for all conventions; of {demonstrations.outcome.tried} none fits better")
     if best is None and demonstrations.outcome.far:
@@ -53,6 +60,26 @@ def demonstrations_fit(demonstrations: Demonstrated) -> Iterator[Finding | Proof
             f"{best.margin.share:.0%} of the error, at most {best.margin.most:.0%}; about {best.margin.needed} would"
         )
     yield _finding(demonstrations, best)
+
+
+def _unread(demonstrations: Demonstrated) -> Iterator[Finding]:
+    for name, convention in demonstrations.outcome.deaf:
+        without = _WITHOUT.get(name, "dark")
+        yield blame(
+            f"{name} does not reach the model: {without}, the policy commands the same in all demonstrations that were "
+            "tried",
+            expected=f"commands that depend on {name}, as the native block hands it to the model",
+            got=f"equal commands with {name} as recorded and {without}",
+            evidence={
+                "cause": {"words": f"{name}: unread", "convention": convention},
+                "episodes": demonstrations.episodes,
+                "errors": demonstrations.table(),
+            },
+            fix=Fix(
+                "advice",
+                f"look for where {name} is lost on its way; take it out of the block if the model has no use for it",
+            ),
+        )
 
 
 def _finding(demonstrations: Demonstrated, best: Change) -> Finding:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import copy
+import json
 import shutil
 from dataclasses import dataclass
 from functools import cached_property
@@ -129,7 +129,7 @@ class Adapter:
     def mistakes(self) -> list[Mistake]:
         """The mistakes that are planted into it."""
         told = yaml.safe_load((HERE / "mistakes.yml").read_text())[self.name]
-        return [Mistake(name, _listed(one["convention"]), one["edits"]) for name, one in told.items()]
+        return [Mistake(name, listed(one["convention"]), one["edits"]) for name, one in told.items()]
 
 
 @dataclass(frozen=True)
@@ -140,15 +140,17 @@ class Mistake:
         name: in a few words.
         conventions: any of them names the cause right.
         edits: by place in the block, keys joined by `/`, the new value; null takes it out.
+        replace: in a file of the package, what stands for what: `file`, `old`, `new`.
     """
 
     name: str
     conventions: tuple[str, ...]
     edits: dict[str, Any]
+    replace: dict[str, str] | None = None
 
     def planted(self, block: dict[str, Any]) -> dict[str, Any]:
         """Return the block with the mistake."""
-        result = copy.deepcopy(block)
+        result = json.loads(json.dumps(block))  # places that YAML's aliases share are places of their own
         for place, value in self.edits.items():
             *way, last = [int(key) if key.isdigit() else key for key in place.split("/")]
             spot: Any = result
@@ -174,5 +176,6 @@ def _commanded(episode: trajectory.Trajectory, action_type: str) -> list[dict[st
     return [{key: rows[step] for key, rows in found.items()} for step in range(len(episode))]
 
 
-def _listed(told: Any) -> tuple[str, ...]:
+def listed(told: Any) -> tuple[str, ...]:
+    """Return the conventions of which any names a cause right."""
     return (told,) if isinstance(told, str) else tuple(told)

@@ -50,6 +50,8 @@ _HARDLY: Final = 0.25
 nearer than who moves wrongly, whatever is wrong."""
 _FAR: Final = 1.1
 """Nor are those that leave more than this share of the error of holding the pose: of such a policy nothing is told."""
+_UNREAD: Final = 6
+"""Questions in which an input has to change nothing to be called unread."""
 _ALL_ADAPTERS: Final = frozenset(("history", "chunk", sdk.Obs.INSTRUCTION))
 """Conventions whose changes around the adapter are tried although it converts by its block."""
 
@@ -87,8 +89,11 @@ class Outcome:
         ties: others that fit as well.
         told: conventions on which other words fit otherwise, sorted.
         untold: those on which none did: the demonstrations say nothing of them.
-        unread: cameras and texts that change no answer.
+        unread: cameras and texts that change no answer, and `history` if the observations before the last do not.
         far: changes that fit better, and yet no better than holding the pose; none where there is a best one.
+        deaf: name and convention of what is unread, although the native block hands it over, and episodes differ in it.
+        first: words, convention and share of the error of all that were tried on a few questions.
+        held: those that were tried on all.
     """
 
     tried: int
@@ -99,6 +104,9 @@ class Outcome:
     untold: tuple[str, ...]
     unread: tuple[str, ...]
     far: tuple[str, ...]
+    deaf: tuple[tuple[str, str], ...] = ()
+    first: tuple[tuple[str, str, float], ...] = ()
+    held: tuple[Change, ...] = ()
 
 
 class Search:
@@ -123,7 +131,8 @@ class Search:
         self._everything = list(range(len(given)))
         self._few = few(self._session.asked)
         self._until = time.monotonic() + min(seconds, probe.options.clock.left)
-        self._shares: dict[str, list[float]] = {}
+        self._first: list[tuple[str, str, float]] = []
+        self._own: dict[tuple[int, ...], Errors] = {}
         self._count = 0
         self._complete = True
 
@@ -132,11 +141,12 @@ class Search:
         by_block = self._by_block()
         with self._around() as around:
             found = [*(by_block or ()), *self._by_signals(around, all_of_them=by_block is None)]
+        with self._around(once=False) as around:
             unread = tuple(self._unread(around))
         better = [one for one in found if one.given and one.margin.is_better]
         alike = _alike([one for one in better if self._is_near(one)])
-        told = {name for name, shares in self._shares.items() if any(not 1 / _TOLD < one < _TOLD for one in shares)}
-        untold = sorted(self._shares.keys() - told)
+        told = {convention for _, convention, share in self._first if not 1 / _TOLD < share < _TOLD}
+        untold = sorted({convention for _, convention, _ in self._first} - told)
         return Outcome(
             tried=self._count,
             complete=self._complete,
@@ -145,7 +155,10 @@ class Search:
             told=tuple(sorted(told)),
             untold=tuple(untold),
             unread=unread,
+            deaf=tuple(self._deaf(unread)),
             far=tuple(one.words for one in better) if not alike else (),
+            first=tuple(self._first),
+            held=tuple(found),
         )
 
     # -- families ------------------------------------------------------------------------------------------------------
@@ -170,6 +183,9 @@ class Search:
             tried = [self._native, *(changes[number].block for number in chosen)]
             found = blocks.answers(self._probe, self._course, settled, tried, wanted, self._left)
             converts = converts and found is not None
+            if found and found[0] is not None and not self._refused:
+                # What is drawn depends on how it is asked, so that changes are held against answers asked alike.
+                self._own[tuple(wanted)] = self._ruler.errors(found[0], wanted)
             yield from (found or [])[1:]
 
         kept = self._held([(one.words, one.convention) for one in changes], ask, in_block=True)
@@ -211,14 +227,33 @@ class Search:
         shown = [(camera, Signal(0, camera, "camera", dark(camera))) for camera in self._cameras]
         if self._instructions and blank is not None:
             shown.append((sdk.Obs.INSTRUCTION, blank))
-        numbers = [number for number in self._few if number not in self._refused][:4]
+        if self._history > 1:
+            shown.append(("history", Signal(0, "history", "history", lambda seen: [dict(seen[-1])], windowed=True)))
+        later = [number for number in self._few if number not in self._refused and self._session.asked[number][1] > 0]
+        numbers = later[:_UNREAD]
         if not numbers:
             return
-        own = self._ruler.errors({number: self._given[number] for number in numbers}, numbers)
+        # In a connection of its own each time, so that equal numbers are drawn.
+        same = self._answers(
+            around, Signal(0, "", "", lambda seen: [dict(obs) for obs in seen], windowed=True), numbers
+        )
+        if same is None:
+            return
+        own = self._ruler.errors(same, numbers)
         for name, signal in shown:
             given = self._answers(around, signal, numbers)
             if given is not None and _same(own, self._ruler.errors(given, numbers)):
                 yield name
+
+    def _deaf(self, unread: Sequence[str]) -> Iterator[tuple[str, str]]:
+        """Yield what is unread although the native block hands it over, with its convention."""
+        handed = {camera for entry in self._native.get("images") or () for camera in entry["cameras"]}
+        said = {one.trajectory.observation(0).get(sdk.Obs.INSTRUCTION) for one in self._session.recordings}
+        for name in unread:
+            if name in handed:
+                yield name, "camera"
+            elif name == "history" or (name in self._native and len(said) > 1):
+                yield name, name
 
     # -- trying --------------------------------------------------------------------------------------------------------
 
@@ -228,24 +263,25 @@ class Search:
         asked = 0
         for number, given in enumerate(ask(range(len(named)), self._few)):
             asked += 1
-            found = self._margin(given, self._few)
+            found = self._margin(given, self._few, in_block=in_block)
             if found is not None:
-                self._shares.setdefault(named[number][1], []).append(found.share)
+                self._first.append((*named[number], found.share))
                 first.append((found.share, number))
         self._count += asked
         self._complete = self._complete and asked == len(named)
         good = sorted(number for share, number in sorted(first)[:_MOST] if share <= _PROMISING)
         changes = []
         for number, given in zip(good, ask(good, self._everything) if good else (), strict=False):
-            found = self._margin(given, self._everything)
+            found = self._margin(given, self._everything, in_block=in_block)
             if found is not None and given is not None and not self._ruler.moved(given, self._everything) < _HARDLY:
                 changes.append(Change(*named[number], in_block, found, given))
         return changes
 
-    def _margin(self, given: Chunks | None, wanted: Sequence[int]) -> Margin | None:
+    def _margin(self, given: Chunks | None, wanted: Sequence[int], *, in_block: bool) -> Margin | None:
         if given is None:
             return None
-        declared = self._declared(tuple(wanted))
+        own = self._own.get(tuple(wanted)) if in_block else None
+        declared = self._declared(tuple(wanted)) if own is None else own
         changed = self._ruler.errors(given, wanted)
         return margin(declared, changed, [self._session.asked[number][0] for number in wanted])
 
@@ -266,9 +302,14 @@ class Search:
         except (NotRun, ClientError, ValueError):
             return None
 
-    def _around(self) -> Around:
+    def _around(self, *, once: bool = True) -> Around:
         connect = partial(self._probe.connected, self._probe.server().url)
-        return Around(self._course, self._given, connect)
+        return Around(self._course, self._given, connect, once=once)
+
+    @property
+    def _history(self) -> int:
+        """Observations that the native block hands over; 1 where it does not say."""
+        return int((self._native.get("history") or {}).get("length") or 1)
 
     @cached_property
     def _inputs(self) -> list[str]:

@@ -42,6 +42,8 @@ def numbers(block: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[Candi
     for clip in ([-1, 1], [-1.5, 1.5], [-5, 5], [-10, 10]):
         rank = 1 if clip == [-1, 1] else 3
         yield from everywhere(sites, rank, f"normalize: clip: {clip}", "normalization", _said("clip", clip, None))
+    yield from everywhere(sites, 2, "normalize: std: the root of what is said", "normalization", _powered(0.5))
+    yield from everywhere(sites, 2, "normalize: std: the square of what is said", "normalization", _powered(2.0))
     yield from everywhere(sites, 1, "normalize: only: all", "normalization", _without("only"))
     yield from everywhere(sites, 2, "normalize: only: the others", "normalization", _inverted)
     yield from _masks(block, sites)
@@ -113,6 +115,18 @@ def _ruled(rule: str, names: Mapping[str, str]) -> Any:
 
 def _said(key: str, value: Any, default: Any) -> Any:
     return word(key, value, default)
+
+
+def _powered(by: float) -> Any:
+    """Return the change of standard deviations that are variances, or are taken for them."""
+
+    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+        offered = entry.get("values") or {}
+        if "std" not in offered:
+            return None
+        return {"values": {**offered, "std": [abs(float(value)) ** by for value in offered["std"]]}}
+
+    return change
 
 
 def _without(key: str) -> Any:

@@ -1,10 +1,12 @@
-"""What else a JSON file of statistics holds: other data sets, other robots, the other vector."""
+"""What else a file of statistics holds: other data sets, other robots, the other vector."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
+
+from xpl.convert import NativeError, tables
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -14,8 +16,10 @@ _MOST = 32
 
 
 def entries(file: str, folders: Sequence[Path], names: Sequence[str]) -> list[str]:
-    """Return the keys, words separated by /, under which a JSON file has all of these names; at most 32 of them."""
-    path = next((folder / file for folder in folders if (folder / file).is_file()), None)
+    """Return the keys, words separated by /, under which a file has all of these names; at most 32 of them."""
+    path = tables.find(file, folders)
+    if path is not None and path.suffix == ".safetensors":
+        return _prefixes(path, names)
     if path is None or path.suffix != ".json" or path.stat().st_size > _SIZE_LIMIT:
         return []
     try:
@@ -28,6 +32,16 @@ def entries(file: str, folders: Sequence[Path], names: Sequence[str]) -> list[st
         if len(found) == _MOST:
             break
     return found
+
+
+def _prefixes(path: Path, names: Sequence[str]) -> list[str]:
+    """Return what stands before the last dot of arrays of all of these names: `action` of `action.mean`."""
+    try:
+        there = set(tables.names(path))
+    except (OSError, NativeError):
+        return []
+    known = sorted({name.rpartition(".")[0] for name in there if "." in name})
+    return [key for key in known if all(f"{key}.{name}" in there for name in names)][:_MOST]
 
 
 def _walk(document: Any, way: tuple[str, ...], names: Sequence[str], depth: int = 8) -> Iterator[str]:

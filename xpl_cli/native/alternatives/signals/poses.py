@@ -28,7 +28,7 @@ def poses(embodiment: Embodiment) -> Iterator[Change]:
     """Yield ways to write poses."""
     for later, told, prefixes in scopes(embodiment.prefixes):
         keys = [prefix + key for prefix in prefixes for key in _KEYS]
-        for change in (*_rotations(keys, told), *_angles(keys, told), *_units(keys, told)):
+        for change in (*_rotations(keys, told), *_angles(keys, told), *_units(keys, told), *_axes_of(keys, told)):
             yield replace(change, rank=change.rank + later)
     yield from _points(embodiment)
     yield from _hands(embodiment)
@@ -109,6 +109,19 @@ def _units(keys: Sequence[str], told: str) -> Iterator[Change]:
         )
         yield Change(1, f"position{told}: in {unit}", "frame", there, back, back)
         yield Change(1, f"position{told}: in m, not {unit}", "frame", back, there, there)
+
+
+def _axes_of(keys: Sequence[str], told: str) -> Iterator[Change]:
+    """Yield positions whose axes are exchanged, or point the other way."""
+    for one, other in itertools.combinations(range(spec.POSITION_DIM), 2):
+        order = list(range(spec.POSITION_DIM))
+        order[one], order[other] = other, one
+        turn = on(keys, _placed(partial(np.take, indices=order, axis=-1)))
+        yield Change(1, f"position{told}: {'xyz'[one]} and {'xyz'[other]} exchanged", "frame", turn, turn, turn)
+    for axis in range(spec.POSITION_DIM):
+        signs = np.where(np.arange(spec.POSITION_DIM) == axis, -1.0, 1.0)
+        turn = on(keys, _placed(partial(np.multiply, signs)))
+        yield Change(2, f"position{told}: {'xyz'[axis]} the other way", "frame", turn, turn, turn)
 
 
 def _points(embodiment: Embodiment) -> Iterator[Change]:

@@ -1,0 +1,166 @@
+"""Mistakes in trained policies: which there are, and a package with one of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tests.audit.offline.oracle.learned import HERE, Mistake, listed
+from xpl import get_embodiment
+from xpl.convert import NativeError, compile_interface
+
+ROOT = HERE.parents[3]
+LISTS = {"in": HERE / "mistakes.yml", "out": HERE / "planted.yml"}
+"""Mistakes of whoever wrote the search, and of somebody who had not read it."""
+RIGHT = "right"
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained policy.
+
+    Attributes:
+        name: of `trained.yml`.
+        told: what it says there: package, weights, task, demos, lists.
+    """
+
+    name: str
+    told: dict[str, Any]
+
+    @property
+    def package(self) -> Path:
+        """The right adapter's folder."""
+        return ROOT / str(self.told["package"])
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """The right adapter's policy.yml."""
+        found: dict[str, Any] = yaml.safe_load((self.package / "policy.yml").read_text())
+        return found
+
+    def subjects(self) -> list[Subject]:
+        """Return the right adapter, and one with each mistake that is listed for its package, in sample first."""
+        found = [Subject(self, "in", None)]
+        for sample, path in LISTS.items():
+            if sample not in self.told.get("lists", LISTS):
+                continue
+            told = (yaml.safe_load(path.read_text()) if path.is_file() else {}).get(self.package.name, {})
+            found += [
+                Subject(
+                    self,
+                    sample,
+                    Mistake(name, listed(one["convention"]), one.get("edits") or {}, one.get("replace")),
+                )
+                for name, one in told.items()
+            ]
+        return found
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A trained policy's adapter with a mistake, or right.
+
+    Attributes:
+        policy: which.
+        sample: which list names the mistake.
+        mistake: None for the right adapter.
+    """
+
+    policy: Trained
+    sample: str
+    mistake: Mistake | None
+
+    @property
+    def name(self) -> str:
+        """Of the mistake."""
+        return RIGHT if self.mistake is None else self.mistake.name
+
+    @property
+    def key(self) -> str:
+        """A name for files."""
+        return re.sub(r"\W+", "-", f"{self.policy.name} {self.sample} {self.name}")
+
+    @property
+    def block(self) -> dict[str, Any]:
+        """The native block."""
+        native: dict[str, Any] = self.policy.manifest["native"]
+        return native if self.mistake is None else self.mistake.planted(native)
+
+    def fault(self, folders: list[Path]) -> str | None:
+        """Return why the block cannot be compiled, None if it can."""
+        manifest = self.policy.manifest
+        robot = get_embodiment(manifest["embodiments"][0])
+        try:
+            compile_interface(self.block, robot, manifest["action_types"][0], folders, manifest["temporal"]["chunk"])
+        except NativeError as error:
+            return str(error)
+        return None
+
+    def write(self, place: Path, checkpoints: Path | None, pairs: Path | None) -> Path:
+        """Write the package into a new folder below `place`, and return it.
+
+        Args:
+            place: a new folder.
+            checkpoints: holds the folder of the weights; they are linked.
+            pairs: the native answers of these weights, where there are some.
+        """
+        told, source = self.policy.told, self.policy.package
+        package = place / source.name
+        left_out = shutil.ignore_patterns("checkpoints", "__pycache__", ".venv")
+        shutil.copytree(source, package, ignore=left_out)
+        manifest = {**self.policy.manifest, "native": self.block}
+        if self.mistake is not None and self.mistake.replace is not None:
+            change = self.mistake.replace
+            text = (package / change["file"]).read_text()
+            if change["old"] not in text:
+                raise ValueError(f"{self.key}: {change['file']} does not hold {change['old']!r}")
+            (package / change["file"]).write_text(text.replace(change["old"], change["new"]))
+        (package / "policy.yml").write_text(yaml.safe_dump(manifest, sort_keys=False))
+        if told["weights"] is not None and checkpoints is not None:
+            weights = package / "checkpoints" / told["task"]
+            weights.mkdir(parents=True)
+            for file in (checkpoints / str(told["weights"])).iterdir():
+                os.link(file, weights / file.name)
+            deploy = (package / "deploy.yml").read_text()
+            (package / "deploy.yml").write_text(re.sub(r"(?m)^ckpt_name:.*$", f"ckpt_name: {told['task']}", deploy))
+        if pairs is not None and told["weights"] is not None and pairs.is_file():
+            shutil.copyfile(pairs, package / "native_pairs.json")
+        return package
+
+
+def trained(names: list[str] | None = None, path: Path = HERE / "trained.yml") -> list[Trained]:
+    """Return the trained policies of a file, those of some names or all."""
+    told = yaml.safe_load(path.read_text())
+    return [Trained(name, one) for name, one in told.items() if not names or name in names]
+
+
+def demonstrations(policy: Trained, demos: Path, place: Path, count: int) -> Path:
+    """Return a new folder with links to some of a policy's demonstrations, the last ones.
+
+    Args:
+        policy: which.
+        demos: holds the folder that `trained.yml` names.
+        place: the new folder.
+        count: episodes.
+    """
+    found = sorted((demos / str(policy.told["demos"])).glob("*.hdf5"))[-count:]
+    place.mkdir(parents=True)
+    for file in found:
+        (place / file.name).symlink_to(file.resolve())
+    return place
+
+
+def said(path: Path) -> dict[str, Any]:
+    """Return a JSON file's object, empty if it is not there or was cut."""
+    try:
+        found: dict[str, Any] = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return found

@@ -1,0 +1,254 @@
+"""Makes results.json, docs/mistakes.md and its picture of what `trained.py` wrote.
+
+python -m tests.audit.offline.oracle.table [FIRST [AFTER]]
+
+FIRST is the OUT of the search as it was when the mistakes were planted, AFTER that of the mended one. Without any, the
+page is made of results.json as it is.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from tests.audit.offline.oracle.learned import HERE
+from tests.audit.offline.oracle.planting import RIGHT, ROOT, Subject, said, trained
+
+RESULTS = HERE / "results.json"
+PAGE = ROOT / "docs" / "mistakes.md"
+PICTURE = ROOT / "docs" / "assets" / "mistakes.svg"
+BEGIN, END = "<!-- results -->", "<!-- end of results -->"
+_KEPT = {
+    "demonstrations": ("outcome", "words", "convention", "share", "right"),
+    "parity": ("outcome", "words", "convention"),
+    "contract": ("codes",),
+    "success": ("successes", "episodes"),
+}
+Row = dict[str, Any]
+
+
+def collected(first: Path, after: Path | None) -> list[Row]:
+    """Return a row for each mistake, of the rows that proofs wrote."""
+    found, alike = [], _alike(first)
+    for policy in trained():
+        for subject in policy.subjects():
+            told = {
+                (name, proof): said(folder / "rows" / f"{subject.key}-{proof}.json")
+                for name, folder in (("first", first), ("after", after))
+                for proof in ("demonstrations", "parity", "contract", "success")
+                if folder is not None
+            }
+            one, other = told["first", "demonstrations"], told.get(("after", "demonstrations"), {})
+            any_of = other or one
+            if not any_of:
+                continue
+            same = alike.get(_same(subject), {})
+            contract = told["first", "contract"] or same.get("contract", {})
+            row: Row = {
+                "policy": policy.name,
+                "sample": subject.sample,
+                "mistake": subject.name,
+                "conventions": list(any_of["conventions"]),
+                "apart": round(any_of["apart"], 4),
+                "own": round(any_of["own"], 4),
+            }
+            for name, whole in (("first", one), ("after", other)):
+                row[name] = _kept("demonstrations", whole)
+            row["contract"] = _kept("contract", contract)
+            row["parity"] = _kept("parity", contract.get("parity") or told["first", "parity"].get("parity") or {})
+            row["success"] = _kept("success", told["first", "success"] or same.get("success", {}))
+            found.append(row)
+    return found
+
+
+def _alike(first: Path) -> dict[str, dict[str, Row]]:
+    """Return what was found of equal adapters: both lists hold some mistakes."""
+    found: dict[str, dict[str, Row]] = {}
+    for policy in trained():
+        for subject in policy.subjects():
+            for proof in ("contract", "success"):
+                if row := said(first / "rows" / f"{subject.key}-{proof}.json"):
+                    found.setdefault(_same(subject), {})[proof] = row
+    return found
+
+
+def _same(subject: Subject) -> str:
+    replaced = None if subject.mistake is None else subject.mistake.replace
+    return json.dumps([subject.policy.name, subject.block, replaced], sort_keys=True)
+
+
+def _kept(proof: str, whole: Row) -> Row | None:
+    return {key: whole.get(key) for key in _KEPT[proof]} if whole else None
+
+
+def is_told(row: Row) -> bool:
+    """Whether the mistake changes commands by more than the policy is off by itself."""
+    return bool(row["apart"] > row["own"])
+
+
+def named(row: Row, when: str) -> bool | None:
+    """Whether demonstrations name a mistake right, None where that was not run; what was right stays so."""
+    one, other = row["first"], row["after"]
+    if when == "first":
+        return None if one is None else bool(one["right"])
+    return bool((other or one)["right"])
+
+
+def rates(rows: list[Row], sample: str, when: str) -> dict[str, tuple[int, int]]:
+    """Return of all mistakes, and of those that can be told, how many are named right and how many there are."""
+    chosen = [row for row in rows if row["sample"] == sample and row["mistake"] != RIGHT]
+    chosen = [row for row in chosen if named(row, when) is not None]
+    told = [row for row in chosen if is_told(row)]
+    return {
+        "all": (sum(named(row, when) or False for row in chosen), len(chosen)),
+        "told": (sum(named(row, when) or False for row in told), len(told)),
+    }
+
+
+def results() -> list[Row]:
+    """Return the rows of results.json."""
+    found: list[Row] = json.loads(RESULTS.read_text())
+    return found
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+def tables(rows: list[Row]) -> str:
+    """Return the tables of the page."""
+    lines = [
+        "| mistakes | named right at first sight | can be told | after mending | can be told |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for sample, words in (("out", "of somebody who had not read the rules"), ("in", "of who wrote the search")):
+        first, after = rates(rows, sample, "first"), rates(rows, sample, "after")
+        cells = [_rate(first["all"]), _rate(first["told"]), _rate(after["all"]), _rate(after["told"])]
+        lines.append(f"| {words} | {' | '.join(cells)} |")
+    right = [row for row in rows if row["mistake"] == RIGHT]
+    accused = [row for row in right if (row["after"] or row["first"])["words"]]
+    lines += ["", f"Right adapters accused: {len(accused)} of {len(right)}.", ""]
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        lines += [f"### {policy}", ""]
+        mine = [row for row in rows if row["policy"] == policy]
+        lines += ["| mistake | contract | parity | demonstrations | success |", "| --- | --- | --- | --- | --- |"]
+        lines += [_line(row) for row in mine if row["mistake"] == RIGHT or row["sample"] == "out"]
+        lines += [_line(row) for row in mine if row["mistake"] != RIGHT and row["sample"] == "in"]
+        lines.append("")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _rate(told: tuple[int, int]) -> str:
+    return f"{told[0]} of {told[1]} ({told[0] / told[1]:.0%})" if told[1] else "not run"
+
+
+def _line(row: Row) -> str:
+    name = f"**{RIGHT}**" if row["mistake"] == RIGHT else row["mistake"]
+    name += " *" if row["mistake"] != RIGHT and row["sample"] == "in" else ""
+    return f"| {name} | {_contract(row)} | {_parity(row)} | {_demonstrations(row)} | {_success(row)} |"
+
+
+def _contract(row: Row) -> str:
+    told = row["contract"]
+    if told is None:
+        return ""
+    return ", ".join(told["codes"]) or "nothing"
+
+
+def _parity(row: Row) -> str:
+    told = row["parity"]
+    if told is None:
+        return ""
+    if told["outcome"] == "pass":
+        return "equal"
+    if told["convention"] in row["conventions"]:
+        return f"`{_quoted(told['words'])}`"
+    return "differs" if told["outcome"] == "fail" else str(told["outcome"])
+
+
+def _demonstrations(row: Row) -> str:
+    told = row["after"] or row["first"]
+    if row["mistake"] == RIGHT:
+        return f"accused: `{_quoted(told['words'])}`" if told["words"] else "fits"
+    if told["right"]:
+        later = " (mended)" if row["first"] is not None and not row["first"]["right"] else ""
+        return f"`{_quoted(told['words'])}`{later}"
+    what = f"misnamed: `{_quoted(told['words'])}`" if told["words"] else "missed"
+    return f"{what}, cannot be told" if not is_told(row) else what
+
+
+def _success(row: Row) -> str:
+    told = row["success"]
+    return "" if told is None else f"{told['successes']} of {told['episodes']}"
+
+
+def _quoted(words: str) -> str:
+    short = words if len(words) < 60 else f"{words[:57]}..."
+    return short.replace("|", "/").replace("\n", " ")
+
+
+def page(rows: list[Row], text: str) -> str:
+    """Return the page with its tables made anew."""
+    before, _, rest = text.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n\n{tables(rows)}\n{END}{after}"
+
+
+# -- the picture -------------------------------------------------------------------------------------------------------
+
+_COLOURS = {"contract": "#b4541a", "parity": "#2b6cb0", "demonstrations": "#2f855a", "none": "#a0aec0"}
+_WIDTH, _BAR, _LEFT = 720, 15, 290
+
+
+def picture(rows: list[Row]) -> str:
+    """Return a bar for each of somebody else's mistakes in Tiny_VLA: its success, and which proofs name it."""
+    shown = [row for row in rows if row["policy"].startswith("Tiny_VLA") and row["success"]]
+    shown = [row for row in shown if row["mistake"] == RIGHT or row["sample"] == "out"]
+    height = _BAR * len(shown) + 50
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-size="11">',
+        "<style>text { font-family: sans-serif }</style>",
+        "<title>Success of Tiny_VLA with each mistake, and the proofs that tell it</title>",
+        f'<rect width="{_WIDTH}" height="{height}" fill="#ffffff"/>',
+    ]
+    for place, (proof, colour) in enumerate(_COLOURS.items()):
+        x = 20 + 175 * place
+        words = {"none": "no proof names it", "contract": "contract finds something"}.get(proof, f"{proof} name it")
+        parts.append(f'<rect x="{x}" y="10" width="11" height="11" fill="{colour}"/>')
+        parts.append(f'<text x="{x + 16}" y="20">{words.replace("parity name", "parity names")}</text>')
+    for number, row in enumerate(shown):
+        y = 40 + number * _BAR
+        share = row["success"]["successes"] / row["success"]["episodes"]
+        parts.append(f'<text x="{_LEFT - 50}" y="{y + 9}" text-anchor="end">{escape(row["mistake"])}</text>')
+        for place, proof in enumerate(_provers(row)):
+            x = _LEFT - 44 + 12 * place
+            parts.append(f'<rect x="{x}" y="{y}" width="10" height="10" fill="{_COLOURS[proof]}"/>')
+        width = (_WIDTH - _LEFT - 60) * share
+        parts.append(f'<rect x="{_LEFT}" y="{y}" width="{width:.0f}" height="10" fill="#4a5568"/>')
+        parts.append(f'<text x="{_LEFT + width + 5:.0f}" y="{y + 9}">{_success(row)}</text>')
+    return "\n".join([*parts, "</svg>", ""])
+
+
+def _provers(row: Row) -> list[str]:
+    if row["mistake"] == RIGHT:
+        return []
+    found = ["contract"] if row["contract"] and row["contract"]["codes"] else []
+    found += ["parity"] if row["parity"] and row["parity"]["convention"] in row["conventions"] else []
+    found += ["demonstrations"] if named(row, "after") else []
+    return found or ["none"]
+
+
+def main() -> None:
+    """Collect the rows, if there are some, and write page and picture."""
+    folders = [Path(word) for word in sys.argv[1:]]
+    if folders:
+        rows = collected(folders[0], folders[1] if len(folders) > 1 else None)
+        RESULTS.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
+    PAGE.write_text(page(results(), PAGE.read_text()))
+    PICTURE.write_text(picture(results()))
+
+
+if __name__ == "__main__":
+    main()
