@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +40,15 @@ class Trained:
         """The right adapter's folder."""
         return ROOT / str(self.told["package"])
 
-    @property
+    @cached_property
     def manifest(self) -> dict[str, Any]:
         """The right adapter's policy.yml."""
         found: dict[str, Any] = yaml.safe_load((self.package / "policy.yml").read_text())
         return found
 
+    @cached_property
     def subjects(self) -> list[Subject]:
-        """Return the right adapter, and one with each mistake that is listed for its package, in sample first."""
+        """The right adapter, and one with each mistake that is listed for its package, in sample first."""
         found = [Subject(self, "in", None)]
         for sample, path in LISTS.items():
             if sample not in self.told.get("lists", LISTS):

@@ -34,7 +34,7 @@ def collected(first: Path, after: Path | None) -> list[Row]:
     """Return a row for each mistake, of the rows that proofs wrote."""
     found, alike = [], _alike(first)
     for policy in trained():
-        for subject in policy.subjects():
+        for subject in policy.subjects:
             told = {
                 (name, proof): said(folder / "rows" / f"{subject.key}-{proof}.json")
                 for name, folder in (("first", first), ("after", after))
@@ -68,7 +68,7 @@ def _alike(first: Path) -> dict[str, dict[str, Row]]:
     """Return what was found of equal adapters: both lists hold some mistakes."""
     found: dict[str, dict[str, Row]] = {}
     for policy in trained():
-        for subject in policy.subjects():
+        for subject in policy.subjects:
             for proof in ("contract", "success"):
                 if row := said(first / "rows" / f"{subject.key}-{proof}.json"):
                     found.setdefault(_same(subject), {})[proof] = row

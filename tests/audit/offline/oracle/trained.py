@@ -72,7 +72,7 @@ def _asked(asked: argparse.Namespace) -> list[tuple[str, Subject]]:
         (proof, subject)
         for proof in asked.proof or PROOFS
         for policy in trained(asked.policy)
-        for subject in policy.subjects()
+        for subject in policy.subjects
         if (not asked.only or subject.name in asked.only) and (not asked.sample or subject.sample == asked.sample)
         if not _row(asked.out, proof, subject).is_file()
     ]
