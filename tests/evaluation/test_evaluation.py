@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,8 @@ from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.runs import look, outcome
-from xpl_cli.packages import environments
+from xpl_cli.evaluation.runs.settings import with_robot
+from xpl_cli.packages import environments, package
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
@@ -508,6 +510,19 @@ def test_an_environment_renders_what_the_policy_declares(
     done = xpl("eval", str(adapter), *options, *short, cwd=tmp_path)
     assert done.returncode == ExitCode.USAGE
     assert "the policy needs cam_head 128 x 96, the environment shows 256 x 96" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("environment", "robot"), [("metaworld", None), ("libero", "panda_libero"), ("maniskill", "panda_maniskill")]
+)
+def test_the_robot_is_the_first_that_policy_and_environment_both_have(environment: str, robot: str | None) -> None:
+    """The policy's own first one if the environment has that; whoever names one is heard."""
+    expert = package.load(ROOT / "policy" / "benchmark_expert")
+    wanted = {} if robot is None else {"env_cfg_type": robot}
+    assert with_robot(expert, environment, {"seed": 3}) == {"seed": 3, **wanted}
+    assert with_robot(expert, environment, {"env_cfg_type": "aloha"}) == {"env_cfg_type": "aloha"}
+    named = replace(expert, deploy={**expert.deploy, "env_cfg_type": "so100"})
+    assert with_robot(named, environment, {}) == {}
 
 
 def test_an_episode_that_is_spoilt_for_good_counts_as_failed() -> None:

@@ -92,7 +92,7 @@ def evaluate(
     from xpl_cli.basics.errors import UserError
     from xpl_cli.evaluation.lanes import recorder
     from xpl_cli.evaluation.runs import look, remote
-    from xpl_cli.evaluation.runs.settings import environment_for
+    from xpl_cli.evaluation.runs.settings import environment_for, with_robot
     from xpl_cli.packages import package
     from xpl_cli.serving.secrets import client_tls_context, read_token
 
@@ -165,7 +165,7 @@ def evaluate(
                 serve=serve,
                 room=Room(backend, 1 if is_batch else backends.lanes_of(workers), servers, policy_gpus),
                 films=film,
-                overrides=overrides,
+                overrides=overrides if env is None else with_robot(adapter, env, overrides),
                 python=python,
                 env=policy_env,
                 gpu=policy_gpu,
@@ -186,17 +186,18 @@ def evaluate(
             "--resume, --until-width and --backend are for a run that is recorded: name its folder with --out"
         )
     environments, processes = look.places(num_envs, workers)
+    env = env or environment_for()
     _told(
         look.Request(
             package=adapter,
-            environment=env or environment_for(),
+            environment=env,
             task=task,
             setting=setting,
             episodes=episodes or 1,
             num_envs=environments,
             workers=processes,
             horizon=horizon,
-            overrides=overrides,
+            overrides=with_robot(adapter, env, overrides),
             connect=connect,
             token=token,
             ssl_context=None if ca_file is None else client_tls_context(ca_file),

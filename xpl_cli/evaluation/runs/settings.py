@@ -6,7 +6,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl import get_embodiment
+from xpl import get_embodiment, robots
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.packages import environments
 from xpl_cli.standard import spec
@@ -51,6 +51,23 @@ def benchmark_for(config: Mapping[str, Any]) -> str | None:
         if told is not None and str(told).lower() == str(bench).lower() and task in facts["tasks"]:
             return name
     return None
+
+
+def with_robot(package: Package, environment: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return overrides with the first robot of policy.yml that the environment has, where nobody named one.
+
+    Args:
+        package: the adapter.
+        environment: name of the environment package, or its folder.
+        overrides: keys of deploy.yml.
+    """
+    key, declared = sdk.Deploy.ENV_CFG_TYPE, package.manifest.get("embodiments") or ()
+    if {overrides.get(key), package.deploy.get(key)} == {None} and declared:
+        facts = environments.manifest(environments.find(environment))
+        both = [robot for robot in declared if environments.offers(facts, robots.canonical(robot) or robot)]
+        if both and both[0] != declared[0]:
+            return {**overrides, key: both[0]}
+    return dict(overrides)
 
 
 def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs from another
