@@ -69,6 +69,8 @@ class Simulation:
         Raises:
             NotApplicable: if nothing can be.
         """
+        if unseen := self._unseen():
+            raise NotApplicable(f"the {ENVIRONMENT} environment does not observe with {', '.join(unseen)}")
         found: list[Course] = []
         for robot, action_type in self.probe.combinations():
             if robot in self._manifest["embodiments"] and action_type in self._manifest["action_types"]:
@@ -100,6 +102,11 @@ class Simulation:
         for name, task in offered.items():
             by_dimension.setdefault(task.get("dimension", name), name)
         return list(dict.fromkeys([*([configured] if configured in offered else []), *by_dimension.values()]))
+
+    def _unseen(self) -> list[str]:
+        """Return needed cameras that the standard leaves to environments: this one has them for films only."""
+        needed = (self.probe.package.manifest.get("inputs") or {}).get("required") or ()
+        return [name for name in sdk.OPTIONAL_CAMERAS if f"{sdk.Obs.VISION}.{name}" in needed]
 
     def _offers_one(self) -> bool:
         return any(robot in self._manifest["embodiments"] for robot, _ in self.probe.combinations())
