@@ -141,9 +141,9 @@ def stages(recipe: Recipe, package: Path, out: Path, asked: argparse.Namespace) 
     for setting in recipe.judged:
         run = out / "runs" / setting
         words = ("eval", str(package), "--env", recipe.environment, "--task", recipe.task, "--setting", setting)
-        count = ("--episodes", str(asked.judge), "--workers", asked.workers, "--film", "0", *whole, *where)
+        judged = ("--episodes", str(asked.judge), "--workers", asked.workers, "--film", "0", *whole, *where)
         which = ("--set", f"ckpt_name={asked.name}", "--set", f"env_cfg_type={recipe.robot}", "--out", str(run))
-        yield Stage(f"judge {setting}", (*words, *count, *which), (0, 1), begun=run / "records.jsonl")
+        yield Stage(f"judge {setting}", (*words, *judged, *which), (0, 1), begun=run / "records.jsonl")
         yield Stage(f"report {setting}", ("report", str(run)))
 
 
