@@ -122,8 +122,8 @@ def test_the_page_says_what_was_measured(every: list[Subject]) -> None:
 
 
 @pytest.mark.slow
-def test_mistakes_in_tiny_vla_are_named_once_more(tmp_path: Path) -> None:
-    """Recorded anew, judged anew: three mistakes are named, and the right adapter is not accused."""
+def test_a_mistake_in_tiny_vla_is_named_once_more(tmp_path: Path) -> None:
+    """Recorded anew, judged anew: a mistake is named, and the right adapter is not accused."""
     python = next((one for one in PYTHONS if one and Path(one).exists()), None)
     if python is None:
         pytest.skip("no Python with torch: `xpl install policy/Tiny_VLA`, or name one in XPL_TORCH_PYTHON")
@@ -132,7 +132,7 @@ def test_mistakes_in_tiny_vla_are_named_once_more(tmp_path: Path) -> None:
     ran = xpl("record", "mujoco", *place, "--images", "96x96", "--no-depth", "--out", str(demos), cwd=ROOT)
     assert ran.returncode == 0, ran.stderr
     (policy,) = trained(["Tiny_VLA pick_by_language"])
-    wanted = {"right": None, "blue for red": "image_channels", "one instruction for all": "instruction"}
+    wanted = {"right": None, "blue for red": "image_channels"}
     for subject in policy.subjects:
         if subject.name not in wanted or (subject.mistake is not None and subject.sample == "in"):
             continue
