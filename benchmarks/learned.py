@@ -63,8 +63,8 @@ def _metaworld(task: str, **train: float) -> Recipe:
 RECIPES: dict[tuple[str, str], Recipe] = {
     ("ACT", "lift_cube"): _ours("lift_cube", images=True, horizon=None, batch=64, noise=0.01, steps=4050),
     ("ACT", "push_block"): _ours("push_block", images=True, horizon=None, batch=128, noise=0.01, steps=5692),
-    ("DiffusionPolicy", "lift_cube"): _ours("lift_cube", images=True, horizon=1, batch=256, noise=0.03, steps=4961),
-    ("DiffusionPolicy", "push_block"): _ours("push_block", images=True, horizon=1, batch=256, noise=0.03, steps=4998),
+    ("DiffusionPolicy", "lift_cube"): _ours("lift_cube", images=True, horizon=None, batch=256, noise=0.03, steps=4961),
+    ("DiffusionPolicy", "push_block"): _ours("push_block", images=True, horizon=None, batch=256, noise=0.03, steps=4998),
     ("ACT_state", "lift_cube"): _ours("lift_cube", images=False, horizon=None, batch=64, noise=0.01, steps=8850),
     ("ACT_state", "push_block"): _ours("push_block", images=False, horizon=None, batch=64, noise=0.01, steps=9250),
     ("DiffusionPolicy_state", "lift_cube"): _ours(
