@@ -22,7 +22,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from xpl_cli.basics import atomic
+
+ROOT = Path(__file__).resolve().parent.parent
 XPL = [sys.executable, "-m", "xpl_cli"]
 CLEAN, RANDOMIZED = "clean", "randomized"
 
@@ -50,7 +54,7 @@ class Recipe:
     judged: tuple[str, ...] = (CLEAN,)
 
 
-def _ours(task: str, *, images: bool, horizon: int | None, **train: float) -> Recipe:
+def _ours(task: str, *, images: bool, horizon: int | None = None, **train: float) -> Recipe:
     record = {CLEAN: 130, RANDOMIZED: 130} if images else {CLEAN: 260}
     judged = (CLEAN, RANDOMIZED) if images else (CLEAN,)
     return Recipe("mujoco", task, "arx_x5_single", record, "96x96" if images else None, train, horizon, judged)
@@ -61,12 +65,12 @@ def _metaworld(task: str, **train: float) -> Recipe:
 
 
 RECIPES: dict[tuple[str, str], Recipe] = {
-    ("ACT", "lift_cube"): _ours("lift_cube", images=True, horizon=None, batch=64, noise=0.01, steps=4050),
-    ("ACT", "push_block"): _ours("push_block", images=True, horizon=None, batch=128, noise=0.01, steps=5692),
-    ("DiffusionPolicy", "lift_cube"): _ours("lift_cube", images=True, horizon=None, batch=256, noise=0.03, steps=4961),
-    ("DiffusionPolicy", "push_block"): _ours("push_block", images=True, horizon=None, batch=256, noise=0.03, steps=4998),
-    ("ACT_state", "lift_cube"): _ours("lift_cube", images=False, horizon=None, batch=64, noise=0.01, steps=8850),
-    ("ACT_state", "push_block"): _ours("push_block", images=False, horizon=None, batch=64, noise=0.01, steps=9250),
+    ("ACT", "lift_cube"): _ours("lift_cube", images=True, batch=64, noise=0.01, steps=4050),
+    ("ACT", "push_block"): _ours("push_block", images=True, batch=128, noise=0.01, steps=5692),
+    ("DiffusionPolicy", "lift_cube"): _ours("lift_cube", images=True, batch=256, noise=0.03, steps=4961),
+    ("DiffusionPolicy", "push_block"): _ours("push_block", images=True, batch=256, noise=0.03, steps=4998),
+    ("ACT_state", "lift_cube"): _ours("lift_cube", images=False, batch=64, noise=0.01, steps=8850),
+    ("ACT_state", "push_block"): _ours("push_block", images=False, batch=64, noise=0.01, steps=9250),
     ("DiffusionPolicy_state", "lift_cube"): _ours(
         "lift_cube", images=False, horizon=1, batch=256, noise=0.02, steps=9057
     ),
@@ -149,9 +153,7 @@ def stages(recipe: Recipe, package: Path, out: Path, asked: argparse.Namespace) 
 
 def write(file: Path, value: Any) -> None:
     """Write JSON that is there whole or not at all."""
-    part = file.with_name(f".{file.name}.part")
-    part.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
-    part.replace(file)
+    atomic.write_file(file.resolve(), (json.dumps(value, indent=2) + "\n").encode())
 
 
 def run(recipe: Recipe, asked: argparse.Namespace) -> dict[str, Any]:
