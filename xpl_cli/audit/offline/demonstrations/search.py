@@ -230,8 +230,7 @@ class Search:
         if self._history > 1:
             shown.append(("history", Signal(0, "history", "history", lambda seen: [dict(seen[-1])], windowed=True)))
         later = [number for number in self._few if number not in self._refused and self._session.asked[number][1] > 0]
-        numbers = later[:_UNREAD]
-        if not numbers:
+        if not (numbers := later[:_UNREAD]):
             return
         # In a connection of its own each time, so that equal numbers are drawn.
         same = self._answers(
@@ -248,7 +247,7 @@ class Search:
     def _deaf(self, unread: Sequence[str]) -> Iterator[tuple[str, str]]:
         """Yield what is unread although the native block hands it over, with its convention."""
         handed = {camera for entry in self._native.get("images") or () for camera in entry["cameras"]}
-        said = {one.trajectory.observation(0).get(sdk.Obs.INSTRUCTION) for one in self._session.recordings}
+        said = {one.trajectory.instructions[:1] for one in self._session.recordings}
         for name in unread:
             if name in handed:
                 yield name, "camera"
