@@ -95,6 +95,12 @@ class Subject:
         native: dict[str, Any] = self.policy.manifest["native"]
         return native if self.mistake is None else self.mistake.planted(native)
 
+    @property
+    def same(self) -> str:
+        """A text that equal adapters share: both lists hold some mistakes."""
+        replaced = None if self.mistake is None else self.mistake.replace
+        return json.dumps([self.policy.name, self.block, replaced], sort_keys=True)
+
     def fault(self, folders: list[Path]) -> str | None:
         """Return why the block cannot be compiled, None if it can."""
         manifest = self.policy.manifest

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.audit.offline.oracle.learned import HERE
-from tests.audit.offline.oracle.planting import RIGHT, ROOT, Subject, said, trained
+from tests.audit.offline.oracle.planting import RIGHT, ROOT, said, trained
 
 RESULTS = HERE / "results.json"
 PAGE = ROOT / "docs" / "mistakes.md"
@@ -45,7 +45,7 @@ def collected(first: Path, after: Path | None) -> list[Row]:
             any_of = other or one
             if not any_of:
                 continue
-            same = alike.get(_same(subject), {})
+            same = alike.get(subject.same, {})
             contract = told["first", "contract"] or same.get("contract", {})
             row: Row = {
                 "policy": policy.name,
@@ -71,13 +71,8 @@ def _alike(first: Path) -> dict[str, dict[str, Row]]:
         for subject in policy.subjects:
             for proof in ("contract", "success"):
                 if row := said(first / "rows" / f"{subject.key}-{proof}.json"):
-                    found.setdefault(_same(subject), {})[proof] = row
+                    found.setdefault(subject.same, {})[proof] = row
     return found
-
-
-def _same(subject: Subject) -> str:
-    replaced = None if subject.mistake is None else subject.mistake.replace
-    return json.dumps([subject.policy.name, subject.block, replaced], sort_keys=True)
 
 
 def _kept(proof: str, whole: Row) -> Row | None:
