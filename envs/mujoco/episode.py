@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
@@ -116,7 +115,7 @@ class Episode:
         flat = self._reader.read(action)
         if self.end_reason is not None:
             return self._report({})
-        if not math.isfinite(flat.dot(flat)):
+        if not np.isfinite(flat).all():
             # Physics never sees the value: a NaN in a command would spread through the whole state.
             self.end_reason = NON_FINITE
             return self._report({})

@@ -224,7 +224,8 @@ class Physics:
 
     def is_finite(self) -> bool:
         """Return whether the state is still a number everywhere, and none beyond all measure."""
-        return math.isfinite(self._state.dot(self._state))
+        with np.errstate(over="ignore"):  # such a measure is what is asked for, and nothing to warn of
+            return math.isfinite(self._state.dot(self._state))
 
     def digest_into(self, digest: hashlib._Hash) -> None:
         """Feed everything that determines the future motion to a running digest."""

@@ -323,6 +323,28 @@ def test_a_non_finite_action_ends_the_episode_before_the_physics(bad: Any) -> No
     assert np.array_equal(env.get_obs()["state"]["left_arm_joint_state"], obs["state"]["left_arm_joint_state"])
 
 
+def test_a_number_beyond_all_measure_is_clamped() -> None:
+    """Finite is finite: the arm goes to its limit, and nobody is warned of an overflow."""
+    env = _env()
+    env.reset([0])
+    action = _hold(env.get_obs())
+    action["left_arm_joint_state"] = np.array([0, 0, 1e30, 0, 0, 0])
+    report = env.take_action(action)
+    assert report["end_reason"] is None
+    assert set(report["corrections"]["left_"]) == {"joint_limit", "joint_speed"}
+
+
+def test_a_state_beyond_all_measure_is_none() -> None:
+    """Physics that ran away is noticed, and numpy does not warn of the sum."""
+    env = _env()
+    env.reset([0])
+    physics = env._places[0].episode.physics
+    assert physics.is_finite()
+    physics.data.qvel[:] = 1e200
+    physics.changed()
+    assert not physics.is_finite()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

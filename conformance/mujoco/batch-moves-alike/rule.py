@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.physics.loop import Query
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 
@@ -20,7 +21,8 @@ def batch_moves_alike(simulation: Simulation) -> Iterator[Finding]:
     """Two environments in one batch move differently than one by one.
 
     ## What it does
-    Drives two seeds in one batch, then each by itself, and compares the commands.
+    Drives two seeds in one batch. Then each is moved by itself as it was there, and the answers are compared: what is
+    seen is the same, so that rounding does not add up.
 
     ## Why it matters
     Batched evaluation is how benchmarks save hours. It counts only if it measures the same policy.
@@ -34,25 +36,38 @@ def batch_moves_alike(simulation: Simulation) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    together = simulation.steadily(_SEEDS)
-    task = together.course.task
+    together = simulation.together(_SEEDS)
     for place, seed in enumerate(_SEEDS):
-        alone = simulation.steadily(_SEEDS, only=place)
-        pairs = zip(together.commands[place], alone.commands[place], strict=False)
-        step = next((index for index, (a, b) in enumerate(pairs) if not np.allclose(a, b, atol=TOLERANCE)), None)
-        if step is not None:
+        found = _apart(together.queries[place], simulation.alone(_SEEDS, place).queries[place])
+        if found is not None:
+            step, beside, alone = found
             yield blame(
                 f"in {together.course} the environment with seed {seed} is driven differently beside another one "
                 f"than alone, from step {step} on",
                 expected="the commands of a run by itself",
                 got="other commands",
                 evidence={
-                    "task": task,
+                    "task": together.course.task,
                     spec.Deploy.SEED: seed,
                     "step": step,
-                    "alone": alone.commands[place][step].tolist(),
-                    "beside": together.commands[place][step].tolist(),
+                    "alone": alone.tolist(),
+                    "beside": beside.tolist(),
                 },
                 fix=Fix("advice", "keep all state per environment index"),
             )
             return
+
+
+def _apart(beside: Sequence[Query], alone: Sequence[Query]) -> tuple[int, np.ndarray, np.ndarray] | None:
+    """Return the first control step at which answers differ, and what is commanded then; None if none does.
+
+    Of chunks of different lengths that is the step at which the shorter one has ended.
+    """
+    for one, other in zip(beside, alone, strict=True):
+        count = min(len(one.chunk), len(other.chunk))
+        for index in range(count):
+            if not np.allclose(one.chunk[index], other.chunk[index], atol=TOLERANCE):
+                return one.step + index, one.chunk[index], other.chunk[index]
+        if len(one.chunk) != len(other.chunk):
+            return one.step + count, one.chunk[count:], other.chunk[count:]
+    return None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl.action import ActionError, pack
+from xpl.action import ActionError, pack, unpack
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.served.compare import structure_problem
 
@@ -112,6 +112,7 @@ class Driver:
         only: place of the one environment of the batch that is driven; the others stand still.
         watch: is shown the environment before every control step.
         shown: takes every observation that the policy is shown, where they are wanted.
+        follows: an earlier loop, whose answers are executed instead of those that are given now.
     """
 
     session: Session
@@ -120,6 +121,7 @@ class Driver:
     only: int | None = None
     watch: Watch | None = None
     shown: list[dict[str, Any]] | None = None
+    follows: Rollout | None = None
 
     def drive(self) -> None:
         """Play the episodes to their end, or until something breaks."""
@@ -164,7 +166,13 @@ class Driver:
             flat = np.stack([self._packed(action) for action in chunk])
             step = len(self.played.commands[env])
             self.played.queries[env].append(Query(step, obs[sdk.Obs.STATE], flat, waited))
-        return self._execute(dict(zip(running, chunks, strict=True)))
+        executed = chunks if self.follows is None else [self._then(self.follows, env) for env in running]
+        return self._execute(dict(zip(running, executed, strict=True)))
+
+    def _then(self, earlier: Rollout, env: int) -> list[dict[str, Any]]:
+        """Return the chunk with which an earlier loop answered the question that was asked last."""
+        chunk = earlier.queries[env][len(self.played.queries[env]) - 1].chunk
+        return [unpack(action, self.played.robot, self.played.course.action_type) for action in chunk]
 
     def _seen(self, running: Sequence[int]) -> list[dict[str, Any]]:
         observations: list[dict[str, Any]] = self.env.get_obs_batch(running)

@@ -179,20 +179,33 @@ class Simulation:
                 self._rollouts[key] = self._play(session, self.first, seeds)
         return _sound(self._rollouts[key])
 
-    def steadily(self, seeds: Sequence[int], *, only: int | None = None) -> Rollout:
-        """Drive the first course for a comparison with another loop.
-
-        Args:
-            seeds: one per environment; several are one batch.
-            only: place of the one environment of the batch that is driven; the others stand still.
+    def together(self, seeds: Sequence[int]) -> Rollout:
+        """Drive the first course in one batch, for a comparison with `alone`.
 
         Raises:
             NotRun: if the loop did not come to its end.
         """
+        return self._steadily(seeds)
+
+    def alone(self, seeds: Sequence[int], place: int) -> Rollout:
+        """Ask about one environment of a batch by itself; it moves as it did there, so that it shows the same.
+
+        Answers to one's own commands would drift: batched kernels round differently, and each step adds to it.
+
+        Args:
+            seeds: of the batch.
+            place: of the environment; the others stand still.
+
+        Raises:
+            NotRun: if a loop did not come to its end.
+        """
+        return self._steadily(seeds, only=place, follows=self.together(seeds))
+
+    def _steadily(self, seeds: Sequence[int], only: int | None = None, follows: Rollout | None = None) -> Rollout:
         key = ("steady", self.first, tuple(seeds), only)
         if key not in self._rollouts:
             with self.steady() as session:
-                self._rollouts[key] = self._play(session, self.first, seeds, only=only)
+                self._rollouts[key] = self._play(session, self.first, seeds, only=only, follows=follows)
         return _sound(self._rollouts[key])
 
     @contextlib.contextmanager
@@ -296,6 +309,7 @@ class Simulation:
         world: World | None = None,
         film: bool = False,
         shown: list[dict[str, Any]] | None = None,
+        follows: Rollout | None = None,
     ) -> Rollout:
         played = Rollout(course, get_embodiment(course.embodiment), tuple(seeds))
         made = self._make(course, len(seeds), None if whole else self._steps)
@@ -303,7 +317,7 @@ class Simulation:
             made.reset(seed=list(seeds))
             env = made if world is None else world.around(made, played.robot)
             with self._filmed(course, seeds, wanted=film) as watch:
-                Driver(session, env, played, only, watch, shown).drive()
+                Driver(session, env, played, only, watch, shown, follows).drive()
         return played
 
     @property
