@@ -425,6 +425,20 @@ def test_interpreters_are_found_by_version(tmp_path: Path, monkeypatch: pytest.M
         pythons.find("three")
 
 
+def test_an_interpreter_may_be_named_as_in_a_shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What has no slash is looked for on PATH, from an option and from policy.yml."""
+    (tmp_path / "bin").mkdir()
+    named = tmp_path / "bin" / "python-of-mine"
+    named.symlink_to(sys.executable)
+    declared: dict[str, Any] = {"environment": {"manager": "path", "python": named.name}}
+    for said in ({"python": named.name}, {}):
+        with pytest.raises(UserError, match=f"there is no interpreter at {named.name}"):
+            interpreter.resolve(tmp_path, declared, **said)
+    monkeypatch.setenv("PATH", str(named.parent))
+    for said in ({"python": named.name}, {}):
+        assert interpreter.resolve(tmp_path, declared, **said) == str(named)
+
+
 def test_the_command_line_comes_before_the_manifest(tmp_path: Path) -> None:
     """`--python`, then `--env`, then policy.yml; an argument of a launch script that says nothing is none."""
     folder = subject(tmp_path, manager="path", python=sys.executable)

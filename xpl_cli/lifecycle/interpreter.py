@@ -35,7 +35,7 @@ def resolve(policy_dir: Path, manifest: Mapping[str, Any], *, python: str | None
     Args:
         policy_dir: folder of the adapter; relative environment folders start there.
         manifest: its policy.yml; `environment` is what counts if neither option is given.
-        python: path of an interpreter.
+        python: path of an interpreter, or the name of one on PATH.
         env: `conda:NAME`, `uv:DIR`, `venv:DIR`, the name of a conda environment, or `none` for the tool's own; `-`,
             `null` and nothing are as good as not given, since the launch scripts have an argument for it.
 
@@ -43,7 +43,7 @@ def resolve(policy_dir: Path, manifest: Mapping[str, Any], *, python: str | None
         UserError: if what was asked for does not exist.
     """
     if python:
-        return _executable(Path(python))
+        return _executable(_path(python))
     if env == _OWN:
         return sys.executable
     if env is not None and env not in _UNSAID:
@@ -59,7 +59,7 @@ def _declared(policy_dir: Path, manifest: Mapping[str, Any]) -> str:
     if manager == "none":
         return sys.executable
     if manager == "path":
-        return _executable(Path(str(declared.get("python"))))
+        return _executable(_path(str(declared.get("python"))))
     if manager == CONDA and not declared.get("lock"):
         return _managed(manager, declared.get("name") or policy_dir.name, policy_dir)
     _warn_if_outdated(policy_dir, manifest)
@@ -102,6 +102,11 @@ def _conda_prefix(name: str) -> Path:
             return prefix
     known = ", ".join(prefix.name for prefix in prefixes) or "none"
     raise UserError(f"there is no conda environment {name!r}; there are: {known}", code=ExitCode.NOT_RUN)
+
+
+def _path(python: str) -> Path:
+    """Return where an interpreter lies: what has no slash is looked for on PATH first, as by a shell."""
+    return Path((os.sep not in python and shutil.which(python)) or python)
 
 
 def _executable(path: Path, hint: str | None = None) -> str:

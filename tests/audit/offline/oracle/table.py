@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Set as AbstractSet
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,8 @@ def collected(first: Path, after: Path | None) -> list[Row]:
             for name, whole in (("first", one), ("after", other)):
                 row[name] = _kept("demonstrations", whole)
             row["contract"] = _kept("contract", contract)
-            row["parity"] = _kept("parity", contract.get("parity") or told["first", "parity"].get("parity") or {})
+            parity = told["first", "parity"] or same.get("parity", {}) or contract
+            row["parity"] = _kept("parity", parity.get("parity") or {})
             row["success"] = _kept("success", told["first", "success"] or same.get("success", {}))
             found.append(row)
     return found
@@ -69,7 +71,7 @@ def _alike(first: Path) -> dict[str, dict[str, Row]]:
     found: dict[str, dict[str, Row]] = {}
     for policy in trained():
         for subject in policy.subjects:
-            for proof in ("contract", "success"):
+            for proof in ("contract", "parity", "success"):
                 if row := said(first / "rows" / f"{subject.key}-{proof}.json"):
                     found.setdefault(subject.same, {})[proof] = row
     return found
@@ -128,9 +130,12 @@ def tables(rows: list[Row]) -> str:
     for policy in dict.fromkeys(row["policy"] for row in rows):
         lines += [f"### {policy}", ""]
         mine = [row for row in rows if row["policy"] == policy]
+        told = [row["contract"]["codes"] for row in mine if row["mistake"] == RIGHT and row["contract"]]
+        known = {code for codes in told for code in codes}
         lines += ["| mistake | contract | parity | demonstrations | success |", "| --- | --- | --- | --- | --- |"]
-        lines += [_line(row) for row in mine if row["mistake"] == RIGHT or row["sample"] == "out"]
-        lines += [_line(row) for row in mine if row["mistake"] != RIGHT and row["sample"] == "in"]
+        lines += [_line(row, set()) for row in mine if row["mistake"] == RIGHT]
+        wrong = sorted((row for row in mine if row["mistake"] != RIGHT), key=lambda row: row["sample"] == "in")
+        lines += [_line(row, known) for row in wrong]
         lines.append("")
     return "\n".join(lines).rstrip() + "\n"
 
@@ -139,17 +144,18 @@ def _rate(told: tuple[int, int]) -> str:
     return f"{told[0]} of {told[1]} ({told[0] / told[1]:.0%})" if told[1] else "not run"
 
 
-def _line(row: Row) -> str:
+def _line(row: Row, known: AbstractSet[str]) -> str:
     name = f"**{RIGHT}**" if row["mistake"] == RIGHT else row["mistake"]
     name += " *" if row["mistake"] != RIGHT and row["sample"] == "in" else ""
-    return f"| {name} | {_contract(row)} | {_parity(row)} | {_demonstrations(row)} | {_success(row)} |"
+    return f"| {name} | {_contract(row, known)} | {_parity(row)} | {_demonstrations(row)} | {_success(row)} |"
 
 
-def _contract(row: Row) -> str:
+def _contract(row: Row, known: AbstractSet[str]) -> str:
+    """Return what the contract says beyond what it says of the right adapter."""
     told = row["contract"]
     if told is None:
         return ""
-    return ", ".join(told["codes"]) or "nothing"
+    return ", ".join(code for code in told["codes"] if code not in known) or "nothing"
 
 
 def _parity(row: Row) -> str:
@@ -160,7 +166,7 @@ def _parity(row: Row) -> str:
         return "equal"
     if told["convention"] in row["conventions"]:
         return f"`{_quoted(told['words'])}`"
-    return "differs" if told["outcome"] == "fail" else str(told["outcome"])
+    return {"fail": "differs", "not_run": "not run"}.get(told["outcome"], str(told["outcome"]))
 
 
 def _demonstrations(row: Row) -> str:
