@@ -126,18 +126,60 @@ def tables(rows: list[Row]) -> str:
         lines.append(f"| {words} | {' | '.join(cells)} |")
     right = [row for row in rows if row["mistake"] == RIGHT]
     accused = [row for row in right if (row["after"] or row["first"])["words"]]
-    lines += ["", f"Right adapters accused: {len(accused)} of {len(right)}.", ""]
-    for policy in dict.fromkeys(row["policy"] for row in rows):
+    lines += ["", f"Right adapters accused: {len(accused)} of {len(right)}.", "", *_counts(rows), ""]
+    for policy in _policies(rows):
         lines += [f"### {policy}", ""]
         mine = [row for row in rows if row["policy"] == policy]
-        told = [row["contract"]["codes"] for row in mine if row["mistake"] == RIGHT and row["contract"]]
-        known = {code for codes in told for code in codes}
+        known = _known(mine)
         lines += ["| mistake | contract | parity | demonstrations | success |", "| --- | --- | --- | --- | --- |"]
         lines += [_line(row, set()) for row in mine if row["mistake"] == RIGHT]
         wrong = sorted((row for row in mine if row["mistake"] != RIGHT), key=lambda row: row["sample"] == "in")
         lines += [_line(row, known) for row in wrong]
         lines.append("")
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _policies(rows: list[Row]) -> list[str]:
+    return list(dict.fromkeys(row["policy"] for row in rows))
+
+
+def _known(rows: list[Row]) -> set[str]:
+    """Return the codes that the contract says of the right adapter, too."""
+    told = [row["contract"]["codes"] for row in rows if row["mistake"] == RIGHT and row["contract"]]
+    return {code for codes in told for code in codes}
+
+
+def _counts(rows: list[Row]) -> list[str]:
+    """Return a table of how many mistakes each proof tells, for each policy: of those that it was asked about."""
+    heads = (
+        "of the mistakes in",
+        "contract finds",
+        "parity differs",
+        "parity names",
+        "demonstrations name",
+        "none succeeds",
+    )
+    lines = [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
+    for policy in _policies(rows):
+        mine = [row for row in rows if row["policy"] == policy]
+        wrong, known = [row for row in mine if row["mistake"] != RIGHT], _known(mine)
+        asked = [row for row in wrong if row["parity"] and row["parity"]["outcome"] in ("pass", "fail")]
+        tried = [row for row in wrong if row["contract"]]
+        played = [row for row in wrong if row["success"]]
+        cells = (
+            (sum(not known.issuperset(row["contract"]["codes"]) for row in tried), len(tried)),
+            (sum(row["parity"]["outcome"] == "fail" for row in asked), len(asked)),
+            (sum(_is_named_by_parity(row) for row in asked), len(asked)),
+            (sum(bool(named(row, "after")) for row in wrong), len(wrong)),
+            (sum(row["success"]["successes"] == 0 for row in played), len(played)),
+        )
+        told = " | ".join(f"{one} of {all_}" if all_ else "not run" for one, all_ in cells)
+        lines.append(f"| {policy} | {told} |")
+    return lines
+
+
+def _is_named_by_parity(row: Row) -> bool:
+    return bool(row["parity"]["convention"] in row["conventions"])
 
 
 def _rate(told: tuple[int, int]) -> str:
@@ -164,9 +206,9 @@ def _parity(row: Row) -> str:
         return ""
     if told["outcome"] == "pass":
         return "equal"
-    if told["convention"] in row["conventions"]:
+    if _is_named_by_parity(row):
         return f"`{_quoted(told['words'])}`"
-    return {"fail": "differs", "not_run": "not run"}.get(told["outcome"], str(told["outcome"]))
+    return "differs" if told["outcome"] == "fail" else "refused"
 
 
 def _demonstrations(row: Row) -> str:
@@ -236,7 +278,7 @@ def _provers(row: Row) -> list[str]:
     if row["mistake"] == RIGHT:
         return []
     found = ["contract"] if row["contract"] and row["contract"]["codes"] else []
-    found += ["parity"] if row["parity"] and row["parity"]["convention"] in row["conventions"] else []
+    found += ["parity"] if row["parity"] and _is_named_by_parity(row) else []
     found += ["demonstrations"] if named(row, "after") else []
     return found or ["none"]
 
