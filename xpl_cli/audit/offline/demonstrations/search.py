@@ -189,7 +189,10 @@ class Search:
             yield from (found or [])[1:]
 
         kept = self._held([(one.words, one.convention) for one in changes], ask, in_block=True)
-        return kept if converts else None
+        if not converts:  # what the block alone does not say is no question of time
+            self._complete = True
+            return None
+        return kept
 
     def _by_signals(self, around: Around, *, all_of_them: bool) -> list[Change]:
         """Return what changes around the adapter come to."""
