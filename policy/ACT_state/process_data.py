@@ -29,7 +29,7 @@ def demonstrations(config: dict[str, Any]) -> Folder:
 
 def place(config: dict[str, Any]) -> Path:
     """Return the checkpoint's folder, where model.py looks for it."""
-    return Path(__file__).parent / "checkpoints" / (config["run_name"] or config["ckpt_name"])
+    return Path(__file__).parent / "checkpoints" / str(config["run_name"] or config["ckpt_name"])
 
 
 def main() -> None:
@@ -43,7 +43,7 @@ def main() -> None:
     with found[0] as episode:
         policy.update_obs({**episode.observation(0), "env_idx": 0})
     inputs = policy.encodings(0)[-1]
-    for image in policy.interface.images:
+    for image in policy.interface.images if policy.interface else ():
         _, _, mean, std = image.scaling
         numbers[image.name] = {"mean": mean, "std": std}
     settings.input_features = {name: PolicyFeature(_kind(name), np.shape(value)) for name, value in inputs.items()}
@@ -66,7 +66,7 @@ def _kind(name: str) -> FeatureType:
 
 def _still(numbers: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     still = numbers["max"] - numbers["min"] < STILL
-    changed = {"std": 1.0, "min": numbers["mean"] - 1, "max": numbers["mean"] + 1}
+    changed: dict[str, Any] = {"std": 1.0, "min": numbers["mean"] - 1, "max": numbers["mean"] + 1}
     return {**numbers, **{key: np.where(still, value, numbers[key]) for key, value in changed.items()}}
 
 

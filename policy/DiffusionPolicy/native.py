@@ -82,7 +82,7 @@ def answers(config: dict[str, Any]) -> Any:
         settings, checkpoint, preprocessor_overrides={"device_processor": {"device": settings.device}}
     )
 
-    def prepared(observation: dict[str, Any]) -> dict[str, Any]:
+    def prepared(observation: dict[str, Any]) -> Any:
         held = {name: np.ascontiguousarray(observation["vision"][one]["color"]) for name, one in CAMERAS.items()}
         held["observation.state"] = state(observation["state"])
         return before(prepare_observation_for_inference(held, torch.device(settings.device), ""))

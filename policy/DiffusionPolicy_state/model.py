@@ -35,7 +35,7 @@ class Model(Policy):
 
     def predict(self, inputs: Any, envs: Sequence[int]) -> np.ndarray:
         """Return one chunk for each environment, (B, H, 10), normalised."""
-        inputs = self.interface.batch(inputs)
+        inputs = self.interface.batch(inputs)  # type: ignore[union-attr] # policy.yml has a block
         shape = self.settings.horizon, self.settings.action_feature.shape[0]
         noise = np.stack([self.rng(env).standard_normal(shape, np.float32) for env in envs])
         with self.torch.inference_mode():

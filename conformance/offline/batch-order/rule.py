@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import answers, brief, difference, error_code, first_step, mistaken
+from xpl_cli.audit.served.compare import answers, brief, error_code, first_step, mistaken
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -16,7 +16,7 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
 
     ## What it does
     Shows observations of environments 3, 7 and 9, then asks for [9], [9, 3] and [7, 9, 3] and compares each answer
-    with what these environments got before.
+    with what these environments got before, up to what larger batches round (XPL207).
 
     ## Why it matters
     In batched evaluation environments finish at different times. An adapter that reads the list by position sends the
@@ -49,7 +49,7 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
     alone = dict(zip(envs, whole, strict=True))
     for wanted in ([9], [9, 3], [7, 9, 3]):
         answer = probe.batch_answer(batch, wanted)
-        found = difference([alone[env] for env in wanted], answer)
+        found = probe.apart([alone[env] for env in wanted], answer)
         if found is not None:
             yield blame(
                 f"get_action_batch({wanted}) {mistaken(answer, alone, wanted)}",

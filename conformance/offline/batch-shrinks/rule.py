@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import answers, difference, first_step
+from xpl_cli.audit.served.compare import answers, first_step
 from xpl_cli.audit.served.probe import Probe, blame
 
 _STEPS: tuple[tuple[list[int], list[int] | None], ...] = (
@@ -31,7 +32,7 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
     ## What it does
     Plays one episode of four environments of which one after the other ends: all four, then without environment 1,
     then 3 before 0, then 3 alone, asked for with `None`. Each environment that goes on must act as it does in a run
-    by itself.
+    by itself, up to what larger batches round (XPL207).
 
     ## Why it matters
     Episodes of a batch end at different times. State that is kept by position moves to another robot as soon as one
@@ -55,31 +56,38 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
             policy.update_obs_batch(probe.observations(observed, step, instruction))
             together.append(policy.get_action_batch(asked))
     for env in _COMPARED:
-        with probe.run() as policy:
-            policy.reset()
-            for step, (observed, asked) in enumerate(_STEPS):
-                wanted = observed if asked is None else asked
-                if env not in observed:
-                    break
-                policy.update_obs_batch(probe.observations([env], step, instruction))
-                alone = policy.get_action_batch([env])
-                answered = together[step]
-                place = wanted.index(env)
-                beside = answered[place : place + 1] if answers(answered, len(wanted)) else answered
-                found = difference(alone, beside)
-                if found is not None:
-                    yield blame(
-                        f"environment {env} acts differently beside others that end than alone, from step {step} on: "
-                        "its state is kept by position in the batch",
-                        expected="the actions of a run by itself",
-                        got=found,
-                        evidence={
-                            "environment": env,
-                            "step": step,
-                            "observed": [list(entry) for entry, _ in _STEPS[: step + 1]],
-                            "alone": first_step(alone[0]) if answers(alone) else None,
-                            "beside": first_step(beside[0]) if answers(beside) else None,
-                        },
-                        fix=Fix("advice", "keep whatever outlives a call in a dict keyed by environment index"),
-                    )
-                    return
+        for step, alone in enumerate(_by_itself(probe, env, instruction)):
+            observed, asked = _STEPS[step]
+            wanted = observed if asked is None else asked
+            answered, place = together[step], wanted.index(env)
+            beside = answered[place : place + 1] if answers(answered, len(wanted)) else answered
+            found = probe.apart(alone, beside)
+            if found is not None:
+                yield blame(
+                    f"environment {env} acts differently beside others that end than alone, from step {step} on: "
+                    "its state is kept by position in the batch",
+                    expected="the actions of a run by itself",
+                    got=found,
+                    evidence={
+                        "environment": env,
+                        "step": step,
+                        "observed": [list(entry) for entry, _ in _STEPS[: step + 1]],
+                        "alone": first_step(alone[0]) if answers(alone) else None,
+                        "beside": first_step(beside[0]) if answers(beside) else None,
+                    },
+                    fix=Fix("advice", "keep whatever outlives a call in a dict keyed by environment index"),
+                )
+                return
+
+
+def _by_itself(probe: Probe, env: int, instruction: str) -> list[Any]:
+    """Return the answers to one environment alone, up to where it ends."""
+    with probe.run() as policy:
+        policy.reset()
+        answered = []
+        for step, (observed, _) in enumerate(_STEPS):
+            if env not in observed:
+                break
+            policy.update_obs_batch(probe.observations([env], step, instruction))
+            answered.append(policy.get_action_batch([env]))
+        return answered

@@ -201,6 +201,14 @@ class Simulation:
         """
         return self._steadily(seeds, only=place, follows=self.together(seeds))
 
+    @cached_property
+    def rounding(self) -> float:
+        """What answers to equal observations may differ by between batches of other sizes; 0 where it cannot be asked."""
+        try:
+            return max(self.probe.rounding.values(), default=0.0)
+        except NotApplicable:  # scripted observations do not have what a simulator tells
+            return 0.0
+
     def _steadily(self, seeds: Sequence[int], only: int | None = None, follows: Rollout | None = None) -> Rollout:
         key = ("steady", self.first, tuple(seeds), only)
         if key not in self._rollouts:

@@ -21,8 +21,9 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun
 from xpl_cli.audit.served.checkpoints import Checkpoint
 from xpl_cli.audit.served.choosing import Lacking
-from xpl_cli.audit.served.compare import same
+from xpl_cli.audit.served.compare import difference, same
 from xpl_cli.audit.served.hanging import bounds
+from xpl_cli.audit.served.rounding import measured
 from xpl_cli.audit.served.servers import PATIENCE, Servers
 from xpl_cli.packages import environments, package
 
@@ -230,6 +231,20 @@ class Probe(Servers):
                 policy.update_obs_batch(self.observations(envs, step, instruction))
                 answered.append(policy.get_action_batch(envs))
         return answered
+
+    def apart(self, first: Any, second: Any) -> str | None:
+        """Return where answers to equal observations, in batches of other sizes, differ by more than kernels round.
+
+        Returns:
+            In words; None if they do not.
+        """
+        return None if same(first, second) else difference(first, second, slack=self.rounding)
+
+    @cached_property
+    def rounding(self) -> dict[str, float]:
+        """What batches of other sizes may differ by, for each key of an action; asked only where they do differ."""
+        one = self.observation()
+        return measured(self.batch_answer, one, self.observations(range(4), instruction=one[sdk.Obs.INSTRUCTION]))
 
     def combinations(self) -> list[tuple[str, str]]:
         """Return every embodiment and action type that the manifest declares, the configured pair first."""
