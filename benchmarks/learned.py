@@ -77,6 +77,12 @@ RECIPES: dict[tuple[str, str], Recipe] = {
     ("DiffusionPolicy_state", "push_block"): _ours(
         "push_block", images=False, horizon=1, batch=256, noise=0.02, steps=9183
     ),
+    ("ACT", "stack_blocks_two"): _ours("stack_blocks_two", images=True, batch=128, noise=0.01, steps=5196),
+    ("DiffusionPolicy", "stack_blocks_two"): _ours("stack_blocks_two", images=True, batch=256, noise=0.03, steps=3843),
+    ("ACT_state", "stack_blocks_two"): _ours("stack_blocks_two", images=False, batch=256, noise=0.01, steps=13449),
+    ("DiffusionPolicy_state", "stack_blocks_two"): _ours(
+        "stack_blocks_two", images=False, horizon=1, batch=256, noise=0.02, steps=8621
+    ),
     **{
         (policy, f"mw-{task}"): _metaworld(task, steps=steps)
         for policy, tasks in {

@@ -35,7 +35,7 @@ class Model(Policy):
 
     def predict(self, inputs: Any, envs: Sequence[int]) -> np.ndarray:
         """Return one chunk for each environment, (B, H, 10), normalised."""
-        inputs = self.interface.batch([[one] for one in inputs])
+        inputs = self.interface.batch([[one] for one in inputs])  # type: ignore[union-attr] # policy.yml has a block
         with self.torch.inference_mode():
             batch = {name: self.torch.from_numpy(values).to(self.device) for name, values in inputs.items()}
             chunks: np.ndarray = self.network.predict_action_chunk(batch).float().cpu().numpy()
