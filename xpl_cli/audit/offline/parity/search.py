@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from xpl_cli.native.pairs import Chunk
 
 
-SEARCH_S: Final = 60.0
+SEARCH_S: Final = 240.0
 """Longest search, s."""
 _MANY: Final = 0.45
 _FEW: Final = 0.9
