@@ -243,8 +243,8 @@ class Probe(Servers):
     @cached_property
     def rounding(self) -> dict[str, float]:
         """What batches of other sizes may differ by, for each key of an action; asked only where they do differ."""
-        one = self.observation()
-        return measured(self.batch_answer, one, self.observations(range(4), instruction=one[sdk.Obs.INSTRUCTION]))
+        instruction = self.observation()[sdk.Obs.INSTRUCTION]
+        return measured(self.batch_answer, self.observations(range(4), instruction=instruction))
 
     def combinations(self) -> list[tuple[str, str]]:
         """Return every embodiment and action type that the manifest declares, the configured pair first."""

@@ -14,50 +14,60 @@ from xpl import _spec as sdk
 from xpl_cli.audit.served.compare import answers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
-_SIZES = range(1, 5)
+_COUNTS = range(1, 5)
 """Sizes of batches that rules compare."""
 _TIMES = 5.0
 """Other observations round otherwise; this many times what was seen is allowed."""
-_SHARE = 0.02
-"""And at most this share of what answers to different observations span: who divides by the batch is not excused."""
+_OF_SPAN, _OF_SIZE = 0.02, 0.005
+"""And at most the larger of these shares: of what answers to different observations span, and of the largest number in
+them. Half precision rounds by the size of numbers; who divides by the batch is not excused."""
 
 
 def measured(
-    answered: Callable[[Sequence[dict[str, Any]], list[int]], Any], one: dict[str, Any], others: Sequence[dict[str, Any]]
+    answered: Callable[[Sequence[dict[str, Any]], list[int]], Any], scenes: Sequence[dict[str, Any]]
 ) -> dict[str, float]:
     """Return by how much answers may differ between batches of other sizes, for each key of an action.
 
     One observation, shown to every environment of a batch, has one answer in batches of all sizes, and by what these
-    differ is rounding. Who mixes environments up mixes equal ones here, and is allowed nothing by that.
+    differ is rounding. Who mixes environments up mixes equal ones here, and is allowed nothing by that. What is seen of
+    one key holds for all, as a share of the largest number: a gripper has few numbers to see it by.
 
     Args:
         answered: returns the chunks for some environments after a batch of observations in a new episode.
-        one: the observation that all environments are shown.
-        others: observations of several environments that differ, with its instruction.
+        scenes: observations of several environments that differ.
 
     Returns:
         By key, in the key's unit; empty where the batches are not answered in one form.
     """
-    alike: list[Any] = []
-    for size in _SIZES:
-        envs = list(range(size))
-        alike.append(answered([{**one, sdk.Obs.ENV_IDX: env} for env in envs], envs))
-    unlike = answered(others, [int(obs[sdk.Obs.ENV_IDX]) for obs in others])
-    if not all(map(answers, (*alike, unlike))):
+    together = _by_key([answered(scenes, [int(obs[sdk.Obs.ENV_IDX]) for obs in scenes])])
+    size = {key: float(np.abs(values).max(initial=0.0)) for key, values in together.items()}
+    share = 0.0
+    for scene in scenes:
+        alike = _by_key([_alike(answered, scene, count) for count in _COUNTS])
+        if alike.keys() != together.keys():
+            return {}
+        share = max([share, *(_span(values) / size[key] for key, values in alike.items() if size[key] > 0)])
+    most = {key: max(_OF_SPAN * _span(values), _OF_SIZE * size[key]) for key, values in together.items()}
+    return {key: min(_TIMES * share * size[key], most[key]) for key in together}
+
+
+def _alike(answered: Callable[[Sequence[dict[str, Any]], list[int]], Any], scene: dict[str, Any], count: int) -> Any:
+    envs = list(range(count))
+    return answered([{**scene, sdk.Obs.ENV_IDX: env} for env in envs], envs)
+
+
+def _span(values: np.ndarray) -> float:
+    return float(np.ptp(values, axis=0).max(initial=0.0))
+
+
+def _by_key(batches: Sequence[Any]) -> dict[str, np.ndarray]:
+    """Return the chunks of some batches by key, (chunks, steps, dimension); nothing if their forms differ."""
+    if not all(map(answers, batches)):
         return {}
-    apart, span = _spans([chunk for answer in alike for chunk in answer]), _spans(unlike)
-    return {key: min(_TIMES * apart[key], _SHARE * span[key]) for key in apart.keys() & span.keys()}
-
-
-def _spans(chunks: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, float]:
-    """Return how far chunks lie apart at most, for each key; nothing if they have different forms."""
-    found = {}
+    chunks = [chunk for batch in batches for chunk in batch]
     try:
-        for key in chunks[0][0]:
-            values = np.array([[step[key] for step in chunk] for chunk in chunks], float)
-            found[key] = float(np.ptp(values, axis=0).max(initial=0.0))
+        return {key: np.array([[step[key] for step in chunk] for chunk in chunks], float) for key in chunks[0][0]}
     except (KeyError, IndexError, TypeError, ValueError):
         return {}
-    return found
