@@ -190,6 +190,7 @@ def test_all_values_that_are_of_no_use_are_one_sentence(name: str, place: Path) 
         (["rules", "--output", "pipe"], 2, "cannot be written"),
         (["serve", "policy/Foo", "--python", "noexec"], 4, "not executable"),
         (["serve", "policy/Foo", "--python", "folder"], 4, "no interpreter"),
+        (["serve", "policy/Foo", "--python", "true"], 4, "the worker ended with exit code 0"),
         (["serve", "policy/Foo", "--chdir", "file"], 3, "no folder"),
         (["serve", "policy/Foo", "--trace", "pipe"], 4, "nobody reads the pipe"),
         (["serve", "policy/Foo", "--memory-limit", "9" * 5000], 2, "--memory-limit takes a size"),

@@ -48,6 +48,7 @@ def test_a_correct_adapter_is_left_alone(adapter: Adapter, recorded: Recorded, t
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(7200)  # ninety audits with their search, one after the other
 @pytest.mark.parametrize("source", SOURCES)
 def test_mistakes_are_caught_and_named(source: str, recorded: Recorded) -> None:
     """At least 95 of 100 are red, and 85 of 100 have the right cause, by who planted them."""

@@ -348,6 +348,8 @@ async def _first(*futures: asyncio.Future[Any]) -> None:
 
 async def _load(run: _Run, front_end: FrontEnd) -> LoadError | None:
     """Load every model and say how it goes; return why it failed, or None."""
+    if front_end.failed.done():  # a worker has ended before it was asked, as what is no Python does at once
+        return LoadError(f"the model could not be loaded: {front_end.failed.result()}")
     limit = run.config[spec.Deploy.MAX_CONNECT_SECONDS] or None  # nobody waits longer than that for a connection
     package = run.package
     loads = [

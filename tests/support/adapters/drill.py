@@ -88,7 +88,7 @@ _ENVIRONMENT = """
 """
 
 _MODEL = """
-    import os, signal
+    import os, signal, time
     from pathlib import Path
     import numpy as np
 
@@ -132,9 +132,15 @@ _MODEL = """
             if self.due(f"policy-dies-{self.seed}"):
                 os.kill(os.getpid(), signal.SIGKILL)
             marks = Path(self.config["marks"])
-            if len((marks / "loads").read_text()) > 1 and self.due("policy-dies-for-good"):
-                (marks / "does-not-load").write_text("3")
-                os.kill(os.getpid(), signal.SIGKILL)
+            ending = marks / "policy-dies-for-good"
+            while ending.exists() and len((marks / "loads").read_text()) < 2:
+                time.sleep(0.01)  # the other one may be loaded late
+            try:
+                ending.unlink()  # by one of them
+            except FileNotFoundError:
+                return
+            (marks / "does-not-load").write_text("3")
+            os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
@@ -171,6 +177,6 @@ def mark(place: Path, event: str, times: int) -> None:
     """Let an event happen so many times.
 
     In the environment `env-dies-SEED` and `blind` (cannot be filmed); in the folder of all `policy-dies-SEED`, and
-    `policy-dies-for-good`: once two of them were loaded, and then it cannot be loaded for the next three times.
+    `policy-dies-for-good`: once two of them were loaded, one, and then it cannot be loaded for the next three times.
     """
     (place / event).write_text(str(times), encoding="utf-8")
