@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
@@ -56,7 +55,8 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
             policy.update_obs_batch(probe.observations(observed, step, instruction))
             together.append(policy.get_action_batch(asked))
     for env in _COMPARED:
-        for step, alone in enumerate(_by_itself(probe, env, instruction)):
+        lasts = sum(env in observed for observed, _ in _STEPS)
+        for step, alone in enumerate(probe.batch_episode([env], lasts, instruction)):
             observed, asked = _STEPS[step]
             wanted = observed if asked is None else asked
             answered, place = together[step], wanted.index(env)
@@ -78,16 +78,3 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
                     fix=Fix("advice", "keep whatever outlives a call in a dict keyed by environment index"),
                 )
                 return
-
-
-def _by_itself(probe: Probe, env: int, instruction: str) -> list[Any]:
-    """Return the answers to one environment alone, up to where it ends."""
-    with probe.run() as policy:
-        policy.reset()
-        answered = []
-        for step, (observed, _) in enumerate(_STEPS):
-            if env not in observed:
-                break
-            policy.update_obs_batch(probe.observations([env], step, instruction))
-            answered.append(policy.get_action_batch([env]))
-        return answered

@@ -238,7 +238,7 @@ class Probe(Servers):
         Returns:
             In words; None if they do not.
         """
-        return None if same(first, second) else difference(first, second, slack=self.rounding)
+        return difference(first, second) and difference(first, second, slack=self.rounding)
 
     @cached_property
     def rounding(self) -> dict[str, float]:

@@ -42,6 +42,8 @@ def measured(
         By key, in the key's unit; empty where the batches are not answered in one form.
     """
     together = _by_key([answered(scenes, [int(obs[sdk.Obs.ENV_IDX]) for obs in scenes])])
+    if not together:
+        return {}
     size = {key: float(np.abs(values).max(initial=0.0)) for key, values in together.items()}
     share = 0.0
     for scene in scenes:
