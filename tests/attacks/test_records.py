@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 from tests.support.commands import problem, xpl
 from tests.support.examples import examples
 from tests.support.recordings.runs import synthetic
+from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.leaderboard import board, field, ranking
 from xpl_cli.evaluation.records import lines, records
+from xpl_cli.evaluation.records.failures import contradiction
 from xpl_cli.evaluation.records.records import RecordError
 from xpl_cli.evaluation.report import written
 from xpl_cli.standard import spec
@@ -243,7 +245,10 @@ values = st.recursive(
 
 
 def _tried(data: st.DataObject, sound: Path, folder: Path) -> None:
-    """Put any value at any place of any line: what is read of it is valid, and makes a report and a ranking."""
+    """Put any value at any place of any line: what is read of it is valid, and makes a report and a ranking.
+
+    Only a record that contradicts itself is not ranked.
+    """
     number = data.draw(st.integers(2, len(_lines(sound))))
     line = json.loads(_lines(sound)[number - 1])
     line[data.draw(st.sampled_from(sorted(line)) | st.text(max_size=6))] = data.draw(values)
@@ -253,6 +258,10 @@ def _tried(data: st.DataObject, sound: Path, folder: Path) -> None:
     assert all(validate(one, lines.definition(one["kind"])) == [] for one in found.attempts)
     document = written.write(found, run / "report", 0)
     json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
+    if any(map(contradiction, found.finals.values())):
+        with pytest.raises(UserError, match="the record was changed"):
+            field.gather([found], anyway=True)
+        return
     ranked = ranking.rank(field.gather([found], anyway=True))
     for form in (board.text, board.as_csv, board.as_markdown):
         assert form(ranked)

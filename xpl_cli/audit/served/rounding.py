@@ -30,9 +30,10 @@ def measured(
 ) -> dict[str, float]:
     """Return by how much answers may differ between batches of other sizes, for each key of an action.
 
-    One observation, shown to every environment of a batch, has one answer in batches of all sizes, and by what these
-    differ is rounding. Who mixes environments up mixes equal ones here, and is allowed nothing by that. What is seen of
-    one key holds for all, as a share of the largest number: a gripper has few numbers to see it by.
+    One observation is shown to every environment of batches of several sizes. An environment has one answer in all of
+    them, and by what these differ is rounding. Who mixes environments up mixes equal ones here, and is allowed nothing
+    by that. Two environments are not compared: who samples has other answers for each. What is seen of one key holds
+    for all, as a share of the largest number: a gripper has few numbers to see it by.
 
     Args:
         answered: returns the chunks for some environments after a batch of observations in a new episode.
@@ -47,10 +48,14 @@ def measured(
     size = {key: float(np.abs(values).max(initial=0.0)) for key, values in together.items()}
     share = 0.0
     for scene in scenes:
-        alike = _by_key([_alike(answered, scene, count) for count in _COUNTS])
-        if alike.keys() != together.keys():
+        batches = [_alike(answered, scene, count) for count in _COUNTS]
+        if not all(map(answers, batches)):
             return {}
-        share = max([share, *(_span(values) / size[key] for key, values in alike.items() if size[key] > 0)])
+        for env in range(len(batches)):
+            alike = _by_key([batch[env : env + 1] for batch in batches[env:]])
+            if alike.keys() != together.keys():
+                return {}
+            share = max([share, *(_span(values) / size[key] for key, values in alike.items() if size[key] > 0)])
     most = {key: max(_OF_SPAN * _span(values), _OF_SIZE * size[key]) for key, values in together.items()}
     return {key: min(_TIMES * share * size[key], most[key]) for key in together}
 

@@ -59,7 +59,7 @@ def collected(first: Path, after: Path | None) -> list[Row]:
             for name, whole in (("first", one), ("after", other)):
                 row[name] = _kept("demonstrations", whole)
             row["contract"] = _kept("contract", contract)
-            parity = told["first", "parity"] or same.get("parity", {}) or contract
+            parity = told["first", "parity"] or same.get("parity", {})
             row["parity"] = _kept("parity", parity.get("parity") or {})
             row["success"] = _kept("success", told["first", "success"] or same.get("success", {}))
             found.append(row)
