@@ -16,9 +16,9 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
 
     ## What it does
     Runs three environments with one instruction in one batch for three steps, then each of them alone, and compares
-    the actions. What larger batches round is left out: if answers differ, equal observations are shown to batches of one
-    to four, and five times what their answers are apart is allowed, at most 2 % of what answers to others span
-    or half a percent of the largest number.
+    the actions. What larger batches round is left out: if answers differ, equal observations are shown to batches of
+    one to four, and five times what an environment's answers are apart is allowed, at most 2 % of what answers to
+    others span or half a percent of the largest number.
 
     ## Why it matters
     A shared history, cache, step counter or random generator makes results depend on how many environments ran beside.

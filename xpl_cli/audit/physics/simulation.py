@@ -203,7 +203,7 @@ class Simulation:
 
     @cached_property
     def rounding(self) -> float:
-        """What answers to equal observations may differ by between batches of other sizes; 0 where it cannot be asked."""
+        """What answers to equal observations may differ by in batches of other sizes; 0 where it cannot be asked."""
         try:
             return max(self.probe.rounding.values(), default=0.0)
         except NotApplicable:  # scripted observations do not have what a simulator tells
