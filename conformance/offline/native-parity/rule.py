@@ -22,7 +22,8 @@ def native_parity(parity: Parity) -> Iterator[Finding | Proof]:
     ## What it does
     Shows a fresh server of every robot and action type the scripted episodes that native.py was asked about, and
     compares the answers with those in native_pairs.json: every number of every step, over histories, resets and
-    batches. A difference counts above `native.tolerance`, a share of what the native answers span. Of a model that
+    batches. A difference counts above `native.tolerance`, a share of what the native answers span; not if it is what a
+    batch rounds: within 2 % of the span, and gone where its environment is asked by itself. Of a model that
     samples and takes no seed, means and spreads of many answers are compared. Where something differs, single changes
     of the native block, and of what the adapter is shown and commands, are tried, and the one that makes the
     difference fall is named.

@@ -113,6 +113,7 @@ class Driver:
         watch: is shown the environment before every control step.
         shown: takes every observation that the policy is shown, where they are wanted.
         follows: an earlier loop, whose answers are executed instead of those that are given now.
+        copied: show what the one environment shows in place of all others, too, as long as they ran in `follows`.
     """
 
     session: Session
@@ -122,6 +123,7 @@ class Driver:
     watch: Watch | None = None
     shown: list[dict[str, Any]] | None = None
     follows: Rollout | None = None
+    copied: bool = False
 
     def drive(self) -> None:
         """Play the episodes to their end, or until something breaks."""
@@ -155,19 +157,23 @@ class Driver:
     def _chunk(self, running: list[int]) -> str | None:
         """Ask once and execute the whole chunk; return what went wrong, or None."""
         observations = self._seen(running)
+        shown = self._with_copies(observations)
+        asked = [obs[sdk.Obs.ENV_IDX] for obs in shown]
         waited = time.perf_counter()
-        refused = self.session.update_obs_batch(observations)
-        chunks = self.session.get_action_batch(running)
+        refused = self.session.update_obs_batch(shown)
+        chunks = self.session.get_action_batch(asked)
         waited = time.perf_counter() - waited
-        problem = self._problem(refused, chunks, len(running))
+        problem = self._problem(refused, chunks, len(asked))
         if problem is not None:
             return problem
-        for env, obs, chunk in zip(running, observations, chunks, strict=True):
-            flat = np.stack([self._packed(action) for action in chunk])
+        answers = dict(zip(asked, chunks, strict=True))
+        for env, obs in zip(running, observations, strict=True):
+            flat = np.stack([self._packed(action) for action in answers[env]])
             step = len(self.played.commands[env])
             self.played.queries[env].append(Query(step, obs[sdk.Obs.STATE], flat, waited))
-        executed = chunks if self.follows is None else [self._then(self.follows, env) for env in running]
-        return self._execute(dict(zip(running, executed, strict=True)))
+        return self._execute(
+            {env: answers[env] if self.follows is None else self._then(self.follows, env) for env in running}
+        )
 
     def _then(self, earlier: Rollout, env: int) -> list[dict[str, Any]]:
         """Return the chunk with which an earlier loop answered the question that was asked last."""
@@ -179,6 +185,15 @@ class Driver:
         if self.shown is not None:
             self.shown.extend(observations)
         return observations
+
+    def _with_copies(self, observations: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Return what the policy is shown: in a copy's place stands what the one environment shows."""
+        if not self.copied or self.follows is None:
+            return observations
+        (own,) = observations
+        now = len(self.played.commands[own[sdk.Obs.ENV_IDX]])
+        running = [env for env, commands in enumerate(self.follows.commands) if len(commands) > now]
+        return [{**own, sdk.Obs.ENV_IDX: env} for env in running]
 
     def _problem(self, refused: Any, chunks: Any, count: int) -> str | None:
         for answer in (refused, chunks):
@@ -206,7 +221,7 @@ class Driver:
 
     def _show(self, moved: Sequence[int]) -> str | None:
         """Show what is to be seen between the steps of a chunk, as an evaluation loop does."""
-        observations = self._seen(moved)
+        observations = self._with_copies(self._seen(moved))
         started = time.perf_counter()
         refused = self.session.update_obs_batch(observations)
         waited = time.perf_counter() - started

@@ -201,19 +201,25 @@ class Simulation:
         """
         return self._steadily(seeds, only=place, follows=self.together(seeds))
 
-    @cached_property
-    def rounding(self) -> float:
-        """What answers to equal observations may differ by in batches of other sizes; 0 where it cannot be asked."""
-        try:
-            return max(self.probe.rounding.values(), default=0.0)
-        except NotApplicable:  # scripted observations do not have what a simulator tells
-            return 0.0
+    def beside_itself(self, seeds: Sequence[int], place: int) -> Rollout:
+        """Ask about one environment of a batch as `alone` does, in a batch as large, whose others show the same as it.
 
-    def _steadily(self, seeds: Sequence[int], only: int | None = None, follows: Rollout | None = None) -> Rollout:
-        key = ("steady", self.first, tuple(seeds), only)
+        Args:
+            seeds: of the batch.
+            place: of the environment; the others stand still.
+
+        Raises:
+            NotRun: if a loop did not come to its end.
+        """
+        return self._steadily(seeds, only=place, follows=self.together(seeds), copied=True)
+
+    def _steadily(
+        self, seeds: Sequence[int], only: int | None = None, follows: Rollout | None = None, *, copied: bool = False
+    ) -> Rollout:
+        key = ("steady", self.first, tuple(seeds), only, copied)
         if key not in self._rollouts:
             with self.steady() as session:
-                self._rollouts[key] = self._play(session, self.first, seeds, only=only, follows=follows)
+                self._rollouts[key] = self._play(session, self.first, seeds, only=only, follows=follows, copied=copied)
         return _sound(self._rollouts[key])
 
     @contextlib.contextmanager
@@ -318,6 +324,7 @@ class Simulation:
         film: bool = False,
         shown: list[dict[str, Any]] | None = None,
         follows: Rollout | None = None,
+        copied: bool = False,
     ) -> Rollout:
         played = Rollout(course, get_embodiment(course.embodiment), tuple(seeds))
         made = self._make(course, len(seeds), None if whole else self._steps)
@@ -325,7 +332,7 @@ class Simulation:
             made.reset(seed=list(seeds))
             env = made if world is None else world.around(made, played.robot)
             with self._filmed(course, seeds, wanted=film) as watch:
-                Driver(session, env, played, only, watch, shown, follows).drive()
+                Driver(session, env, played, only, watch, shown, follows, copied).drive()
         return played
 
     @property

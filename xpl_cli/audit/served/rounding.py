@@ -20,7 +20,7 @@ _COUNTS = range(1, 5)
 """Sizes of batches that rules compare."""
 _TIMES = 5.0
 """Other observations round otherwise; this many times what was seen is allowed."""
-_OF_SPAN, _OF_SIZE = 0.02, 0.005
+OF_SPAN, _OF_SIZE = 0.02, 0.005
 """And at most the larger of these shares: of what answers to different observations span, and of the largest number in
 them. Half precision rounds by the size of numbers; who divides by the batch is not excused."""
 
@@ -56,8 +56,16 @@ def measured(
             if alike.keys() != together.keys():
                 return {}
             share = max([share, *(_span(values) / size[key] for key, values in alike.items() if size[key] > 0)])
-    most = {key: max(_OF_SPAN * _span(values), _OF_SIZE * size[key]) for key, values in together.items()}
-    return {key: min(_TIMES * share * size[key], most[key]) for key in together}
+    return {key: min(_TIMES * share * size[key], most(values)) for key, values in together.items()}
+
+
+def most(values: np.ndarray) -> float:
+    """Return the most that answers to equal observations may differ by in batches of other sizes.
+
+    Args:
+        values: answers of one key to different observations, the last axis its numbers: (N, ..., D).
+    """
+    return max(OF_SPAN * _span(values), _OF_SIZE * float(np.abs(values).max(initial=0.0)))
 
 
 def _alike(answered: Callable[[Sequence[dict[str, Any]], list[int]], Any], scene: dict[str, Any], count: int) -> Any:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.offline.parity import distribution, judgement
+from xpl_cli.audit.offline.parity.beside import unrounded
 from xpl_cli.audit.offline.parity.judgement import Judgement
 from xpl_cli.audit.offline.parity.played import RefusedError, overrides, play
 from xpl_cli.audit.offline.parity.search import Found, Search
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.offline.parity.distribution import Shift
     from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.audit.served.session import Session as Client
     from xpl_cli.native.pairs import Chunk, Pairs, Session
 
 
@@ -142,8 +145,19 @@ class Parity:
         self.probe.options.clock.check()
         # What was asked of this audit counts for more than what was recorded with; the session is what it is.
         settings = {**self.settings, **self.probe.options.overrides}
-        with self.probe.own_server(overrides(session, settings)) as server, self.probe.connected(server.url) as client:
-            try:
-                return Compared(session, play(client, session))
-            except RefusedError as refusal:
-                return Compared(session, [], refusal)
+
+        @contextlib.contextmanager
+        def served() -> Iterator[Client]:
+            own = self.probe.own_server(overrides(session, settings))
+            with own as server, self.probe.connected(server.url) as client:
+                yield client
+
+        try:
+            with served() as client:
+                compared = Compared(session, play(client, session))
+        except RefusedError as refusal:
+            return Compared(session, [], refusal)
+        if session.takes == 1 and compared.too_long is None:
+            for number, chunk in unrounded(self.judge(compared), served).items():
+                compared.given[number] = [chunk]
+        return compared

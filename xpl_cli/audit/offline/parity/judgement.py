@@ -109,10 +109,11 @@ class Judgement:
     @cached_property
     def off(self) -> list[bool]:
         """For each question, whether a number of its answer differs."""
-        return [self._differs(number) for number in range(len(self.native))]
+        return [self.differ(*chunks) for chunks in zip(self.native, self.given, strict=True)]
 
-    def _differs(self, number: int) -> bool:
-        found = differences(self.native[number : number + 1], self.given[number : number + 1], self.spread)
+    def differ(self, one: Chunk, other: Chunk) -> bool:
+        """Whether a number of two answers to a question differs."""
+        found = differences([one], [other], self.spread)
         return any(share > self.allowed[part] for part, share in found.items())
 
     @property
