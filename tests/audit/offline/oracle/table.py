@@ -1,15 +1,17 @@
 """Makes results.json, docs/mistakes.md and its picture of what `trained.py` wrote.
 
 python -m tests.audit.offline.oracle.table [FIRST [AFTER]]
+python -m tests.audit.offline.oracle.table --contract OUT
 
 FIRST is the OUT of the search as it was when the mistakes were planted, AFTER that of the mended one. Without any, the
-page is made of results.json as it is.
+page is made of results.json as it is; with --contract, what OUT says of the contract goes into it first, of another
+training of these policies, for example.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from collections.abc import Set as AbstractSet
 from html import escape
 from pathlib import Path
@@ -74,6 +76,18 @@ def _alike(first: Path) -> dict[str, dict[str, Row]]:
             for proof in ("contract", "parity", "success"):
                 if row := said(first / "rows" / f"{subject.key}-{proof}.json"):
                     found.setdefault(subject.same, {})[proof] = row
+    return found
+
+
+def with_contract(rows: list[Row], out: Path) -> list[Row]:
+    """Return rows with the contract that a run found, where it found one."""
+    told = _alike(out)
+    subjects = {(policy.name, one.sample, one.name): one for policy in trained() for one in policy.subjects}
+    found = []
+    for row in rows:
+        same = subjects[row["policy"], row["sample"], row["mistake"]].same
+        contract = told.get(same, {}).get("contract")
+        found.append({**row, "contract": _kept("contract", contract)} if contract else row)
     return found
 
 
@@ -285,10 +299,15 @@ def _provers(row: Row) -> list[str]:
 
 def main() -> None:
     """Collect the rows, if there are some, and write page and picture."""
-    folders = [Path(word) for word in sys.argv[1:]]
-    if folders:
-        rows = collected(folders[0], folders[1] if len(folders) > 1 else None)
-        RESULTS.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("first", type=Path, nargs="?")
+    parser.add_argument("after", type=Path, nargs="?")
+    parser.add_argument("--contract", type=Path, metavar="OUT")
+    asked = parser.parse_args()
+    rows = results() if asked.first is None else collected(asked.first, asked.after)
+    if asked.contract is not None:
+        rows = with_contract(rows, asked.contract)
+    RESULTS.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
     PAGE.write_text(page(results(), PAGE.read_text()))
     PICTURE.write_text(picture(results()))
 
