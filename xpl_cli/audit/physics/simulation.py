@@ -216,7 +216,7 @@ class Simulation:
     def _steadily(
         self, seeds: Sequence[int], only: int | None = None, follows: Rollout | None = None, *, copied: bool = False
     ) -> Rollout:
-        key = ("steady", self.first, tuple(seeds), only, copied)
+        key = ("copied" if copied else "steady", self.first, tuple(seeds), only)
         if key not in self._rollouts:
             with self.steady() as session:
                 self._rollouts[key] = self._play(session, self.first, seeds, only=only, follows=follows, copied=copied)
