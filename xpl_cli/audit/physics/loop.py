@@ -192,8 +192,8 @@ class Driver:
             return observations
         (own,) = observations
         now = len(self.played.commands[own[sdk.Obs.ENV_IDX]])
-        running = [env for env, commands in enumerate(self.follows.commands) if len(commands) > now]
-        return [{**own, sdk.Obs.ENV_IDX: env} for env in running]
+        there = [len(commands) > now for commands in self.follows.commands]
+        return [{**own, sdk.Obs.ENV_IDX: env} for env, runs in enumerate(there) if runs or env == own[sdk.Obs.ENV_IDX]]
 
     def _problem(self, refused: Any, chunks: Any, count: int) -> str | None:
         for answer in (refused, chunks):
