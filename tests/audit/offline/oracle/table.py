@@ -308,8 +308,8 @@ def main() -> None:
     if asked.contract is not None:
         rows = with_contract(rows, asked.contract)
     RESULTS.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
-    PAGE.write_text(page(results(), PAGE.read_text()))
-    PICTURE.write_text(picture(results()))
+    PAGE.write_text(page(rows, PAGE.read_text()))
+    PICTURE.write_text(picture(rows))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Self
 
 from xpl.client import PolicyServerError
-from xpl_cli.audit.offline.parity.played import RefusedError, checked, replay
+from xpl_cli.audit.offline.parity.played import RefusedError, by_number, checked
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,8 +111,7 @@ class Around:
             return changed.get((env, place)) or self._course.observation(env, place)
 
         asked = [session.questions[number] for number in numbers]
-        answers = replay(client, session, self._course.calls(numbers), asked, observation)
-        return {question.number: takes[0] for question, takes in zip(asked, answers, strict=True)}
+        return by_number(client, session, self._course.calls(numbers), asked, observation)
 
     def _played(self, client: Client, signal: Signal, numbers: Sequence[int]) -> dict[int, Chunk]:
         assert signal.shown is not None  # noqa: S101 - see who asks

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.audit.offline.parity.course import Course
-from xpl_cli.audit.offline.parity.played import RefusedError, replay
+from xpl_cli.audit.offline.parity.played import RefusedError, by_number
 from xpl_cli.audit.served.rounding import OF_SPAN
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from contextlib import AbstractContextManager
 
     from xpl_cli.audit.offline.parity.judgement import Judgement
     from xpl_cli.audit.served.session import Session as Client
-    from xpl_cli.native.pairs import Chunk, Question
+    from xpl_cli.native.pairs import Chunk
 
     Serving = Callable[[], AbstractContextManager[Client]]
     """Connects to a new server of the adapter."""
@@ -60,7 +60,7 @@ def _by_itself(course: Course, env: int, serving: Serving) -> dict[int, Chunk]:
     own = [question for question in course.session.questions if question.env == env]
     calls = course.calls([question.number for question in own])
     with serving() as client:
-        return _by_number(own, replay(client, course.session, calls, own, course.observation))
+        return by_number(client, course.session, calls, own, course.observation)
 
 
 def _among_others(course: Course, env: int, serving: Serving) -> dict[int, Chunk]:
@@ -71,8 +71,4 @@ def _among_others(course: Course, env: int, serving: Serving) -> dict[int, Chunk
         return {**course.observation(env, place), sdk.Obs.ENV_IDX: other}
 
     with serving() as client:
-        return _by_number(session.questions, replay(client, session, session.calls, session.questions, observation))
-
-
-def _by_number(asked: Sequence[Question], answers: list[list[Chunk]]) -> dict[int, Chunk]:
-    return {question.number: takes[0] for question, takes in zip(asked, answers, strict=True)}
+        return by_number(client, session, session.calls, session.questions, observation)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.offline.parity import distribution, judgement
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.offline.parity.distribution import Shift
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.session import Session as Client
     from xpl_cli.native.pairs import Chunk, Pairs, Session
 
 
@@ -145,19 +143,13 @@ class Parity:
         self.probe.options.clock.check()
         # What was asked of this audit counts for more than what was recorded with; the session is what it is.
         settings = {**self.settings, **self.probe.options.overrides}
-
-        @contextlib.contextmanager
-        def served() -> Iterator[Client]:
-            own = self.probe.own_server(overrides(session, settings))
-            with own as server, self.probe.connected(server.url) as client:
-                yield client
-
+        serving = partial(self.probe.fresh_session, **overrides(session, settings))
         try:
-            with served() as client:
+            with serving() as client:
                 compared = Compared(session, play(client, session))
         except RefusedError as refusal:
             return Compared(session, [], refusal)
         if session.takes == 1 and compared.too_long is None:
-            for number, chunk in unrounded(self.judge(compared), served).items():
+            for number, chunk in unrounded(self.judge(compared), serving).items():
                 compared.given[number] = [chunk]
         return compared

@@ -85,6 +85,18 @@ def replay(
     return found
 
 
+def by_number(
+    client: Client,
+    session: Session,
+    calls: Sequence[Call],
+    asked: Sequence[Question],
+    observation: Callable[[int, int], Observation],
+) -> dict[int, Chunk]:
+    """Return what `replay` does of the first takes, by the numbers of the questions."""
+    answers = replay(client, session, calls, asked, observation)
+    return {question.number: takes[0] for question, takes in zip(asked, answers, strict=True)}
+
+
 def _asked(client: Client, session: Session, asked: Sequence[Question], *, alone: bool) -> list[Chunk]:
     if len(asked) == 1 and alone:
         return [checked(client.get_action(), asked[0], session)]
