@@ -9,6 +9,7 @@ scaffolded adapter or, for rules about environments, environment; an optional `o
     remove: [install.sh]                                     # files of the scaffold that are left out
     edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold
     append: {deploy.yml: "horizon: null"}                    # text added at the end of a file
+    like: ../../good/by-hand                                 # another subject, whose files come before its own
     methods: "def reset(self): pass"                         # methods added to the model class, or to the episode's
     demonstrations: 6                                        # episodes of a scripted expert, which the package names
     message: answers for environment 3                       # what a finding on a bad subject has to say
@@ -54,6 +55,7 @@ class Subject:
     remove: tuple[str, ...] = ()
     edit: dict[str, dict[str, str]] = field(default_factory=dict)
     append: dict[str, str] = field(default_factory=dict)
+    like: str | None = None
     methods: str = ""
     demonstrations: int = 0
     message: str | None = None
@@ -104,7 +106,8 @@ def build(subject: Subject, target: Path) -> Path:
         with (target / file).open("a", encoding="utf-8") as stream:
             stream.write("\n" + textwrap.indent(subject.methods, "    "))
     ignored = shutil.ignore_patterns(OVERLAY, "__pycache__")
-    shutil.copytree(subject.folder, target, dirs_exist_ok=True, ignore=ignored)
+    for folder in (*([] if subject.like is None else [subject.folder / subject.like]), subject.folder):
+        shutil.copytree(folder, target, dirs_exist_ok=True, ignore=ignored)
     if subject.demonstrations and subject.scaffold:
         from xpl_cli.audit.offline.demonstrations import scripted
 
@@ -141,6 +144,7 @@ def _read(folder: Path, *, good: bool, target: str) -> Subject:
         remove=tuple(told.get("remove", ())),
         edit=told.get("edit", {}),
         append=told.get("append", {}),
+        like=told.get("like"),
         methods=told.get("methods", ""),
         demonstrations=told.get("demonstrations", 0),
         message=told.get("message"),
