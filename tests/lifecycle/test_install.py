@@ -139,6 +139,7 @@ def test_a_lock_becomes_an_environment_that_serves(
         "VIRTUAL_ENV": sys.prefix, "PIP_TARGET": str(trap / "target"), "PIP_PREFIX": sys.prefix, "PIP_USER": "1",
         "UV_PROJECT_ENVIRONMENT": sys.prefix, "UV_PYTHON": sys.executable, "UV_SYSTEM_PYTHON": "1",
         "PIP_CONSTRAINT": str(trap / "missing.txt"),
+        "PIP_NO_COMPILE": "0", "UV_COMPILE_BYTECODE": "0", "PYTHONDONTWRITEBYTECODE": "1",
     }.items():  # fmt: skip
         surroundings.setenv(name, value)
     own = Path(sysconfig.get_paths()["purelib"])
@@ -155,6 +156,7 @@ def test_a_lock_becomes_an_environment_that_serves(
     assert installed >= {("numpy", "99.0"), ("only_here", "1.0")}
     assert {name for name, _ in installed} <= {"numpy", "only_here", "pip", "setuptools"}
     assert (folder / ".venv").resolve() / "bin" / "python" == Path(answer["python"])
+    assert list((folder / ".venv").resolve().glob("lib/python*/site-packages/__pycache__/only_here.*.pyc"))
 
     again = run(cwd=tmp_path)
     assert (again.returncode, again.stdout.strip()) == (0, answer["python"])

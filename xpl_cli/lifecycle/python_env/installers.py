@@ -31,7 +31,7 @@ _LIMIT_S = 100.0
 
 _ELSEWHERE = ("VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "__PYVENV_LAUNCHER__")
 _PIP = ("TARGET", "PREFIX", "ROOT", "USER", "PYTHON", "REQUIREMENT", "CONSTRAINT", "EDITABLE", "UPGRADE", "NO_DEPS")
-_PIP_MODES = ("DRY_RUN", "REQUIRE_VIRTUALENV", "REPORT", "IGNORE_INSTALLED")
+_PIP_MODES = ("DRY_RUN", "REQUIRE_VIRTUALENV", "REPORT", "IGNORE_INSTALLED", "NO_COMPILE")
 _UV = ("PYTHON", "PROJECT", "PROJECT_ENVIRONMENT", "SYSTEM_PYTHON", "CONSTRAINT", "OVERRIDE", "WORKING_DIRECTORY")
 _UV_MODES = ("BREAK_SYSTEM_PACKAGES", "VENV_CLEAR", "VENV_SEED", "FROZEN", "LOCKED", "EDITABLE", "NO_EDITABLE")
 LISTING = """
@@ -61,11 +61,16 @@ def build(plan: Plan, folder: Path) -> dict[str, Any]:
 
 
 def environment() -> dict[str, str]:
-    """Return the environment variables of an installer: those that say from where stay, those that say whereto go."""
+    """Return the environment variables of an installer: those that say from where stay, those that say whereto go.
+
+    Both installers write bytecode. Where nothing can be written later, in a container or kept apart, every load would
+    compile all that it imports, and an audit loads a model some twenty times.
+    """
     pip, uv = (f"PIP_{name}" for name in (*_PIP, *_PIP_MODES)), (f"UV_{name}" for name in (*_UV, *_UV_MODES))
     unwanted = {*_ELSEWHERE, *pip, *uv}
     kept = {name: value for name, value in os.environ.items() if name not in unwanted}
-    return {**kept, "PYTHONNOUSERSITE": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    chosen = {"PYTHONNOUSERSITE": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "UV_COMPILE_BYTECODE": "1"}
+    return {**kept, **chosen}
 
 
 def _uv(uv: str, plan: Plan, folder: Path) -> str:
