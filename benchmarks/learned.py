@@ -40,8 +40,9 @@ class Recipe:
         record: by setting, how many episodes the environment's expert records.
         images: of the demonstrations; None: none, and what the simulator tells instead.
         train: keys of deploy.yml.
+        action_type: control, of the demonstrations and of the policy.
         horizon: executed actions of a chunk when it is judged; None: all.
-        judged: settings that it is judged in.
+        judged: settings that it is judged in; behind a colon what its instruction is exchanged for, of `--instruction`.
     """
 
     environment: str
@@ -50,6 +51,7 @@ class Recipe:
     record: Mapping[str, int]
     images: str | None
     train: Mapping[str, float]
+    action_type: str = "ee"
     horizon: int | None = None
     judged: tuple[str, ...] = (CLEAN,)
 
@@ -57,7 +59,8 @@ class Recipe:
 def _ours(task: str, *, images: bool, horizon: int | None = None, **train: float) -> Recipe:
     record = {CLEAN: 130, RANDOMIZED: 130} if images else {CLEAN: 260}
     judged = (CLEAN, RANDOMIZED) if images else (CLEAN,)
-    return Recipe("mujoco", task, "arx_x5_single", record, "96x96" if images else None, train, horizon, judged)
+    seen = "96x96" if images else None
+    return Recipe("mujoco", task, "arx_x5_single", record, seen, train, horizon=horizon, judged=judged)
 
 
 def _metaworld(task: str, **train: float) -> Recipe:
@@ -65,6 +68,16 @@ def _metaworld(task: str, **train: float) -> Recipe:
 
 
 RECIPES: dict[tuple[str, str], Recipe] = {
+    ("Tiny_VLA", "pick_by_language"): Recipe(
+        "mujoco",
+        "pick_by_language",
+        "arx_x5_single",
+        {CLEAN: 720, RANDOMIZED: 720},
+        "96x96",
+        {"batch": 256, "steps": 4000},
+        action_type="joint",
+        judged=(CLEAN, RANDOMIZED, f"{CLEAN}:swap", f"{RANDOMIZED}:swap", f"{CLEAN}:blank"),
+    ),
     ("ACT", "lift_cube"): _ours("lift_cube", images=True, batch=64, noise=0.01, steps=4050),
     ("ACT", "push_block"): _ours("push_block", images=True, batch=128, noise=0.01, steps=5692),
     ("DiffusionPolicy", "lift_cube"): _ours("lift_cube", images=True, batch=256, noise=0.03, steps=4961),
@@ -135,7 +148,7 @@ def stages(recipe: Recipe, package: Path, out: Path, asked: argparse.Namespace) 
     sees = ("--images", recipe.images, "--quality", "90", "--no-depth") if recipe.images else ("--images", "none")
     demos = {setting: out / "demos" / setting for setting in recipe.record}
     where = () if asked.eval_env is None else ("--eval-env", asked.eval_env)
-    robot = ("--task", recipe.task, "--embodiment", recipe.robot, "--action-type", "ee")
+    robot = ("--task", recipe.task, "--embodiment", recipe.robot, "--action-type", recipe.action_type)
     for setting, count in recipe.record.items():
         words = ("record", recipe.environment, *robot, "--setting", setting, "--episodes", str(count), *sees)
         more = ("--privileged", "--workers", asked.workers, "--out", str(demos[setting]), *where)
@@ -148,13 +161,19 @@ def stages(recipe: Recipe, package: Path, out: Path, asked: argparse.Namespace) 
     yield Stage("prepare", ("prepare", str(package), *given))
     yield Stage("train", ("train", str(package), *given))
     whole = () if recipe.horizon is None else ("--horizon", str(recipe.horizon))
-    for setting in recipe.judged:
-        run = out / "runs" / setting
+    for judged in recipe.judged:
+        setting, _, instruction = judged.partition(":")
+        run = _run(out, judged)
         words = ("eval", str(package), "--env", recipe.environment, "--task", recipe.task, "--setting", setting)
-        judged = ("--episodes", str(asked.judge), "--workers", asked.workers, "--film", "0", *whole, *where)
+        told = ("--instruction", instruction) if instruction else ()
+        how = ("--episodes", str(asked.judge), "--workers", asked.workers, "--film", "0", *told, *whole, *where)
         which = ("--set", f"ckpt_name={asked.name}", "--set", f"env_cfg_type={recipe.robot}", "--out", str(run))
-        yield Stage(f"judge {setting}", (*words, *judged, *which), (0, 1), begun=run / "records.jsonl")
-        yield Stage(f"report {setting}", ("report", str(run)))
+        yield Stage(f"judge {judged}", (*words, *how, *which), (0, 1), begun=run / "records.jsonl")
+        yield Stage(f"report {judged}", ("report", str(run)))
+
+
+def _run(out: Path, judged: str) -> Path:
+    return out / "runs" / judged.replace(":", "-")
 
 
 def write(file: Path, value: Any) -> None:
@@ -191,8 +210,8 @@ def run(recipe: Recipe, asked: argparse.Namespace) -> dict[str, Any]:
             sys.exit(f"{stage.name} ended with exit code {code}; the same command goes on there")
         state["seconds"][stage.name] = round(time.monotonic() - begun, 1)
         write(file, state)
-    told = {setting: out / "runs" / setting / "report" / "report.json" for setting in recipe.judged}
-    reports = {setting: json.loads(path.read_text(encoding="utf-8")) for setting, path in told.items()}
+    told = {judged: _run(out, judged) / "report" / "report.json" for judged in recipe.judged}
+    reports = {judged: json.loads(path.read_text(encoding="utf-8")) for judged, path in told.items()}
     return {"schema": "xpl.learned/1", **state, "reports": reports, "out": str(out)}
 
 

@@ -31,6 +31,17 @@ def test_every_recipe_records_prepares_trains_and_judges(which: tuple[str, str],
     assert (ROOT / "policy" / policy).is_dir()
 
 
+def test_who_reads_is_judged_with_other_instructions_too(tmp_path: Path) -> None:
+    """Each in a run of its own."""
+    policy, task = "Tiny_VLA", "pick_by_language"
+    asked = learned.parsed(["--policy", policy, "--task", task])
+    found = learned.stages(learned.RECIPES[policy, task], tmp_path, tmp_path, asked)
+    judged = [stage.words for stage in found if stage.words[0] == "eval"]
+    told = [words[words.index("--instruction") + 1] if "--instruction" in words else None for words in judged]
+    assert told == [None, None, "swap", "swap", "blank"]
+    assert len({words[words.index("--out") + 1] for words in judged}) == 5
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
