@@ -44,12 +44,13 @@ def run_of(config: dict[str, Any]) -> str:
 def main() -> None:
     """Prepare every folder of `demonstrations`."""
     config = json.loads(os.environ["XPL_CONFIG"])
-    data = Path("data") / run_of(config)
+    data, folders = Path("data") / run_of(config), config["demonstrations"]
+    if not folders:
+        raise SystemExit("demonstrations names no folder: --set 'demonstrations=[FOLDER, ...]'")
     data.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(max_workers=min(len(config["demonstrations"]), os.cpu_count() or 1)) as pool:
+    with ProcessPoolExecutor(max_workers=min(len(folders), os.cpu_count() or 1)) as pool:
         jobs = [
-            pool.submit(prepare, config, folder, data / f"{place:03d}.npz")
-            for place, folder in enumerate(config["demonstrations"])
+            pool.submit(prepare, config, folder, data / f"{place:03d}.npz") for place, folder in enumerate(folders)
         ]
         for job in jobs:
             print(job.result(), flush=True)

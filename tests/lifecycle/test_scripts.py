@@ -106,6 +106,77 @@ def test_training_runs_in_the_policys_python_on_its_device(made: Path) -> None:
         (folder / "train.py").write_text(TELLS)
 
 
+ENDS = {
+    "set of another format": ("import deep\ndeep.down('.')\n", "deep.py, line 5: . holds no file that ends in"),
+    "own mistake": ("import deep\n\n1 / 0\n", "ZeroDivisionError: division by zero"),
+    "no Python": ("import deep\n\n1 +\n", "SyntaxError: invalid syntax"),
+}
+DEEP = """
+from xpl.trajectory import open_folder
+
+def down(folder):
+    return open_folder(folder)
+"""
+
+
+@pytest.mark.parametrize("case", ENDS)
+def test_what_ends_a_script_is_told_from_the_script_on(case: str, made: Path) -> None:
+    """What the standard says is a line, with the place in the package; all else is the traceback that Python prints."""
+    text, said = ENDS[case]
+    folder = made / "policy" / "Foo"
+    (folder / "deep.py").write_text(DEEP)
+    (folder / "process_data.py").write_text(text)
+    try:
+        done = script(made, "process_data.sh", "bench", "demo", "arx_x5", "joint")
+    finally:
+        (folder / "process_data.py").write_text(TELLS)
+        (folder / "deep.py").unlink()
+    assert done.returncode == ExitCode.NOT_RUN
+    assert said in done.stderr
+    if case == "set of another format":
+        assert "xpl data convert" in done.stderr
+        assert "Traceback" not in done.stderr
+    else:
+        first = next(line for line in done.stderr.splitlines() if line.startswith("  File "))
+        assert first.startswith(f'  File "{folder / "process_data.py"}", line 3')
+
+
+SPAWNS = """
+import json, sys
+from multiprocessing import get_context
+from pathlib import Path
+import neighbour
+
+def twice(number):
+    return neighbour.TWO * number
+
+if __name__ == "__main__":
+    with get_context("spawn").Pool(1) as pool:
+        found = pool.map(twice, [1, 2])
+    told = {"found": found, "file": __file__, "arguments": sys.argv, "first": sys.path[0], "own": sorted(globals())}
+    Path("told.json").write_text(json.dumps(told))
+"""
+
+
+def test_a_script_is_what_its_interpreter_would_have_run(made: Path) -> None:
+    """Its folder comes first, its processes find its functions, and no name of ours is in it."""
+    folder = made / "policy" / "Foo"
+    (folder / "neighbour.py").write_text("TWO = 2\n")
+    (folder / "process_data.py").write_text(SPAWNS)
+    try:
+        done = script(made, "process_data.sh", "bench", "demo", "arx_x5", "joint")
+        assert done.returncode == 0, done.stderr
+        answer = told(made)
+        plain = subprocess.run([sys.executable, folder / "process_data.py"], cwd=folder, check=False)
+        assert plain.returncode == 0
+        assert {**answer, "own": None} == {**told(made), "own": None}
+    finally:
+        (folder / "process_data.py").write_text(TELLS)
+        (folder / "neighbour.py").unlink()
+    assert answer["found"] == [2, 4]
+    assert not {"functools", "ModuleType", "TracebackType", "main"} & set(answer["own"])
+
+
 @pytest.mark.slow
 def test_evaluation_ends_with_the_line_that_launchers_look_for(made: Path) -> None:
     """A debug run, of a real server in the environment without physics."""

@@ -13,6 +13,7 @@ from xpl.trajectory.reading import Trajectory
 
 ENDINGS = (".hdf5", ".h5")
 _MOST_FILES = 1 << 20
+_OTHERS = "demonstrations of another format: xpl data convert SRC DST --to xpl"
 
 
 def open_folder(path: str | os.PathLike[str]) -> Folder:
@@ -27,7 +28,7 @@ def open_folder(path: str | os.PathLike[str]) -> Folder:
     root = Path(path)
     found = list(_files(root))
     if not found:
-        told = f"holds no file that ends in {' or '.join(ENDINGS)}" if root.is_dir() else "is not there"
+        told = f"holds no file that ends in {' or '.join(ENDINGS)}; {_OTHERS}" if root.is_dir() else "is not there"
         raise TrajectoryError(f"{path} {told}")
     return Folder(path, root if root.is_dir() else root.parent, found)
 

@@ -220,7 +220,7 @@ def _opened(path: Path) -> Folder:
     try:
         return open_folder(path)
     except TrajectoryError as error:
-        raise NotRun(f"{error}; demonstrations of another format: xpl data convert SRC DST --to xpl") from None
+        raise NotRun(str(error)) from None
     except ImportError as error:
         raise NotRun(f"demonstrations need h5py: pip install 'xpolicylab[data]' ({error})") from None
 
