@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.audit.offline.oracle.learned import HERE
-from tests.audit.offline.oracle.planting import RIGHT, ROOT, said, trained
+from tests.audit.offline.oracle.planting import RIGHT, ROOT, Subject, said, trained
+from xpl_cli.audit.rules.registry import find
 
 RESULTS = HERE / "results.json"
 PAGE = ROOT / "docs" / "mistakes.md"
@@ -82,10 +83,9 @@ def _alike(first: Path) -> dict[str, dict[str, Row]]:
 def with_contract(rows: list[Row], out: Path) -> list[Row]:
     """Return rows with the contract that a run found, where it found one."""
     told = _alike(out)
-    subjects = {(policy.name, one.sample, one.name): one for policy in trained() for one in policy.subjects}
-    found = []
+    subjects, found = _subjects(), []
     for row in rows:
-        same = subjects[row["policy"], row["sample"], row["mistake"]].same
+        same = subjects[_place(row)].same
         contract = told.get(same, {}).get("contract")
         found.append({**row, "contract": _kept("contract", contract)} if contract else row)
     return found
@@ -130,27 +130,58 @@ def results() -> list[Row]:
 
 def tables(rows: list[Row]) -> str:
     """Return the tables of the page."""
-    lines = [
-        "| mistakes | named right at first sight | can be told | after mending | can be told |",
-        "| --- | --- | --- | --- | --- |",
-    ]
-    for sample, words in (("out", "of somebody who had not read the rules"), ("in", "of who wrote the search")):
-        first, after = rates(rows, sample, "first"), rates(rows, sample, "after")
+    large = "without small ones"
+    lines = _heads("demonstrations name, of the mistakes", "at first sight", large, "after mending", large)
+    somebody, subjects = "of somebody who had not read the rules", _subjects()
+    in_code = [row for row in rows if (one := subjects[_place(row)].mistake) is not None and one.replace is not None]
+    in_block = [row for row in rows if row not in in_code]
+    for words, chosen, sample in (
+        (somebody, rows, "out"),
+        (f"{somebody}, in the block `native`", in_block, "out"),
+        (f"{somebody}, in code", in_code, "out"),
+        ("of who wrote the search", rows, "in"),
+    ):
+        first, after = rates(chosen, sample, "first"), rates(chosen, sample, "after")
         cells = [_rate(first["all"]), _rate(first["told"]), _rate(after["all"]), _rate(after["told"])]
         lines.append(f"| {words} | {' | '.join(cells)} |")
     right = [row for row in rows if row["mistake"] == RIGHT]
     accused = [row for row in right if (row["after"] or row["first"])["words"]]
-    lines += ["", f"Right adapters accused: {len(accused)} of {len(right)}.", "", *_counts(rows), ""]
+    lines += [
+        "",
+        f"Right adapters accused: {len(accused)} of {len(right)}.",
+        "",
+        *_counts(rows),
+        "",
+        *_legend(rows),
+        "",
+    ]
     for policy in _policies(rows):
         lines += [f"### {policy}", ""]
         mine = [row for row in rows if row["policy"] == policy]
         known = _known(mine)
-        lines += ["| mistake | contract | parity | demonstrations | success |", "| --- | --- | --- | --- | --- |"]
+        lines += _heads("mistake", "contract", "parity", "demonstrations", "success")
         lines += [_line(row, set()) for row in mine if row["mistake"] == RIGHT]
         wrong = sorted((row for row in mine if row["mistake"] != RIGHT), key=lambda row: row["sample"] == "in")
         lines += [_line(row, known) for row in wrong]
         lines.append("")
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _subjects() -> dict[tuple[str, str, str], Subject]:
+    return {(policy.name, one.sample, one.name): one for policy in trained() for one in policy.subjects}
+
+
+def _place(row: Row) -> tuple[str, str, str]:
+    return row["policy"], row["sample"], row["mistake"]
+
+
+def distinct(rows: list[Row]) -> list[Row]:
+    """Return rows of different adapters: of what is in both lists, that of somebody who had not read the rules."""
+    subjects = _subjects()
+    found: dict[str, Row] = {}
+    for row in sorted(rows, key=lambda row: row["sample"] == "in"):
+        found.setdefault(subjects[_place(row)].same, row)
+    return list(found.values())
 
 
 def _policies(rows: list[Row]) -> list[str]:
@@ -165,31 +196,40 @@ def _known(rows: list[Row]) -> set[str]:
 
 def _counts(rows: list[Row]) -> list[str]:
     """Return a table of how many mistakes each proof tells, for each policy: of those that it was asked about."""
-    heads = (
-        "of the mistakes in",
-        "contract finds",
-        "parity differs",
-        "parity names",
-        "demonstrations name",
-        "none succeeds",
-    )
-    lines = [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
+    heads = ("contract fails or warns", "parity sees", "parity names", "demonstrations name", "no success")
+    lines, sums = _heads("of different adapters", *heads), [(0, 0)] * len(heads)
+    different = distinct(rows)
     for policy in _policies(rows):
-        mine = [row for row in rows if row["policy"] == policy]
+        mine = [row for row in different if row["policy"] == policy]
         wrong, known = [row for row in mine if row["mistake"] != RIGHT], _known(mine)
         asked = [row for row in wrong if row["parity"] and row["parity"]["outcome"] in ("pass", "fail")]
         tried = [row for row in wrong if row["contract"]]
         played = [row for row in wrong if row["success"]]
-        cells = (
+        cells = [
             (sum(not known.issuperset(row["contract"]["codes"]) for row in tried), len(tried)),
             (sum(row["parity"]["outcome"] == "fail" for row in asked), len(asked)),
             (sum(_is_named_by_parity(row) for row in asked), len(asked)),
             (sum(bool(named(row, "after")) for row in wrong), len(wrong)),
             (sum(row["success"]["successes"] == 0 for row in played), len(played)),
-        )
-        told = " | ".join(f"{one} of {all_}" if all_ else "not run" for one, all_ in cells)
-        lines.append(f"| {policy} | {told} |")
-    return lines
+        ]
+        sums = [(one + more, all_ + more_) for (one, all_), (more, more_) in zip(sums, cells, strict=True)]
+        lines.append(_counted(policy, cells))
+    return [*lines, _counted("**all**", sums)]
+
+
+def _heads(*names: str) -> list[str]:
+    return [f"| {' | '.join(names)} |", f"|{' --- |' * len(names)}"]
+
+
+def _counted(name: str, cells: list[tuple[int, int]]) -> str:
+    return f"| {name} | {' | '.join(f'{one} of {all_}' if all_ else 'not run' for one, all_ in cells)} |"
+
+
+def _legend(rows: list[Row]) -> list[str]:
+    """Return what the codes of the contract mean."""
+    codes = sorted({code for row in rows if row["contract"] for code in row["contract"]["codes"]})
+    rules = [find(code) for code in codes]
+    return [f"- [{one.code}](rules/{one.gate}.md#{one.code.lower()}-{one.slug}): {one.summary}" for one in rules]
 
 
 def _is_named_by_parity(row: Row) -> bool:
@@ -222,7 +262,7 @@ def _parity(row: Row) -> str:
         return "equal"
     if _is_named_by_parity(row):
         return f"`{_quoted(told['words'])}`"
-    return "differs" if told["outcome"] == "fail" else "refused"
+    return "seen, not named" if told["outcome"] == "fail" else "refused"
 
 
 def _demonstrations(row: Row) -> str:
@@ -233,7 +273,7 @@ def _demonstrations(row: Row) -> str:
         later = " (mended)" if row["first"] is not None and not row["first"]["right"] else ""
         return f"`{_quoted(told['words'])}`{later}"
     what = f"misnamed: `{_quoted(told['words'])}`" if told["words"] else "missed"
-    return f"{what}, cannot be told" if not is_told(row) else what
+    return f"{what} (small)" if not is_told(row) else what
 
 
 def _success(row: Row) -> str:
@@ -267,7 +307,7 @@ def picture(rows: list[Row]) -> str:
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-size="11">',
         "<style>text { font-family: sans-serif }</style>",
-        "<title>Success of Tiny_VLA with each mistake, and the proofs that tell it</title>",
+        "<title>Success of Tiny_VLA with each mistake that somebody else planted, and the proofs that tell it</title>",
         f'<rect width="{_WIDTH}" height="{height}" fill="#ffffff"/>',
     ]
     for place, (proof, colour) in enumerate(_COLOURS.items()):
