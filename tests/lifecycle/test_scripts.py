@@ -147,13 +147,14 @@ from multiprocessing import get_context
 from pathlib import Path
 import neighbour
 
-def twice(number):
+def twice(number: int) -> int:
     return neighbour.TWO * number
 
 if __name__ == "__main__":
     with get_context("spawn").Pool(1) as pool:
         found = pool.map(twice, [1, 2])
     told = {"found": found, "file": __file__, "arguments": sys.argv, "first": sys.path[0], "own": sorted(globals())}
+    told["annotations"] = repr(twice.__annotations__)
     Path("told.json").write_text(json.dumps(told))
 """
 

@@ -23,7 +23,8 @@ def main() -> None:
     module = ModuleType("__main__")
     module.__file__ = str(script)
     sys.modules["__main__"] = module
-    exec(compile(script.read_bytes(), script, "exec"), module.__dict__)  # noqa: S102 - what an interpreter is for
+    code = compile(script.read_bytes(), script, "exec", dont_inherit=True)
+    exec(code, module.__dict__)  # noqa: S102 - what an interpreter is for
 
 
 def _told(script: Path, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
