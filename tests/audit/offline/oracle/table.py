@@ -148,7 +148,7 @@ def tables(rows: list[Row]) -> str:
     accused = [row for row in right if (row["after"] or row["first"])["words"]]
     lines += [
         "",
-        f"Right adapters accused: {len(accused)} of {len(right)}.",
+        f"Right adapters accused: {len(accused)} of {len(right)}, too few for a rate.",
         "",
         *_counts(rows),
         "",
