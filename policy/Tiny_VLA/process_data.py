@@ -49,9 +49,7 @@ def main() -> None:
         raise SystemExit("demonstrations names no folder: --set 'demonstrations=[FOLDER, ...]'")
     data.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(max_workers=min(len(folders), os.cpu_count() or 1)) as pool:
-        jobs = [
-            pool.submit(prepare, config, folder, data / f"{place:03d}.npz") for place, folder in enumerate(folders)
-        ]
+        jobs = [pool.submit(prepare, config, folder, data / f"{place:03d}.npz") for place, folder in enumerate(folders)]
         for job in jobs:
             print(job.result(), flush=True)
 
