@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli import __version__
-from xpl_cli.evaluation.records import stand_ins
+from xpl_cli.evaluation.records import manner, stand_ins
 from xpl_cli.evaluation.report import figures, latency, provenance
 from xpl_cli.evaluation.report.phrases import between, duration, many, milliseconds, points
 from xpl_cli.evaluation.statistics import wording
@@ -40,7 +40,7 @@ def view(run: Run, summary: Mapping[str, Any], media_said: str) -> dict[str, Any
         "environment": summary["environment"],
         "complete": complete,
         "state": "complete" if complete else f"{overall['played']} of {overall['planned']} episodes",
-        "about": _about(summary),
+        "about": _about(summary, manner.of(run.plan).sentence),
         **_headline(summary),
         "facts": _facts(summary),
         "confidence": wording.percent(summary["confidence"]),
@@ -64,12 +64,13 @@ def _kinds(settings: Iterable[str]) -> dict[str, str]:
     return {name: f"s{place % _COLOURS}" for place, name in enumerate(dict.fromkeys(settings))}
 
 
-def _about(summary: Mapping[str, Any]) -> str:
+def _about(summary: Mapping[str, Any], unusual: str) -> str:
     tasks, settings = (len(summary[name]) for name in ("tasks", "settings"))
     robot = f"{summary['embodiment']}, {summary[sdk.Deploy.ACTION_TYPE]} control"
     planned = f"{many(summary['overall']['planned'], 'episode')} planned"
     unreal = stand_ins.sentence(summary["environment"], (row["setting"] for row in summary["settings"]))
-    said = f"{robot}. {many(tasks, 'task')} in {many(settings, 'setting')}, {planned}."
+    told = f", {unusual}" if unusual else ""
+    said = f"{robot}. {many(tasks, 'task')} in {many(settings, 'setting')}, {planned}{told}."
     return said if unreal is None else f"{unreal} {said}"
 
 
@@ -209,7 +210,8 @@ def _table(summary: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, An
         ("Spoilt", "number"),
         ("Steps", "number"),
     ]
-    rows = [*summary["cells"], *(summary["settings"] if len(summary["settings"]) > 1 else []), summary["overall"]]
+    settings = summary["settings"] if len(summary["settings"]) > 1 else []
+    rows = [*summary["cells"], *settings, *([summary["overall"]] if len(summary["cells"]) > 1 else [])]
     return {
         "header": [{"name": name, "kind": kind} for name, kind in header],
         "rows": [

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, outcome
 from xpl_cli.evaluation.records.failures import MOST_SPOILT
+from xpl_cli.evaluation.records.manner import INSTRUCTIONS
 from xpl_cli.evaluation.runs.stopping import episodes_needed
 from xpl_cli.evaluation.statistics.wording import interval, many, percent, were
 
@@ -17,6 +18,13 @@ if TYPE_CHECKING:
 
 _NARROW = 0.2
 _MANY = 10
+
+
+def of_instruction(instruction: str | None) -> list[str]:
+    """Return what is to be said of a policy that was told one of `INSTRUCTIONS` instead of what it is to do."""
+    if instruction is None:
+        return []
+    return [f"The policy was {INSTRUCTIONS[instruction]}, so that this is no rate of the task."]
 
 
 def of_summary(summary: Mapping[str, Any], found: Sequence[Cell]) -> list[str]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from xpl import _spec as sdk
+from xpl_cli.evaluation.records import manner
 from xpl_cli.evaluation.records.cells import FAILURES, INFRASTRUCTURE, Cell, cells, matched
 from xpl_cli.evaluation.statistics import cautions, intervals
 from xpl_cli.evaluation.statistics.course import course
@@ -58,7 +59,8 @@ def summarise(run: Run, method: str = "wilson") -> dict[str, Any]:
         "contrasts": _contrasts(found),
         "course": course(run, sum(cell.beyond for cell in found)),
     }
-    return {**summary, "notes": [*cautions.of_skipped(run.skipped), *cautions.of_summary(summary, found)]}
+    told = cautions.of_instruction(manner.of(plan).instruction)
+    return {**summary, "notes": [*told, *cautions.of_skipped(run.skipped), *cautions.of_summary(summary, found)]}
 
 
 def _rows(measured: Sequence[_Measured]) -> dict[str, Any]:
