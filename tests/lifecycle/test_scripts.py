@@ -9,6 +9,8 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +58,20 @@ def script(made: Path, name: str, *arguments: str, **variables: str) -> subproce
         [made / "policy" / "Foo" / name, *arguments],
         cwd=made, env=environment, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
     )  # fmt: skip
+
+
+@contextmanager
+def processing(made: Path, text: str, beside: Mapping[str, str]) -> Iterator[Path]:
+    """Yield the adapter's folder with another process_data.py in it, and files that are not there else."""
+    folder = made / "policy" / "Foo"
+    for name, content in {**beside, "process_data.py": text}.items():
+        (folder / name).write_text(content)
+    try:
+        yield folder
+    finally:
+        (folder / "process_data.py").write_text(TELLS)
+        for name in beside:
+            (folder / name).unlink()
 
 
 def told(made: Path) -> dict[str, Any]:
@@ -123,14 +139,8 @@ def down(folder):
 def test_what_ends_a_script_is_told_from_the_script_on(case: str, made: Path) -> None:
     """What the standard says is a line, with the place in the package; all else is the traceback that Python prints."""
     text, said = ENDS[case]
-    folder = made / "policy" / "Foo"
-    (folder / "deep.py").write_text(DEEP)
-    (folder / "process_data.py").write_text(text)
-    try:
+    with processing(made, text, beside={"deep.py": DEEP}) as folder:
         done = script(made, "process_data.sh", "bench", "demo", "arx_x5", "joint")
-    finally:
-        (folder / "process_data.py").write_text(TELLS)
-        (folder / "deep.py").unlink()
     assert done.returncode == ExitCode.NOT_RUN
     assert said in done.stderr
     if case == "set of another format":
@@ -161,19 +171,13 @@ if __name__ == "__main__":
 
 def test_a_script_is_what_its_interpreter_would_have_run(made: Path) -> None:
     """Its folder comes first, its processes find its functions, and no name of ours is in it."""
-    folder = made / "policy" / "Foo"
-    (folder / "neighbour.py").write_text("TWO = 2\n")
-    (folder / "process_data.py").write_text(SPAWNS)
-    try:
+    with processing(made, SPAWNS, beside={"neighbour.py": "TWO = 2\n"}) as folder:
         done = script(made, "process_data.sh", "bench", "demo", "arx_x5", "joint")
         assert done.returncode == 0, done.stderr
         answer = told(made)
         plain = subprocess.run([sys.executable, folder / "process_data.py"], cwd=folder, check=False)
         assert plain.returncode == 0
         assert {**answer, "own": None} == {**told(made), "own": None}
-    finally:
-        (folder / "process_data.py").write_text(TELLS)
-        (folder / "neighbour.py").unlink()
     assert answer["found"] == [2, 4]
     assert not {"functools", "ModuleType", "TracebackType", "main"} & set(answer["own"])
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import xpl
 from xpl import _spec as sdk
 from xpl import checkpoint
-from xpl.process import script as own
+from xpl.process import script as launcher
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.lifecycle.python_env import place
@@ -112,7 +112,7 @@ def run_script(
     output = sys.stderr if aside else None
     with _sdk_alone() as folder:
         environment[PATH_VARIABLE] = os.pathsep.join(filter(None, (folder, os.environ.get(PATH_VARIABLE))))
-        command = [python, str(Path(own.__file__)), str(script)]
+        command = [python, launcher.__file__, str(script)]
         done = subprocess.run(command, cwd=package.path, env=environment, stdout=output, check=False)
     if done.returncode:
         raise UserError(f"{script} failed with exit code {done.returncode}", code=ExitCode.NOT_RUN)

@@ -210,8 +210,6 @@ def _table(summary: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, An
         ("Spoilt", "number"),
         ("Steps", "number"),
     ]
-    settings = summary["settings"] if len(summary["settings"]) > 1 else []
-    rows = [*summary["cells"], *settings, *([summary["overall"]] if len(summary["cells"]) > 1 else [])]
     return {
         "header": [{"name": name, "kind": kind} for name, kind in header],
         "rows": [
@@ -222,7 +220,7 @@ def _table(summary: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, An
                     for value, (_, kind) in zip(_cells(row, kinds.get(row["setting"], "s0")), header, strict=True)
                 ],
             }
-            for row in rows
+            for row in wording.shown(summary)
         ],
     }
 

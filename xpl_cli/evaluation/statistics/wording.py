@@ -47,10 +47,14 @@ def rate(row: Mapping[str, Any]) -> str:
 
 
 def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return what a terminal shows under HEADER: cells, settings where there are several, and all together."""
+    """Return what a terminal shows under HEADER."""
+    return [_texts(row) for row in shown(summary)]
+
+
+def shown(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the rows that a table has: cells, settings where there are several, and all together where it is more."""
     settings = summary["settings"] if len(summary["settings"]) > 1 else []
-    rows = [*summary["cells"], *settings, *([summary["overall"]] if len(summary["cells"]) > 1 else [])]
-    return [_texts(row) for row in rows]
+    return [*summary["cells"], *settings, *([summary["overall"]] if len(summary["cells"]) > 1 else [])]
 
 
 def text(summary: Mapping[str, Any]) -> str:

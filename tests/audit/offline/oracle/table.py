@@ -11,6 +11,7 @@ training of these policies, for example.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 from collections.abc import Set as AbstractSet
 from html import escape
@@ -83,10 +84,9 @@ def _alike(first: Path) -> dict[str, dict[str, Row]]:
 def with_contract(rows: list[Row], out: Path) -> list[Row]:
     """Return rows with the contract that a run found, where it found one."""
     told = _alike(out)
-    subjects, found = _subjects(), []
+    found = []
     for row in rows:
-        same = subjects[_place(row)].same
-        contract = told.get(same, {}).get("contract")
+        contract = told.get(_subject(row).same, {}).get("contract")
         found.append({**row, "contract": _kept("contract", contract)} if contract else row)
     return found
 
@@ -132,13 +132,11 @@ def tables(rows: list[Row]) -> str:
     """Return the tables of the page."""
     large = "without small ones"
     lines = _heads("demonstrations name, of the mistakes", "at first sight", large, "after mending", large)
-    somebody, subjects = "of somebody who had not read the rules", _subjects()
-    in_code = [row for row in rows if (one := subjects[_place(row)].mistake) is not None and one.replace is not None]
-    in_block = [row for row in rows if row not in in_code]
+    somebody = "of somebody who had not read the rules"
     for words, chosen, sample in (
         (somebody, rows, "out"),
-        (f"{somebody}, in the block `native`", in_block, "out"),
-        (f"{somebody}, in code", in_code, "out"),
+        (f"{somebody}, in the block `native`", [row for row in rows if not _is_in_code(row)], "out"),
+        (f"{somebody}, in code", [row for row in rows if _is_in_code(row)], "out"),
         ("of who wrote the search", rows, "in"),
     ):
         first, after = rates(chosen, sample, "first"), rates(chosen, sample, "after")
@@ -167,20 +165,25 @@ def tables(rows: list[Row]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+@functools.cache
 def _subjects() -> dict[tuple[str, str, str], Subject]:
     return {(policy.name, one.sample, one.name): one for policy in trained() for one in policy.subjects}
 
 
-def _place(row: Row) -> tuple[str, str, str]:
-    return row["policy"], row["sample"], row["mistake"]
+def _subject(row: Row) -> Subject:
+    return _subjects()[row["policy"], row["sample"], row["mistake"]]
+
+
+def _is_in_code(row: Row) -> bool:
+    mistake = _subject(row).mistake
+    return mistake is not None and mistake.replace is not None
 
 
 def distinct(rows: list[Row]) -> list[Row]:
     """Return rows of different adapters: of what is in both lists, that of somebody who had not read the rules."""
-    subjects = _subjects()
     found: dict[str, Row] = {}
     for row in sorted(rows, key=lambda row: row["sample"] == "in"):
-        found.setdefault(subjects[_place(row)].same, row)
+        found.setdefault(_subject(row).same, row)
     return list(found.values())
 
 
