@@ -53,7 +53,6 @@ _COMMANDS: Final = {
     "doctor": "run.doctor",
     "demo": "run.demo",
     "answers": "agents.answers",
-    "mcp": "agents.mcp",
 }
 """Each command with its module; its function has its name, with the exceptions below."""
 _GROUPS: Final = {
@@ -68,7 +67,7 @@ _GROUPS: Final = {
 }
 _FUNCTIONS: Final = {"eval": "evaluate"}
 _HIDDEN: Final = frozenset({"hook"})
-_NEED_ALL: Final = frozenset({"hook", "mcp", "spec"})
+_NEED_ALL: Final = frozenset({"hook", "spec"})
 """Commands that look at the whole command line."""
 
 

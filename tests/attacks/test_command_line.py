@@ -52,7 +52,6 @@ USUAL: dict[str, list[str] | None] = {
     "doctor": None,
     "demo": None,
     "answers": ["xpl.status/1"],
-    "mcp": ["--json"],
     "record": ["no_such"],
     "data list": ["folder"],
     "data show": ["folder"],

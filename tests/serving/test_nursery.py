@@ -21,12 +21,12 @@ from xpl_cli.serving import nursery
 if TYPE_CHECKING:
     from xpl_cli.serving.nursery import Hosted
 
-WAITS = "mcp"
+WAITS = ("review", "--base", "HEAD", "--description", "-")
 """A command that goes on until its standard input ends."""
 TOOL = f"""
 import sys
 from xpl_cli.serving import nursery
-hosted = nursery.start(["{WAITS}"])
+hosted = nursery.start({WAITS})
 print(hosted.pid, flush=True)
 sys.stdin.read()
 """
@@ -67,7 +67,7 @@ def test_folder_and_environment_are_those_of_the_moment(tmp_path: Path, monkeypa
 
 def test_a_signal_ends_it_and_is_told() -> None:
     """As `subprocess` tells it."""
-    hosted = nursery.start([WAITS])
+    hosted = nursery.start(WAITS)
     assert hosted.poll() is None
     with pytest.raises(subprocess.TimeoutExpired):
         hosted.wait(0.0)
@@ -80,15 +80,15 @@ def test_a_signal_ends_it_and_is_told() -> None:
 @pytest.mark.slow
 def test_lists_of_processes_show_which_command_it_is() -> None:
     """Although its command line is that of the process it was forked from."""
-    hosted = nursery.start([WAITS])
+    hosted = nursery.start(WAITS)
     name = Path(f"/proc/{hosted.pid}/comm")
-    wait_until(lambda: name.read_text(encoding="utf-8") == f"xpl {WAITS}\n", "it has its name")
+    wait_until(lambda: name.read_text(encoding="utf-8") == f"xpl {WAITS[0]}\n", "it has its name")
     _told(hosted)
 
 
 def test_a_nursery_that_was_killed_is_replaced() -> None:
     """The next server starts, and the end of an older one is noticed although nobody knows its exit code."""
-    old = nursery.start([WAITS])
+    old = nursery.start(WAITS)
     process = nursery._nursery(os.getpid())._process
     process.kill()
     process.wait()

@@ -183,7 +183,6 @@ def _answer(*words: str) -> dict[str, Any]:
         ["skills", "list"],
         ["skills", "get", "xpl-audit-policy"],
         ["skills", "install", "--dry-run"],
-        ["mcp"],
     ],
     ids=" ".join,
 )

@@ -1,1 +1,1 @@
-"""For agents and bots: skills, tools of the Model Context Protocol, reviews, and where a package stands."""
+"""For agents and bots: skills, reviews, and where a package stands."""

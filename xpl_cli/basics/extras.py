@@ -1,6 +1,6 @@
 """What to type where a library is missing that only some commands need: the library itself, and no name of this tool.
 
-An extra of the tool by its bare name (`xpl-cli[mcp]`) would ask an index for a name that it need not have.
+An extra of the tool by its bare name (`xpl-cli[hub]`) would ask an index for a name that it need not have.
 """
 
 from __future__ import annotations
