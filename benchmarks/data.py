@@ -1,9 +1,8 @@
 """How long conversions of demonstrations take, by `xpl data convert` and by LeRobot's own means, in one run.
 
-Two tasks: robomimic's HDF5 to LeRobot v3.0, which LeRobot's recorder does frame by frame, as scripts of the field use
-it; and LeRobot v2.1 to v3.0, for which LeRobot has a converter. Both encode AV1 with the same quality. Rounds
-alternate, so that a machine that changes its speed changes both alike. Ours is the whole process; LeRobot's is without
-its imports.
+The task is robomimic's HDF5 to LeRobot v3.0, which LeRobot's recorder does frame by frame, as scripts of the field use
+it. Both encode AV1 with the same quality. Rounds alternate, so that a machine that changes its speed changes both
+alike. Ours is the whole process; LeRobot's is without its imports.
 
 `XPL_LEROBOT_PYTHON` names a Python that has LeRobot 0.4 and h5py.
 """
@@ -61,18 +60,19 @@ def make(path: Path, episodes: int, steps: int, size: int) -> None:
                 group.create_dataset(f"obs/{camera}", data=images, chunks=(1, size, size, 3))
 
 
-def ours(source: Path, target: Path, to: str) -> float:
+def ours(source: Path, target: Path) -> float:
     """Convert by `xpl data convert`; return seconds."""
-    command = [sys.executable, "-m", "xpl_cli", "data", "convert", str(source), str(target), "--to", to, "--rate", "20"]
+    command = [sys.executable, "-m", "xpl_cli", "data", "convert", str(source), str(target)]
+    command += ["--to", "lerobot-v3.0", "--rate", "20"]
     begins = time.perf_counter()
     subprocess.run(command, check=True, capture_output=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
     return time.perf_counter() - begins
 
 
-def theirs(python: str, *arguments: str | Path) -> float:
-    """Let LeRobot do it; return seconds without its imports."""
+def theirs(python: str, source: Path, target: Path) -> float:
+    """Let LeRobot's recorder do it; return seconds without its imports."""
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONPATH": "", "SVT_LOG": "1"}
-    command = [python, str(DRIVER), *map(str, arguments)]
+    command = [python, str(DRIVER), "port", str(source), str(target)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
     return float(done.stdout.strip().splitlines()[-1])
 
@@ -84,22 +84,14 @@ def measure(python: str, options: argparse.Namespace) -> list[Row]:
     with tempfile.TemporaryDirectory(prefix="xpl-bench-") as name:
         folder = Path(name)
         make(folder / "set.hdf5", options.episodes, options.steps, options.size)
-        ours(folder / "set.hdf5", folder / "v21", "lerobot-v2.1")
         for index in range(options.rounds):
             for task, way in (
                 ("HDF5 to v3.0", "xpl"),
                 ("HDF5 to v3.0", "LeRobot's recorder"),
-                ("v2.1 to v3.0", "xpl"),
-                ("v2.1 to v3.0", "LeRobot's converter"),
             ):
                 made = folder / f"made-{len(took)}-{index}"  # LeRobot's lists of videos bear no apostrophe
-                if way == "xpl":
-                    seconds = ours(folder / ("set.hdf5" if task.startswith("HDF5") else "v21"), made, "lerobot-v3.0")
-                elif task.startswith("HDF5"):
-                    seconds = theirs(python, "port", folder / "set.hdf5", made)
-                else:
-                    shutil.copytree(folder / "v21", made)
-                    seconds = theirs(python, "upgrade", made)
+                source = folder / "set.hdf5"
+                seconds = ours(source, made) if way == "xpl" else theirs(python, source, made)
                 took.setdefault((task, way), []).append(seconds)
                 sizes[task, way] = sum(one.stat().st_size for one in made.rglob("*") if one.is_file()) / 1e6
                 shutil.rmtree(made)

@@ -6,8 +6,11 @@ import io
 import json
 from typing import TYPE_CHECKING, Any
 
+import av
 import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from PIL import Image
 
 if TYPE_CHECKING:
@@ -66,6 +69,65 @@ def robotwin(folder: Path) -> Path:
     told = {"seen": ["stack them", "pile them up"], "unseen": ["build a tower"]}
     (folder / "instructions" / "episode0.json").write_text(json.dumps(told), encoding="utf-8")
     return folder
+
+
+def lerobot_v21(root: Path, episodes: int = 3) -> Path:
+    """Write LeRobot v2.1 as its own recorder lays it out: a table and a video for each episode, lists as JSON lines."""
+    draw = np.random.default_rng(6)
+    camera = "observation.images.top"
+    numbers = {"observation.state": 7, "action": 7}
+    listed, statistics = [], []
+    first = 0
+    for index in range(episodes):
+        steps = np.arange(5 + index)
+        rows = {name: draw.normal(size=(len(steps), width)).astype(np.float32) for name, width in numbers.items()}
+        counted = {
+            "timestamp": (steps / 10).astype(np.float32),
+            "frame_index": steps,
+            "episode_index": np.full(len(steps), index),
+            "index": first + steps,
+            "task_index": np.zeros(len(steps), np.int64),
+        }
+        first += len(steps)
+        columns = {name: pa.FixedSizeListArray.from_arrays(values.ravel(), 7) for name, values in rows.items()}
+        table = root / "data/chunk-000" / f"episode_{index:06d}.parquet"
+        table.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({**columns, **{name: pa.array(values) for name, values in counted.items()}}), table)
+        video = root / "videos/chunk-000" / camera / f"episode_{index:06d}.mp4"
+        video.parent.mkdir(parents=True, exist_ok=True)
+        _mp4(video, [picture(step) for step in steps], 10)
+        listed.append({"episode_index": index, "tasks": [SENTENCE], "length": len(steps)})
+        told = {"min": [0.0], "max": [1.0], "mean": [0.5], "std": [0.1], "count": [len(steps)]}
+        seen = {key: value if key == "count" else [[value]] * 3 for key, value in told.items()}
+        statistics.append({"episode_index": index, "stats": {camera: seen}})
+    features = {name: {"dtype": "float32", "shape": [width], "names": None} for name, width in numbers.items()}
+    features[camera] = {"dtype": "video", "shape": [SIZE, SIZE, 3], "names": ["height", "width", "channels"]}
+    features[camera]["info"] = {"video.codec": "h264", "video.fps": 10}
+    features |= {name: {"dtype": str(v.dtype), "shape": [1], "names": None} for name, v in counted.items()}
+    info = {
+        "codebase_version": "v2.1",
+        "robot_type": "panda",
+        "fps": 10,
+        "chunks_size": 1000,
+        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+        "video_path": "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
+        "features": features,
+    }
+    (root / "meta").mkdir()
+    (root / "meta" / "info.json").write_text(json.dumps(info), encoding="utf-8")
+    for name, lines in (("episodes", listed), ("episodes_stats", statistics)):
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        (root / "meta" / f"{name}.jsonl").write_text(text, encoding="utf-8")
+    return root
+
+
+def _mp4(path: Path, frames: list[np.ndarray], rate: int) -> None:
+    with av.open(str(path), "w") as output:
+        stream = output.add_stream("libx264", rate, options={"g": "2", "bf": "0"})
+        stream.height, stream.width, stream.pix_fmt = *frames[0].shape[:2], "yuv420p"
+        for frame in frames:
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        output.mux(stream.encode(None))
 
 
 def jpeg(image: np.ndarray) -> bytes:

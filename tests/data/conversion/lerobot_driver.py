@@ -1,16 +1,14 @@
 """What LeRobot itself does with sets, in its own Python.
 
-`read ROOT NPZ`, `write ROOT NPZ`, `port HDF5 ROOT`, `upgrade ROOT`. Numbers and images travel as NPZ. The last
-two print how many seconds LeRobot took, without its imports.
+`read ROOT NPZ`, `write ROOT NPZ`, `port HDF5 ROOT`. Numbers and images travel as NPZ. The last one prints how many
+seconds LeRobot took, without its imports.
 """
 
 from __future__ import annotations
 
-import shutil
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import av
@@ -114,16 +112,5 @@ def port(source: str, root: str) -> None:
         sys.stdout.write(f"{time.perf_counter() - begins}\n")
 
 
-def upgrade(root: str) -> None:
-    """Convert a set of v2.1 to v3.0 in place."""
-    from lerobot.datasets.v30.convert_dataset_v21_to_v30 import convert_dataset
-
-    path = Path(root)
-    begins = time.perf_counter()
-    convert_dataset(path.name, root=str(path.parent), push_to_hub=False)
-    sys.stdout.write(f"{time.perf_counter() - begins}\n")
-    shutil.rmtree(path.parent / f"{path.name}_old")
-
-
 if __name__ == "__main__":
-    {"read": read, "write": write, "port": port, "upgrade": upgrade}[sys.argv[1]](*sys.argv[2:])
+    {"read": read, "write": write, "port": port}[sys.argv[1]](*sys.argv[2:])

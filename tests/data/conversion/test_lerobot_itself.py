@@ -60,11 +60,11 @@ def test_lerobot_opens_what_was_converted(libero: Path, tmp_path: Path, converte
 
 
 def test_what_lerobot_wrote_is_read(tmp_path: Path, converted: Converted) -> None:
-    """Numbers exactly, images of tables exactly, those of videos nearly; and again after a conversion to v2.1."""
+    """Numbers exactly, images of tables exactly, those of videos nearly; and again after a conversion."""
     lerobot("write", tmp_path / "set", tmp_path / "kept.npz")
     kept = np.load(tmp_path / "kept.npz")
-    assert not converted(tmp_path / "set", tmp_path / "older", "lerobot-v2.1").lossy
-    for found in (open_set(tmp_path / "set"), open_set(tmp_path / "older")):
+    assert not converted(tmp_path / "set", tmp_path / "again", "lerobot-v3.0").lossy
+    for found in (open_set(tmp_path / "set"), open_set(tmp_path / "again")):
         assert (found.robot, found.rate_hz, len(found)) == ("panda", 20.0, 3)
         for index in range(3):
             episode = found[index]

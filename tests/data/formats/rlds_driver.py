@@ -1,6 +1,6 @@
 """What runs in a Python that has tensorflow-datasets: it writes RLDS as DROID has it, and reads it by our reader.
 
-`write FOLDER NPZ`, `read FOLDER NPZ HDF5`. Numbers and images travel as NPZ; `read` converts to HDF5 as well.
+`write FOLDER NPZ`, `read FOLDER NPZ SET`. Numbers and images travel as NPZ; `read` converts to LeRobot as well.
 """
 
 from __future__ import annotations
@@ -81,6 +81,7 @@ def read(folder: str, target: str, made: str) -> None:
     from xpl_cli.basics.progress import Progress
     from xpl_cli.data.conversion import work
     from xpl_cli.data.formats import open_set
+    from xpl_cli.data.formats.writing import Options
 
     found = open_set(folder)
     kept: dict[str, Any] = {}
@@ -92,7 +93,8 @@ def read(folder: str, target: str, made: str) -> None:
         kept[f"{told}/told"] = np.array(episode.instructions)
         kept[f"{told}/length"] = np.array(episode.length)
     np.savez(target, **{name.removeprefix("/raw/"): value for name, value in kept.items()})
-    work.convert(work.Job(Path(folder), Path(made), "robomimic", rate_hz=15.0), Progress())
+    options = Options(images="png")
+    work.convert(work.Job(Path(folder), Path(made), "lerobot-v3.0", rate_hz=15.0, options=options), Progress())
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def test_what_tensorflow_datasets_writes_is_read_and_converted(tmp_path: Path) -
     """Numbers exactly, images as JPEG keeps them, in any order of asking; a conversion has every episode as it was."""
     _run("write", tmp_path / "rlds", tmp_path / "written.npz")
     root = tmp_path / "rlds" / "droid_small" / "1.0.0"
-    _run("read", root, tmp_path / "read.npz", tmp_path / "made.hdf5")
+    _run("read", root, tmp_path / "read.npz", tmp_path / "made")
     written, found = np.load(tmp_path / "written.npz"), np.load(tmp_path / "read.npz")
     for name in written.files:
         np.testing.assert_array_equal(found[name], written[name], err_msg=name)
@@ -51,9 +51,9 @@ def test_what_tensorflow_datasets_writes_is_read_and_converted(tmp_path: Path) -
             assert worst > LOSSY_DB
         wordings.append(found[f"{index}/told"].tolist())
     assert wordings[:2] == [["put the pen in the cup"], ["put the pen in the cup", "pen into cup"]]
-    made = open_set(tmp_path / "made.hdf5")
+    made = open_set(tmp_path / "made")
     told = [made[index].extras["episode_metadata/file_path"] for index in range(len(made))]
     for index, name in enumerate(told):
         number = name.removeprefix("/raw/")
-        np.testing.assert_array_equal(made[index].read("actions"), written[f"{number}/action"])
+        np.testing.assert_array_equal(made[index].read("action"), written[f"{number}/action"])
     assert sorted(told) == [f"/raw/{index}" for index in range(rlds_driver.EPISODES)]

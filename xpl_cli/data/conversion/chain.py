@@ -11,7 +11,6 @@ from xpl_cli.data.conversion import packing
 from xpl_cli.data.conversion.packing import PackedSet, UnpackedSet
 from xpl_cli.data.conversion.standard import NAME, FieldEpisode, StandardSet
 from xpl_cli.data.formats import open_set
-from xpl_cli.data.formats.writers import writer_of
 from xpl_cli.data.formats.writing import CONVERTED
 from xpl_cli.data.sets.errors import DataError
 
@@ -41,8 +40,7 @@ def source(path: Path, to: str, by: str | None, written_by: str | None) -> Demon
     wanted = by or written_by
     if wanted is None:
         is_packed = found.format == NAME and to != NAME and len(found) > 0
-        has_place = bool(is_packed and writer_of(to).names.environment)
-        return PackedSet(found, environment=has_place) if is_packed else found
+        return PackedSet(found) if is_packed else found
     if found.format != NAME or to == NAME:
         raise DataError(
             f"a mapping says what a set of the field means by the standard; from {found.format} to {to} by {wanted} "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl_cli.data.conversion import packing
 from xpl_cli.data.formats.lerobot import layout
-from xpl_cli.data.formats.writers import writer_of
+from xpl_cli.data.formats.writers import WRITERS
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.interface import Camera, Column
 
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 COLOR, DEPTH = sdk.Camera.COLOR, sdk.Camera.DEPTH
 _READ_ONLY: Final = {
+    "robomimic": Names("actions", "", "obs/", "obs/"),
+    "aloha": Names("action", "observations/qpos", "observations/", "observations/images/"),
+    "robotwin": Names("joint_action/vector", "", "", "observation/"),
+    "diffusion-policy": Names("action", "", "", ""),
     "rlds": Names("action", "observation/state", "observation/", "observation/"),
     packing.NAME: Names(packing.ACTION, packing.STATE, "", "vision/", environment=packing.ENVIRONMENT),
 }
@@ -188,7 +192,7 @@ def _renamed(name: str, given: str, wanted: Names) -> str:
 
 def _of(given: str) -> Names:
     name = family(given)
-    return _READ_ONLY[name] if name in _READ_ONLY else writer_of(given).names
+    return _READ_ONLY.get(name) or next(writer.names for writer in WRITERS if family(writer.name) == name)
 
 
 def _camera(name: str, kind: str, given: str, writer: Writer) -> str:

@@ -28,22 +28,19 @@ Layout = dict[str, list[tuple[str, int]]]
 """By vector, the series that it is made of, with their widths."""
 
 
-def layout_of(episode: Episode, *, environment: bool) -> Layout:
+def layout_of(episode: Episode) -> Layout:
     """Return how an episode's series are packed; a group without series of an arm is left as it is.
 
-    Args:
-        episode: of the standard.
-        environment: whether the simulator's truth becomes one vector, too: its fractions, of at most one axis.
+    What a simulator told becomes one vector, too: its fractions, of at most one axis.
     """
     groups = {STATE: spec.Trajectory.STATE, ACTION: spec.Trajectory.ACTION}
     found = {name: _series(episode.columns, group) for name, group in groups.items()}
-    if environment:
-        truth = {name: column for name, column in episode.columns.items() if is_truth(tuple(name.split("/")))}
-        found[ENVIRONMENT] = [
-            (name, column.shape[0] if column.shape else 1)
-            for name, column in truth.items()
-            if len(column.shape) <= 1 and column.dtype.startswith("float")
-        ]
+    truth = {name: column for name, column in episode.columns.items() if is_truth(tuple(name.split("/")))}
+    found[ENVIRONMENT] = [
+        (name, column.shape[0] if column.shape else 1)
+        for name, column in truth.items()
+        if len(column.shape) <= 1 and column.dtype.startswith("float")
+    ]
     return {name: parts for name, parts in found.items() if parts}
 
 
@@ -52,17 +49,16 @@ class PackedSet:
 
     Args:
         inner: the set.
-        environment: whether the simulator's truth is, too.
 
     Attributes:
         layout: how.
         numbers: what is packed and has single numbers for rows.
     """
 
-    def __init__(self, inner: Demonstrations, *, environment: bool = False) -> None:
+    def __init__(self, inner: Demonstrations) -> None:
         self._inner = inner
         first = inner[0]
-        self.layout = layout_of(first, environment=environment)
+        self.layout = layout_of(first)
         parts = (part for parts in self.layout.values() for part, _ in parts)
         self.numbers = [part for part in parts if not first.columns[part].shape]
         self.path, self.format, self.rate_hz, self.robot = inner.path, NAME, inner.rate_hz, inner.robot

@@ -19,8 +19,6 @@ from xpl import _spec as spec
 from xpl import images, trajectory
 from xpl.trajectory import TrajectoryError, names
 from xpl_cli.data.formats import libraries, pictures
-from xpl_cli.data.formats.datasets import SAMPLED
-from xpl_cli.data.formats.files import FileWriter, finite
 from xpl_cli.data.formats.folders import FolderSet, told_in
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.errors import DataError
@@ -36,6 +34,9 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Episode
 
 NAME: Final = "xpl"
+_SET: Final = "set"
+_SAMPLED: Final = 16
+"""Every so many images are decoded again, to tell what they lost."""
 _FACTS: Final = f"{spec.Trajectory.ADDITIONAL_INFO}/{names.EPISODE}"
 _OWN: Final = (
     *(spec.Trajectory.INSTRUCTION, spec.Trajectory.INSTRUCTIONS, spec.Trajectory.SUBTASKS),
@@ -193,16 +194,26 @@ def _camera(found: Trajectory, name: str, picture: trajectory.Picture) -> Camera
     )
 
 
-class StandardWriter(FileWriter):
-    """The standard's own files: a mapping has to say which column is which part."""
+class StandardWriter:
+    """The standard's own files, one for each episode: a mapping has to say which column is which part."""
 
     name = NAME
     names = Names("", "", "", f"{spec.Trajectory.VISION}/")
-    images = trajectory.FORMS[0]
+
+    def keeps(self, column: Column) -> str | None:
+        """Return why a column cannot be kept: HDF5 keeps all of them."""
+        del column
+        return None
+
+    def shows(self, camera: Camera) -> str | None:
+        """Return why a camera cannot be kept: HDF5 keeps all of them."""
+        del camera
+        return None
 
     def check(self, plan: Plan) -> None:
         """Stop before anything is written."""
-        super().check(plan)
+        if _form(plan) not in trajectory.FORMS:
+            raise DataError(f"{self.name} keeps images in HDF5; --images takes {', '.join(trajectory.FORMS)} here")
         parts = (f"{spec.Trajectory.STATE}/", f"{spec.Trajectory.ACTION}/")
         if not any(name.startswith(parts) for name in plan.columns):
             raise DataError(
@@ -213,7 +224,7 @@ class StandardWriter(FileWriter):
     def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
         """Write one episode's file, and its line in the index."""
         libraries.h5py()
-        path, form = self.path(folder, index), self.kept(plan)
+        path, form = folder / _SET / f"episode_{index}.hdf5", _form(plan)
         for left in path.parent.glob(f".{path.name}.*"):  # by a run that was killed
             left.unlink()
         beside = _beside_images(episode)
@@ -232,27 +243,39 @@ class StandardWriter(FileWriter):
                     writer.put_images(name, _jpegs(frames, samples.setdefault(name, [])) if is_lossy else frames)
                 for name, value in beside.items():
                     (writer.put if np.ndim(value) > 2 else writer.keep)(name, value)
-                for name, value in self.told(episode).items():
+                for name, value in _instruction(episode).items():
                     if name not in episode.columns:
                         writer.keep(name, value)
                 writer.subtasks = _subtasks(episode.extras.get(spec.Trajectory.SUBTASKS))
         except TrajectoryError as error:
             raise DataError(str(error)) from None
-        return {"psnr_db": finite({name: min(values) for name, values in samples.items() if values}), "large": []}
+        worst = {name: min(values) for name, values in samples.items() if values}
+        return {"psnr_db": {name: value for name, value in worst.items() if value != float("inf")}}
 
-    def told(self, episode: Episode) -> dict[str, Any]:
-        """Return what the robot was told, under the standard's names."""
-        told = list(episode.instructions)
-        if len(told) > 1:
-            return {spec.Trajectory.INSTRUCTIONS: told}
-        return {spec.Trajectory.INSTRUCTION: told[0]} if told else {}
+    def finish(self, folder: Path, plan: Plan, pieces: list[dict[str, Any]]) -> Path:
+        """Return the folder: the files are the set."""
+        del plan, pieces
+        return folder / _SET
+
+
+def _form(plan: Plan) -> str:
+    """Return how cameras are kept."""
+    return trajectory.FORMS[0] if plan.options.images == "auto" else plan.options.images
+
+
+def _instruction(episode: Episode) -> dict[str, Any]:
+    """Return what the robot was told, under the standard's names."""
+    told = list(episode.instructions)
+    if len(told) > 1:
+        return {spec.Trajectory.INSTRUCTIONS: told}
+    return {spec.Trajectory.INSTRUCTION: told[0]} if told else {}
 
 
 def _jpegs(frames: Iterable[NDArray[Any]], psnr_db: list[float]) -> Iterator[bytes]:
     """Yield images as the standard's JPEGs; note how near those of a sample are."""
     for index, frame in enumerate(frames):
         data = images.encode_jpeg(frame)
-        if index % SAMPLED == 0:
+        if index % _SAMPLED == 0:
             psnr_db.append(pictures.psnr(frame, images.decode(data)))
         yield data
 

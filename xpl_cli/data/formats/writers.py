@@ -5,25 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.basics.errors import one_of
-from xpl_cli.data.formats.diffusion import DiffusionWriter
-from xpl_cli.data.formats.files import AlohaWriter, RobomimicWriter, RobotwinWriter
-from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.lerobot.writer import LeRobotWriter
 from xpl_cli.data.formats.standard import StandardWriter
 
 if TYPE_CHECKING:
     from xpl_cli.data.formats.writing import Writer
 
-_WRITERS: Final[tuple[Writer, ...]] = (
-    LeRobotWriter(layout.V30),
-    LeRobotWriter(layout.V21),
-    RobomimicWriter(),
-    AlohaWriter(),
-    RobotwinWriter(),
-    DiffusionWriter(),
-    StandardWriter(),
-)
-WRITTEN: Final = tuple(writer.name for writer in _WRITERS)
+WRITERS: Final[tuple[Writer, ...]] = (LeRobotWriter(), StandardWriter())
+WRITTEN: Final = tuple(writer.name for writer in WRITERS)
 
 
 def writer_of(name: str) -> Writer:
@@ -33,4 +22,4 @@ def writer_of(name: str) -> Writer:
         UnknownNameError: nothing does.
     """
     wanted = one_of("--to", "lerobot-v3.0" if name == "lerobot" else name, WRITTEN)
-    return next(writer for writer in _WRITERS if writer.name == wanted)
+    return next(writer for writer in WRITERS if writer.name == wanted)

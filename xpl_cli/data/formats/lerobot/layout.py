@@ -27,14 +27,8 @@ DEFAULTS: Final = {
     "task_index": "int64",
 }
 """Columns that every dataset has; each is one number."""
-DATA_PATH: Final = {
-    V21: "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
-    V30: "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
-}
-VIDEO_PATH: Final = {
-    V21: "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
-    V30: "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-}
+DATA_PATH: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES: Final = "meta/episodes"
 EPISODES_PATH: Final = EPISODES + "/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 CHUNKS_SIZE: Final = 1000

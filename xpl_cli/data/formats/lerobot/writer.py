@@ -1,9 +1,8 @@
-"""LeRobot's datasets written: v2.1 with a file for each episode, v3.0 with files of many."""
+"""LeRobot's datasets written, v3.0: a file for each episode first, which are joined to files of many."""
 
 from __future__ import annotations
 
 import json
-import math
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Camera, Column, Episode
 
 _SET, _EPISODES = "set", "episodes"
+_IMAGES: Final = ("auto", "video", "png")
 _SAMPLED: Final = 8
 """Frames of each video that are decoded again, to tell what encoding lost."""
 _EXACT: Final = 100.0
@@ -34,19 +34,12 @@ _DATA_MB, _VIDEO_MB = 100.0, 200.0
 
 
 class LeRobotWriter:
-    """Writes one version.
+    """Writes v3.0."""
 
-    Args:
-        version: v2.1 or v3.0.
-    """
-
+    name = f"lerobot-{layout.V30}"
     names = Names(
         "action", "observation.state", "observation.", "observation.images.", ".", "observation.environment_state"
     )
-
-    def __init__(self, version: str) -> None:
-        self.version = version
-        self.name = f"lerobot-{version}"
 
     def keeps(self, column: Column) -> str | None:
         """Return why a column cannot be kept."""
@@ -60,6 +53,8 @@ class LeRobotWriter:
 
     def check(self, plan: Plan) -> None:
         """Stop before anything is written."""
+        if plan.options.images not in _IMAGES:
+            raise DataError(f"LeRobot keeps images as video or png, got --images {plan.options.images}")
         if plan.rate_hz is None:
             raise DataError("LeRobot needs the steps per second, which this set does not say", hint="give --rate HZ")
         if 0 in plan.lengths:
@@ -70,10 +65,8 @@ class LeRobotWriter:
 
     def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
         """Write the numbers and videos of one episode."""
-        folder = self._episodes(folder)
         _same(plan, index, episode)
         rate = float(plan.rate_hz or 0)
-        places = _episode(index)
         found: dict[str, stats.Stats] = {}
         columns: dict[str, Any] = {}
         for name in plan.columns:
@@ -84,117 +77,102 @@ class LeRobotWriter:
         videos = {}
         for name in plan.cameras:
             if _is_video(plan, name):
-                path = folder / layout.filled(layout.VIDEO_PATH[layout.V21], {**places, "video_key": name})
+                path = _video_path(folder, index, name)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 videos[name], found[name] = _video(path, episode, name, plan, rate)
             else:
                 columns[name], found[name] = _pngs(episode, name)
         columns |= _counted(plan, index, rate, _tasks(plan))
         found |= {name: stats.of_numbers(columns[name]) for name in layout.DEFAULTS}
-        path = folder / layout.filled(layout.DATA_PATH[layout.V21], places)
+        path = _table_path(folder, index)
         path.parent.mkdir(parents=True, exist_ok=True)
         tables.write(path, tables.schema(_features(plan)), columns)
         return {"stats": found, "videos": videos, "extras": dict(episode.extras)}
 
     def finish(self, folder: Path, plan: Plan, pieces: list[dict[str, Any]]) -> Path:
-        """Write `meta/`; for v3.0 join the files of episodes."""
+        """Join the files of episodes, and write `meta/`."""
         result = folder / _SET
-        if self.version == layout.V30 and result.exists():  # of a run that ended here
+        if result.exists():  # of a run that ended here
             shutil.rmtree(result)
         meta = result / "meta"
         meta.mkdir(parents=True, exist_ok=True)
         rows = [_row(plan, index, piece) for index, piece in enumerate(pieces)]
         tasks = list(_tasks(plan))
-        if self.version == layout.V21:
-            _lines(meta / "episodes.jsonl", rows)
-            _lines(
-                meta / "episodes_stats.jsonl",
-                [{"episode_index": index, "stats": piece["stats"]} for index, piece in enumerate(pieces)],
-            )
-            _lines(meta / "tasks.jsonl", [{"task_index": place, "task": task} for place, task in enumerate(tasks)])
-        else:
-            starts = plan.starts
-            for index, place in enumerate(self._joined(folder, plan)):
-                rows[index] |= place
-                rows[index]["dataset_from_index"] = starts[index]
-                rows[index]["dataset_to_index"] = starts[index] + plan.lengths[index]
-                rows[index] |= {f"meta/episodes/{key}": value for key, value in _file(0).items()}
-            tables.write_tasks(meta / "tasks.parquet", tasks)
-            tables.write_episodes(result / layout.filled(layout.EPISODES_PATH, _file(0)), rows, pieces)
+        starts = plan.starts
+        for index, place in enumerate(_joined(folder, plan)):
+            rows[index] |= place
+            rows[index]["dataset_from_index"] = starts[index]
+            rows[index]["dataset_to_index"] = starts[index] + plan.lengths[index]
+            rows[index] |= {f"meta/episodes/{key}": value for key, value in _file(0).items()}
+        tables.write_tasks(meta / "tasks.parquet", tasks)
+        tables.write_episodes(result / layout.filled(layout.EPISODES_PATH, _file(0)), rows, pieces)
         write_file(meta / "stats.json", _json(stats.of_all([piece["stats"] for piece in pieces])))
-        write_file(result / layout.INFO, _json(self._information(plan, pieces, tasks)))
+        write_file(result / layout.INFO, _json(_information(plan, pieces, tasks)))
         return result
 
-    def _episodes(self, folder: Path) -> Path:
-        """Return where files of single episodes lie: for v2.1 they are the set."""
-        return folder / (_SET if self.version == layout.V21 else _EPISODES)
 
-    def _information(self, plan: Plan, pieces: list[dict[str, Any]], tasks: list[str]) -> dict[str, Any]:
-        """Return `meta/info.json`."""
-        rate = float(plan.rate_hz or 0)
-        features = _features(plan)
-        for name, told in pieces[0]["videos"].items():
-            features[name]["info"] = {
-                "video.height": plan.cameras[name].height,
-                "video.width": plan.cameras[name].width,
-                "video.codec": told["codec"],
-                "video.pix_fmt": "yuv420p",
-                "video.is_depth_map": False,
-                "video.fps": _whole(rate),
-                "video.channels": 3,
-                "has_audio": False,
-            }
-        has_video = any(_is_video(plan, name) for name in plan.cameras)
-        info: dict[str, Any] = {
-            "codebase_version": self.version,
-            "robot_type": plan.robot,
-            "total_episodes": len(pieces),
-            "total_frames": sum(plan.lengths),
-            "total_tasks": len(tasks),
-            "chunks_size": layout.CHUNKS_SIZE,
-            "fps": _whole(rate),
-            "splits": {"train": f"0:{len(pieces)}"},
-            "data_path": layout.DATA_PATH[self.version],
-            "video_path": layout.VIDEO_PATH[self.version] if has_video else None,
-            "features": features,
+def _information(plan: Plan, pieces: list[dict[str, Any]], tasks: list[str]) -> dict[str, Any]:
+    """Return `meta/info.json`."""
+    rate = float(plan.rate_hz or 0)
+    features = _features(plan)
+    for name, told in pieces[0]["videos"].items():
+        features[name]["info"] = {
+            "video.height": plan.cameras[name].height,
+            "video.width": plan.cameras[name].width,
+            "video.codec": told["codec"],
+            "video.pix_fmt": "yuv420p",
+            "video.is_depth_map": False,
+            "video.fps": _whole(rate),
+            "video.channels": 3,
+            "has_audio": False,
         }
-        if self.version == layout.V21:
-            info["total_videos"] = len(pieces) * len(pieces[0]["videos"])
-            info["total_chunks"] = math.ceil(len(pieces) / layout.CHUNKS_SIZE)
-        else:
-            info |= {"data_files_size_in_mb": int(_DATA_MB), "video_files_size_in_mb": int(_VIDEO_MB)}
-        if plan.extras:
-            info[layout.EXTRAS] = dict(plan.extras)
-        return info
+    has_video = any(_is_video(plan, name) for name in plan.cameras)
+    info: dict[str, Any] = {
+        "codebase_version": layout.V30,
+        "robot_type": plan.robot,
+        "total_episodes": len(pieces),
+        "total_frames": sum(plan.lengths),
+        "total_tasks": len(tasks),
+        "chunks_size": layout.CHUNKS_SIZE,
+        "fps": _whole(rate),
+        "splits": {"train": f"0:{len(pieces)}"},
+        "data_path": layout.DATA_PATH,
+        "video_path": layout.VIDEO_PATH if has_video else None,
+        "features": features,
+    }
+    info |= {"data_files_size_in_mb": int(_DATA_MB), "video_files_size_in_mb": int(_VIDEO_MB)}
+    if plan.extras:
+        info[layout.EXTRAS] = dict(plan.extras)
+    return info
 
-    def _joined(self, folder: Path, plan: Plan) -> list[dict[str, Any]]:
-        """Join the files of episodes, and return where each episode went."""
-        rate = float(plan.rate_hz or 0)
-        made, result = self._episodes(folder), folder / _SET
-        places: list[dict[str, Any]] = [{} for _ in plan.lengths]
-        each = range(len(plan.lengths))
-        paths = [made / layout.filled(layout.DATA_PATH[layout.V21], _episode(index)) for index in each]
-        for number, indices in enumerate(_grouped(paths, plan.options.file_mb or _DATA_MB)):
-            target = result / layout.filled(layout.DATA_PATH[layout.V30], _file(number))
+
+def _joined(folder: Path, plan: Plan) -> list[dict[str, Any]]:
+    """Join the files of episodes, and return where each episode went."""
+    rate = float(plan.rate_hz or 0)
+    result = folder / _SET
+    places: list[dict[str, Any]] = [{} for _ in plan.lengths]
+    each = range(len(plan.lengths))
+    paths = [_table_path(folder, index) for index in each]
+    for number, indices in enumerate(_grouped(paths, plan.options.file_mb or _DATA_MB)):
+        target = result / layout.filled(layout.DATA_PATH, _file(number))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        tables.joined(target, [paths[index] for index in indices])
+        for index in indices:
+            places[index] |= {f"data/{key}": value for key, value in _file(number).items()}
+    for name in (camera for camera in plan.cameras if _is_video(plan, camera)):
+        paths = [_video_path(folder, index, name) for index in each]
+        for number, indices in enumerate(_grouped(paths, plan.options.file_mb or _VIDEO_MB)):
+            target = result / layout.filled(layout.VIDEO_PATH, {**_file(number), "video_key": name})
             target.parent.mkdir(parents=True, exist_ok=True)
-            tables.joined(target, [paths[index] for index in indices])
+            encoding.joined(target, [(paths[index], plan.lengths[index]) for index in indices], rate)
+            begins = 0
             for index in indices:
-                places[index] |= {f"data/{key}": value for key, value in _file(number).items()}
-        for name in (camera for camera in plan.cameras if _is_video(plan, camera)):
-            template = layout.VIDEO_PATH[layout.V21]
-            paths = [made / layout.filled(template, {**_episode(index), "video_key": name}) for index in each]
-            for number, indices in enumerate(_grouped(paths, plan.options.file_mb or _VIDEO_MB)):
-                target = result / layout.filled(layout.VIDEO_PATH[layout.V30], {**_file(number), "video_key": name})
-                target.parent.mkdir(parents=True, exist_ok=True)
-                encoding.joined(target, [(paths[index], plan.lengths[index]) for index in indices], rate)
-                begins = 0
-                for index in indices:
-                    place = places[index]
-                    place |= {f"videos/{name}/{key}": value for key, value in _file(number).items()}
-                    place[f"videos/{name}/from_timestamp"] = begins / rate
-                    begins += plan.lengths[index]
-                    place[f"videos/{name}/to_timestamp"] = begins / rate
-        return places
+                place = places[index]
+                place |= {f"videos/{name}/{key}": value for key, value in _file(number).items()}
+                place[f"videos/{name}/from_timestamp"] = begins / rate
+                begins += plan.lengths[index]
+                place[f"videos/{name}/to_timestamp"] = begins / rate
+    return places
 
 
 def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> tuple[dict[str, Any], stats.Stats]:
@@ -341,16 +319,16 @@ def _file(number: int) -> dict[str, int]:
     return {"chunk_index": number // layout.CHUNKS_SIZE, "file_index": number % layout.CHUNKS_SIZE}
 
 
-def _episode(index: int) -> dict[str, int]:
-    return {"episode_index": index, "episode_chunk": index // layout.CHUNKS_SIZE}
+def _table_path(folder: Path, index: int) -> Path:
+    return folder / _EPISODES / "data" / f"{index:06d}.parquet"
+
+
+def _video_path(folder: Path, index: int, camera: str) -> Path:
+    return folder / _EPISODES / "videos" / camera / f"{index:06d}.mp4"
 
 
 def _whole(rate: float) -> float:
     return int(rate) if rate.is_integer() else rate
-
-
-def _lines(path: Path, rows: list[dict[str, Any]]) -> None:
-    write_file(path, "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode())
 
 
 def _json(value: Any) -> bytes:
