@@ -230,6 +230,22 @@ def test_anchors_and_commands_are_read_as_readers_do(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+PATHS = re.compile(r"(?:xpl|xpl_cli|spec|conformance|policy|envs|templates|docs|tests|benchmarks|\.agents)/[\w./-]*")
+MADE_ELSEWHERE = ("xpl_cli/_content/", "policy/MyPolicy", ".agents/skills/NAME/")
+"""Paths in a wheel, and those that a reader makes."""
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*(ROOT / name for name in ("docs/architecture.md", "README.md", "CONTRIBUTING.md")), *tracked("docs/decisions/*")],
+    ids=lambda path: str(path.relative_to(ROOT)),
+)
+def test_modules_and_rooms_that_a_page_names_are_there(path: Path) -> None:
+    """A path of the engine or of a content room, as it is written."""
+    named = [span for span in pages.spans(path) if PATHS.fullmatch(span)]
+    assert [span for span in named if not (ROOT / span).exists() and not span.startswith(MADE_ELSEWHERE)] == []
+
+
 def test_pages_that_code_names_are_there() -> None:
     """Hints and docstrings send people to pages."""
     for path in tracked("xpl/**/*.py", "xpl_cli/**/*.py", "envs/**/*.py", "benchmarks/**/*.py"):

@@ -97,11 +97,3 @@ def test_the_picture_names_what_there_is() -> None:
         else:
             assert name in set(Gate)
     assert set(Gate) <= set(_texts("name"))
-
-
-def test_the_picture_stands_alone_and_knows_both_schemes() -> None:
-    """No font, style or image from elsewhere; every colour is one of two palettes with the same names."""
-    text = PICTURE.read_text(encoding="utf-8")
-    assert "//" not in text.replace("http://www.w3.org/2000/svg", "")
-    light, dark = (set(re.findall(r"(--\w+):", palette)) for palette in re.findall(r"svg \{([^}]*)\}", text))
-    assert light == dark == set(re.findall(r"var\((--\w+)\)", text))
