@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,6 @@ NAMES = [
     "xpl-integrate-environment",
     "xpl-integrate-policy",
 ]
-SECTIONS = ["When to use it", "Ask first", "Steps", "Symptoms", "Never claim", "Report"]
 
 each_skill = pytest.mark.parametrize("skill", bundles.bundles(), ids=lambda skill: skill.name)
 
@@ -102,32 +100,9 @@ def test_a_skill_is_valid(skill: bundles.Bundle) -> None:
 
 
 @each_skill
-def test_a_description_says_what_and_when_in_few_words(skill: bundles.Bundle) -> None:
-    """All descriptions are in every context, so they are short; they say when to use the skill, and when not to."""
-    assert len(skill.description) < 400
-    assert "Use when" in skill.description
-    assert "Not for" in skill.description or "not for" in skill.description
-    # One line: some agents read the head without a YAML parser.
-    line = f"description: {skill.description}\n"
-    assert line in (skill.folder / bundles.FILE).read_text(encoding="utf-8")
-
-
-@each_skill
 def test_a_skill_names_the_version_that_it_belongs_to(skill: bundles.Bundle) -> None:
     """An agent that reads a stale copy can tell: the version is that of the tool."""
     assert skill.version == xpl.__version__
-
-
-@each_skill
-def test_a_body_is_short_and_has_every_part(skill: bundles.Bundle) -> None:
-    """Under 150 lines, with questions, steps that can be ticked off, symptoms, what not to claim, and a report."""
-    assert len(skill.body.strip().splitlines()) < 150
-    headings = re.findall(r"^## (.+)$", skill.body, re.MULTILINE)
-    assert [heading for heading in headings if heading in SECTIONS] == SECTIONS
-    assert skill.body.count("- [ ] ") >= 5
-    assert "<" not in re.sub(r"```.*?```|`[^`]*`", "", skill.body, flags=re.DOTALL)
-    never = skill.body.split("## Never claim")[1]
-    assert "not_run" in never or "not run" in never or "shadow" in never
 
 
 @each_skill
@@ -447,13 +422,6 @@ def test_instructions_may_be_left_out(skills: Callable[..., Answer], project: Pa
     assert skills("check").code == 0
 
 
-def test_the_rules_are_few(project: Path) -> None:
-    """They are in every context, so they are kept to a page, and name every skill."""
-    text = instructions.block()
-    assert len(text.splitlines()) < 50
-    assert all(f"`{name}`" in text for name in NAMES)
-
-
 # -- check -------------------------------------------------------------------------------------------------------------
 
 
@@ -546,11 +514,10 @@ def test_other_peoples_skills_are_told_and_fail_nothing(skills: Callable[..., An
 
 
 def test_a_skill_counts_once_in_an_agents_list(skills: Callable[..., Answer]) -> None:
-    """A link and the file behind it are one skill, and ours leave most of the budget to others."""
+    """A link and the file behind it are one skill."""
     skills("install")
     for listing in skills("check", "--json").json["listings"]:
         assert listing["skills"] == len(NAMES)
-        assert listing["characters"] < 2400
 
 
 # -- this repository ---------------------------------------------------------------------------------------------------

@@ -20,7 +20,6 @@ from xpl_cli.basics.errors import ExitCode
 PAGE = ROOT / "docs" / "tutorial-torch.md"
 BLOCKS = list(pages.blocks([PAGE]))
 CODE = [block for block in BLOCKS if block.language == "python"]
-MOST_LINES = 30
 TORCH = "XPL_TORCH_PYTHON"
 """Environment variable: a Python that has PyTorch, our own by default; `install` follows that step of the page, too.
 
@@ -58,13 +57,6 @@ def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         (folder / words[2] / ".venv").symlink_to(Path(str(python)).parent.parent)
         return subprocess.CompletedProcess(words, 0, "", "")
     return xpl(*words[1:], cwd=folder)
-
-
-def test_a_torch_policy_needs_few_lines_of_ones_own() -> None:
-    """All code on the page, blank lines left out."""
-    lines = [line for block in CODE for line in block.text.splitlines() if line.strip()]
-    assert len(lines) <= MOST_LINES
-    assert re.search(rf"\b{MOST_LINES} lines\b", PAGE.read_text())
 
 
 def test_the_code_fits_into_what_is_scaffolded(tmp_path: Path) -> None:
