@@ -34,7 +34,6 @@ _COMMANDS: Final = {
     "review": "prove.review",
     "explain": "prove.audit",
     "rules": "prove.audit",
-    "replay": "prove.replay",
     "status": "agents.status",
     "metrics": "prove.metrics",
     "hook": "prove.hook",

@@ -34,7 +34,6 @@ USUAL: dict[str, list[str] | None] = {
     "review": ["--base", "HEAD"],
     "explain": ["XPL101"],
     "rules": [],
-    "replay": ["folder"],
     "status": ["policy/Foo"],
     "metrics": ["policy/Foo"],
     "hook": [],

@@ -82,7 +82,7 @@ def test_a_schema_is_one_and_carries_its_name(name: str) -> None:
 
 def test_no_schema_name_stands_in_code_and_not_in_the_list() -> None:
     """Names of files that the tool keeps for itself are none of them."""
-    kept = {"xpl.environment/1", "xpl.undo/1", "xpl.recording/1", "xpl.record/1", "xpl.skill/1", "xpl.submission/1"}
+    kept = {"xpl.environment/1", "xpl.undo/1", "xpl.record/1", "xpl.skill/1", "xpl.submission/1"}
     found = {
         name
         for path in tracked("xpl_cli/**/*.py")
@@ -108,7 +108,7 @@ def test_a_document_that_differs_is_noticed() -> None:
     for change in ({"next": None}, {"more": 1}, {"checks": [{"name": "a"}]}):
         assert answers.problems({**good, **change})
     assert answers.problems({key: value for key, value in good.items() if key != "next"})
-    assert answers.problems({"schema": "xpl.replay/1"})
+    assert answers.problems({"schema": "xpl.summary/1"})
 
 
 # -- what commands answer ----------------------------------------------------------------------------------------------
@@ -248,15 +248,6 @@ def test_long_answers_are_what_the_list_says(tmp_path: Path, monkeypatch: pytest
     """Of commands that play episodes, draw, or try the machine."""
     monkeypatch.chdir(tmp_path)
     _answer(*words)
-
-
-@pytest.mark.slow
-def test_the_answer_of_a_replay_is_what_the_list_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of what one rule asked and heard."""
-    monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(main.app, ["new-policy", "Foo"]).exit_code == ExitCode.CLEAN
-    _answer("audit", "policy/Foo", "--trace", "trace", "--gate", "offline", "--select", "batch-order")
-    _answer("replay", "trace")
 
 
 def test_output_takes_the_answer_and_stdout_stays_empty(

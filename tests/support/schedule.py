@@ -15,7 +15,6 @@ _LONG: Final = (
     "project/test_packaging.py",
     "submission/test_verification.py",
     "scaffold/test_new_env.py",
-    "audit/offline/test_replay.py",
     "scaffold/test_update.py",
     "client/interop/test_inspect_robots.py",
     "audit/static/test_robustness.py",

@@ -72,7 +72,7 @@ def gate(folder: Path, *names: str, **options: Any) -> GateReport:
 
 def courses(folder: Path, options: Options = OPTIONS) -> tuple[Course, ...]:
     """Return what would be driven, without serving anything."""
-    with Probe.start(folder, options, Gate.MUJOCO) as probe:
+    with Probe.start(folder, options) as probe:
         return Simulation(probe).courses
 
 
@@ -122,7 +122,7 @@ def test_an_unknown_task_is_refused_at_once(package: Callable[..., Path], tmp_pa
 
 def test_a_robot_that_is_told_to_be_where_it_is_stays_there(package: Callable[..., Path]) -> None:
     """The environment keeps the convention that it holds policies to: the flange of a held pose moves by under 2 mm."""
-    with Probe.start(package(action_type="ee"), replace(OPTIONS, tasks=("lift_cube",)), Gate.MUJOCO) as probe:
+    with Probe.start(package(action_type="ee"), replace(OPTIONS, tasks=("lift_cube",))) as probe:
         (played,) = Simulation(probe).sound_rollouts()
     places = [query.state["left_ee_pose"] for query in played.queries[0]]
     assert np.linalg.norm(places[-1][:3] - places[0][:3]) < 0.002

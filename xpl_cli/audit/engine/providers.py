@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from xpl_cli.audit.offline.rehearsal import Rehearsal
     from xpl_cli.audit.offline.semantics import Semantics
     from xpl_cli.audit.physics.simulation import Simulation
-    from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.rules.profiles import Choice
     from xpl_cli.audit.served.probe import Probe
@@ -77,11 +76,11 @@ def mypy(source: Source) -> tuple[Remark, ...]:
     return mypy(source)
 
 
-def probe(path: Path, options: Options, gate: Gate) -> Iterator[Probe]:
+def probe(path: Path, options: Options) -> Iterator[Probe]:
     """A real server and a real client."""
     from xpl_cli.audit.served.probe import Probe
 
-    with Probe.start(path, options, gate) as started:
+    with Probe.start(path, options) as started:
         yield started
 
 

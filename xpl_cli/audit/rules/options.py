@@ -42,7 +42,6 @@ class Options:
         demos: folder or file of recorded episodes that a policy is held against; None for what the package names.
         pictures: folder for pictures of findings; None to write none.
         video: folder for films of what it plays; None to film nothing.
-        trace: new folder for recordings of what was asked and answered (`served.recording`); None to keep none.
         cache: folder with passes of the static gate (`xpl_cli.audit.engine.cache`); None to run every rule.
         progress: told what is being done, for a person who waits.
     """
@@ -68,7 +67,6 @@ class Options:
     demos: Path | None = None
     pictures: Path | None = None
     video: Path | None = None
-    trace: Path | None = None
     cache: Path | None = None
     progress: Progress = field(default_factory=Progress)
 

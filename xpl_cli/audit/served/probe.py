@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl.client import Client, ClientError, PolicyServerError
 from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment, undeclared
-from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun
 from xpl_cli.audit.served.checkpoints import Checkpoint
 from xpl_cli.audit.served.choosing import Lacking
@@ -63,8 +62,8 @@ class Probe(Servers):
         checkpoint_before: state of its files before anything was served.
     """
 
-    def __init__(self, target: package.Package, options: Options, gate: Gate = Gate.OFFLINE) -> None:
-        super().__init__(target, options, gate)
+    def __init__(self, target: package.Package, options: Options) -> None:
+        super().__init__(target, options)
         try:
             self.embodiment: Embodiment = get_embodiment(str(self.config[sdk.Deploy.ENV_CFG_TYPE]))
         except UnknownEmbodimentError as error:

@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, Any, Self
 from xpl import Client
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
-from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.served import choosing
 from xpl_cli.audit.served.choosing import Lacking
 from xpl_cli.audit.served.hanging import Hangs, bounds
-from xpl_cli.audit.served.recording import tape
 from xpl_cli.audit.served.session import Recorder, Session
 from xpl_cli.isolation.life import HUNG
 from xpl_cli.isolation.stacks import where
@@ -49,11 +47,11 @@ class Servers(ABC):
         choice: what is served, the model or what stands in for it; settled when the server runs.
     """
 
-    def __init__(self, target: package.Package, options: Options, gate: Gate) -> None:
+    def __init__(self, target: package.Package, options: Options) -> None:
         self.package = target
         self.options = options
         self.config = target.config(options.overrides)
-        self.recorder = Recorder(None if options.trace is None else lambda: tape(target, options, gate), options.clock)
+        self.recorder = Recorder(options.clock)
         self.choice = choosing.first(options)
         self._open = contextlib.ExitStack()
         self._server: RunningServer | None = None
@@ -63,10 +61,10 @@ class Servers(ABC):
 
     @classmethod
     @contextlib.contextmanager
-    def start(cls, path: Path, options: Options, gate: Gate = Gate.OFFLINE) -> Iterator[Self]:
+    def start(cls, path: Path, options: Options) -> Iterator[Self]:
         """Prepare to probe an adapter; its server is started when it is first asked for."""
-        started = cls(package.load(path), options, gate)
-        with started.recorder, started._open:
+        started = cls(package.load(path), options)
+        with started._open:
             yield started
 
     def record(self) -> str:
@@ -121,8 +119,8 @@ class Servers(ABC):
             client = Client(url, config=self.config | bounds(self.config) | PATIENCE, **wishes)
         except ClientError as error:
             raise NotRun(str(error)) from None
-        with client, self.recorder.session(url, wishes) as line:
-            yield Session(client, line)
+        with client:
+            yield Session(client, self.recorder)
 
     @contextlib.contextmanager
     def session(self, **wishes: Any) -> Iterator[Session]:
@@ -231,7 +229,7 @@ class Servers(ABC):
             load_timeout=min(LOAD_S, self.options.clock.left),
         )
         try:
-            with started as server, self.recorder.server(server.url, overrides, served):
+            with started as server:
                 try:
                     yield server
                 finally:

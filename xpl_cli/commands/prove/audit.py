@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,11 +10,10 @@ import typer
 from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP, PATIENCE_HELP
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
     from xpl_cli.audit.demonstrations.check import Check
     from xpl_cli.audit.formats.listing import Context
-    from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.audit.rules.registry import Rule
     from xpl_cli.packages.targets import Target
@@ -80,9 +78,6 @@ def audit(
     move: bool = typer.Option(
         False, "--move", help="Play environments that may be robots (`real_time`), too: resets and moves them."
     ),
-    trace: Path | None = typer.Option(
-        None, metavar="DIR", help="Keep what is asked and answered in a new folder, for `xpl replay`."
-    ),
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
     time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP),
@@ -122,7 +117,7 @@ def audit(
     targets = _targets(paths or (), changed_since, every=every, is_run=set(gate or ()) != {Gate.STATIC}, demos=demos)
     sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
     gates = tuple(Gate(name) for name in _GATES if not gate or name in gate)
-    with _new_folder(trace, gates, len(targets)), progress() as say:
+    with progress() as say:
         options = Options(
             gates=gates,
             names=tuple(selected),
@@ -143,7 +138,6 @@ def audit(
             demos=demos,
             pictures=pictures,
             video=video,
-            trace=trace,
             cache=None if no_cache else cache.default_folder(),
             progress=say,
         )
@@ -242,22 +236,6 @@ def _profile(name: str | None, *, shadow: bool) -> str | None:
     if name not in {None, _PROFILES[1]}:
         raise UserError(f"--shadow and --profile {name} contradict each other: give one of them")
     return _PROFILES[1]
-
-
-@contextlib.contextmanager
-def _new_folder(trace: Path | None, gates: Sequence[Gate], adapters: int) -> Iterator[None]:
-    """Make the folder for recordings, if there are to be any, and say what is coming."""
-    if trace is None:
-        yield
-        return
-    from xpl_cli.audit.served.recording import foretold, new_folder  # which needs numpy, and most audits need neither
-    from xpl_cli.basics import console
-
-    with new_folder(trace):
-        size = foretold(trace, gates, adapters)
-        if size is not None:
-            console.note(size)
-        yield
 
 
 def _repeated(option: str, values: list[str]) -> tuple[str, ...]:

@@ -106,9 +106,6 @@ def show(
     environment: str | None = typer.Option(None, metavar="NAME", help="Show an environment's first observation."),
     task: str | None = typer.Option(None, help="Its task; the first by default."),
     seed: int = typer.Option(0, min=0, help="Of its episode."),
-    recorded: Path | None = typer.Option(
-        None, "--from", metavar="DIR", help="Show what a recording of `xpl audit --trace` shows first."
-    ),
     image: list[str] = typer.Option([], metavar="CAMERA=FILE", help="Show a camera this picture."),
     settings: list[str] = SETTINGS,
     python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
@@ -126,20 +123,14 @@ def show(
     from xpl_cli.native.show.subject import subject as of
     from xpl_cli.packages import package as packages
 
-    if environment is not None and recorded is not None:
-        raise UserError("--environment and --from both say what is shown: leave one out")
     if environment is None and task is not None:
         raise UserError("--task is of an environment: say --environment too")
     subject = of(packages.load(policy), packages.parse_overrides(settings))
-    pair = None if watch or image or environment is not None or recorded is not None else seen.of_pairs(subject)
+    pair = None if watch or image or environment is not None else seen.of_pairs(subject)
     answered = None
     if environment is not None:
         episode = scene.Episode(environment, task, seed)
         view = scene.of_environment(episode, subject.robot, subject.action_type, subject.cameras)
-    elif recorded is not None:
-        from xpl_cli.audit.replay.shown import first_episode
-
-        view = scene.Scene(first_episode(recorded), f"the first question of {recorded}")
     elif pair is not None:
         view, answered = pair[0], (pair[1], pair[2])
     else:

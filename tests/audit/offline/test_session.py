@@ -1,0 +1,104 @@
+"""What an audit asks a served adapter, what it asks the model alone, and how it compares their answers."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from xpl.client import PolicyServerError
+from xpl_cli.audit.offline.inprocess import answers
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.served.exact import mismatch
+from xpl_cli.audit.served.probe import Probe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+MODEL = """
+    import numpy as np
+
+    class Model:
+        def __init__(self, config):
+            self.seed = config.get("seed", 0)
+            self.reset()
+
+        def reset(self):
+            self.seen = {}
+            self.last = []
+
+        def update_obs(self, obs):
+            self.update_obs_batch([obs])
+
+        def update_obs_batch(self, obs_list):
+            self.last = [obs["env_idx"] for obs in obs_list]
+            self.seen.update({obs["env_idx"]: obs for obs in obs_list})
+
+        def get_action(self):
+            return self.get_action_batch(self.last)[0]
+
+        def get_action_batch(self, env_idx_list=None):
+            return [self.chunk(env) for env in (self.last if env_idx_list is None else env_idx_list)]
+
+        def chunk(self, env):
+            state = self.seen[env]["state"]
+            return [self.step(env, step, np.array(state["arm_joint_state"])) for step in range(3)]
+
+        def step(self, env, step, arm):
+            return {"arm_joint_state": arm + np.float32(0.01 * step), "ee_joint_state": np.float32([0.5])}
+"""
+
+
+def test_the_first_error_of_an_episode_is_returned(write_adapter: Callable[..., Path]) -> None:
+    """`Session.act` asks for no action after a reset or an observation that failed."""
+    deaf = MODEL + "\n        def update_obs(self, obs):\n            raise RuntimeError('deaf')\n"
+    with Probe.start(write_adapter(deaf), Options()) as probe, probe.session() as policy:
+        answer = policy.act(probe.observation())
+        assert isinstance(answer, PolicyServerError)
+        assert "deaf" in str(answer)
+
+
+def test_a_model_can_be_played_without_a_server(write_adapter: Callable[..., Path], old_python: str) -> None:
+    """In the adapter's own interpreter, of the oldest version; what raises is an error among the answers."""
+    options = Options(python=old_python)
+    with Probe.start(write_adapter(MODEL), options) as probe:
+        obs = probe.observation(4)
+        script = [("get_action", ()), ("reset", ()), ("update_obs", (obs,)), ("get_action", ()), ("nothing", ())]
+        early, reset, shown, chunk, missing = answers(probe, script)  # type: ignore[arg-type]
+    assert "IndexError" in early["error"]
+    assert (reset, shown) == ({"result": None}, {"result": None})
+    assert len(chunk["result"]) == 3
+    assert "AttributeError" in missing["error"]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "path"),
+    [
+        (np.float32([0.0]), np.float32([-0.0]), (0,)),
+        (np.float32([1, 2]), np.float64([1, 2]), ()),
+        ([1.0], [1], (0,)),
+        ({"a": [np.zeros((2, 3))]}, {"a": [np.eye(2, 3)]}, ("a", 0, 0, 0)),
+        ({"a": 1}, {"b": 1}, ()),
+        ([1, 2], [1], ()),
+        (None, [], ()),
+        (np.zeros(2), [0.0, 0.0], ()),
+        (math.nan, 0.0, ()),
+    ],
+)
+def test_bits_are_compared(first: Any, second: Any, path: tuple[Any, ...]) -> None:
+    """Signs of zero, dtypes and types count; the place is that of the first difference."""
+    found = mismatch(first, second)
+    assert found is not None
+    assert found.path == path
+    assert mismatch(first, first) is None
+    assert mismatch(second, second) is None
+
+
+def test_a_mismatch_tells_both_numbers_and_their_distance() -> None:
+    """Numbers of unsigned types do not wrap around."""
+    found = mismatch(np.uint8([3]), np.uint8([250]))
+    assert found is not None
+    assert (found.first, found.second, found.size) == (3, 250, 247)

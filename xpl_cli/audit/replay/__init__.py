@@ -1,1 +1,0 @@
-"""What an audit asked and heard, played against another server."""
