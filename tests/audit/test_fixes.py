@@ -36,10 +36,7 @@ FIXED = {
     "unquoted-argument": '"$@"',
     "unsafe-delete": "/${run:?}",
     "failure-passes": "set -euo pipefail",
-    "declared-otherwise": "vision.cam_head]",
     "trajectory-names": '["colors"]',
-    "observation-names": '.get("color")',
-    "swapped-size": "(width, height)",
 }
 """Rules that fix some of their bad subjects, and what stands there afterwards."""
 REMAINDER = "loop-differs"
