@@ -1,4 +1,4 @@
-"""What the tool makes of adapters of the field, unmodified and without their weights and libraries.
+"""What the tool makes of adapters of the field, unmodified, with the libraries and weights that are here.
 
     python benchmarks/field.py CHECKOUT [ADAPTER...] [--copied] [--defects FILE] [--json FILE]
 
@@ -53,7 +53,6 @@ class Row:
     outcomes: dict[str, int] = field(default_factory=dict)
     verdict: str = ""
     why: str = ""
-    stubbed: list[str] = field(default_factory=list)
     must: list[dict[str, Any]] = field(default_factory=list)
     warned: list[dict[str, Any]] = field(default_factory=list)
     static: list[dict[str, Any]] = field(default_factory=list)
@@ -70,7 +69,7 @@ def main() -> None:
     parser.add_argument("--copied", action="store_true", help="audit a copy of the folder alone")
     parser.add_argument("--no-static", action="store_true", help="the offline gate alone")
     parser.add_argument("--defects", type=Path, help="JSON with verified defects: adapter, file, line, defect_class")
-    parser.add_argument("--options", default="--shadow", help="options of xpl audit (default: --shadow)")
+    parser.add_argument("--options", default="", help="options of xpl audit, as --python PATH")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything there")
     asked = parser.parse_args()
     names = asked.adapters or sorted(path.parent.name for path in asked.checkout.glob("policy/*/model.py"))
@@ -133,7 +132,6 @@ def _read(row: Row, target: dict[str, Any]) -> None:
     for gate in target["gates"]:
         results = {result["slug"]: result for result in gate["results"]}
         row.outcomes = dict(Counter(result["outcome"] for result in gate["results"]))
-        row.stubbed = gate["stubbed"]
         serves, structure = results.get("serves", {}), results.get("action-structure", {})
         row.loaded = gate["profile"] is not None
         ran = sum(row.outcomes.get(kind, 0) for kind in ("pass", "fail", "warn"))

@@ -26,7 +26,6 @@ from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.main import app
 from xpl_cli.scaffold import adapter, environment, undo
 from xpl_cli.scaffold.answers import Answers
-from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.standard import answers, spec
 
 Status = Callable[..., dict[str, Any]]
@@ -170,7 +169,7 @@ def test_green_needs_every_gate_with_the_real_model(filled: Path) -> None:
     assert package["statement"] == "GREEN contract; conversions unproven (no native.py)"
     assert _run("status", "Foo").stdout.splitlines()[-3] == f"stands  {package['statement']}"
     assert package["next"] == ["xpl eval policy/Foo --env mujoco --episodes 10"]
-    shadow = Choice(Profile.SHADOW, StandIn(shadow=True), reason="the module torch is not installed here")
+    shadow = Choice(Profile.SHADOW, reason="the module torch is not installed here")
     _audited(filled, _gate(Gate.OFFLINE, Outcome.PASS, served=shadow))
     package = _one("Foo")
     assert (package["verdict"], package["steps"]["offline"]["state"]) == ("shadow", "partial")

@@ -20,7 +20,6 @@ from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.profiles import Choice, Profile
 from xpl_cli.audit.rules.verdict import CLAIMS, MEANINGS, Ended, Word, judge, judged, weakest
 from xpl_cli.packages.package import ENV, POLICY
-from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.standard import spec
 
 NO_CODE = Circumstances(without_pairs="no native.py")
@@ -37,7 +36,7 @@ def _result(code: str, outcome: Outcome = Outcome.PASS, **more: Any) -> Result:
 
 def _gates(*more: Result, shadow: bool = False) -> list[Ended]:
     """Return three gates that passed, with further results of the offline one."""
-    served = Choice(Profile.SHADOW, StandIn(shadow=True)) if shadow else Choice()
+    served = Choice(Profile.SHADOW) if shadow else Choice()
     results = {Gate.STATIC: [_result("XPL101")], Gate.OFFLINE: [_result("XPL201"), *more]}
     reports = [GateReport(gate, results.get(gate, [_result("XPL301")])) for gate in Gate]
     return [Ended.of(replace(gate, served=None if gate.name is Gate.STATIC else served)) for gate in reports]
@@ -197,7 +196,7 @@ GATES_THAT_ENDED = st.lists(
         GateReport,
         st.sampled_from(Gate),
         st.lists(RESULTS, max_size=4),
-        served=st.sampled_from([None, Choice(Profile.SHADOW, StandIn(shadow=True)), Choice(stubbed=("torch",))]),
+        served=st.sampled_from([None, Choice(), Choice(Profile.SHADOW)]),
     ).map(Ended.of),
     max_size=3,
     unique_by=lambda gate: gate.name,

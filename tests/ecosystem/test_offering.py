@@ -56,10 +56,9 @@ def _adapter(folder: Path) -> Path:
     return folder
 
 
-def _told(adapter: Path, before: str = "") -> Any:
+def _told(adapter: Path) -> Any:
     """Load an adapter in a process of its own; return what it found."""
     code = (
-        f"{before}\n"
         "import json, sys; from pathlib import Path; from xpl.worker.loading import load_model_class\n"
         "model = load_model_class(Path(sys.argv[1]))({'env_cfg_type': 'dual_x5'})\n"
         "import xpl, xpl.client; print(json.dumps([*model.told, xpl.client.__file__]))"
@@ -76,16 +75,6 @@ def test_a_copied_adapter_gets_the_ecosystem_from_us(tmp_path: Path) -> None:
     assert module == "XPolicyLab.model_template"
     assert robot == {"arm_dim": [6, 6], "ee_dim": [1, 1]}
     assert vendored == "as the script says"
-
-
-def test_what_we_offer_comes_before_stubs(tmp_path: Path) -> None:
-    """A stub of the ecosystem would have no dimensions."""
-    adapter = _adapter(tmp_path / "policy/Stubbed")
-    before = (
-        "from xpl.worker.stubs import Stubs; from pathlib import Path; import sys\n"
-        "Stubs(Path(sys.argv[1]), [Path(sys.argv[1])]).install()"
-    )
-    assert _told(adapter, before)[1] == {"arm_dim": [6, 6], "ee_dim": [1, 1]}
 
 
 def test_a_real_checkout_is_used_and_hides_nothing(tmp_path: Path) -> None:

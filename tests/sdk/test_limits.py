@@ -27,13 +27,11 @@ LAZY = {
     "msgpack": {"xpl.openpi.codec", "xpl.wire.codec"},
     "websockets": {"xpl.client.aio", "xpl.client.connection"},
     "PIL": {"xpl.images"},
-    "pydantic_core": {"xpl.worker.standins.things"},
     "yaml": {
         "xpl.ecosystem.offered.load_file",
         "xpl.environment",
         "xpl.robots.registry",
         "xpl.training.adapters",
-        "xpl.worker.standins.folders",
     },
 }
 """Third-party imports allowed inside functions, and the SDK modules that may hold them."""

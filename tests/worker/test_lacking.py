@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from xpl.worker.lacking import is_third_party, lacking
+from xpl.worker.belonging import is_third_party
+from xpl.worker.lacking import lacking
 
 if TYPE_CHECKING:
     from pathlib import Path

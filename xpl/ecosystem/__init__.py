@@ -32,9 +32,3 @@ def offer(policy_dir: Path) -> None:
     sys.path[:0] = [str(place) for place in places if str(place) not in sys.path]
     offering.Offering(policy_dir, root, names).install()
     robots.offer(policy_dir)
-
-
-def roots(policy_dir: Path) -> list[Path]:
-    """Return the real checkout that an adapter lies in, if it lies in one."""
-    root = checkout.found(policy_dir)
-    return [] if root is None else [root]

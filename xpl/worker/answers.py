@@ -19,17 +19,11 @@ from typing import Any
 import numpy as np
 
 from xpl.wire.arrays import ArrayError, as_array, data_of
-from xpl.worker.lacking import StandInError
+from xpl.worker.lacking import ShadowError
 
 _PARTS = 12  # of an array that are averaged; a multiple of the channels that images have, 3 and 4
 _DEPTH = 32
 _SMOOTH, _HASH = 0.4, 1e-3  # shares of a value's range
-
-
-class ShadowError(StandInError):
-    """The adapter asks for something that only its model has, so that shadow mode proves nothing about it."""
-
-    kind = "shadow"
 
 
 class Answers:

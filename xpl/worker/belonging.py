@@ -7,9 +7,7 @@ import importlib.util
 import itertools
 import os
 import re
-import sys
-import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from xpl import _spec as spec
@@ -117,19 +115,3 @@ def _is_there(module: str) -> bool:
         return importlib.util.find_spec(module) is not None
     except (ImportError, ValueError):
         return False
-
-
-def is_asked_from(roots: Sequence[str], finder: str) -> bool:
-    """Tell whether the code that imports lies in one of some folders.
-
-    Args:
-        roots: beginnings of paths.
-        finder: file of the finder that asks; its frames, and those of the import system, do not count.
-    """
-    frame: types.FrameType | None = sys._getframe(1)  # noqa: SLF001 - documented, and only CPython is supported
-    while frame is not None:
-        file = frame.f_code.co_filename
-        if file != finder and "importlib" not in file:
-            return file.startswith(tuple(roots))
-        frame = frame.f_back
-    return False

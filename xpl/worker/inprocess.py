@@ -3,10 +3,10 @@
 What an audit compares the served adapter with. Standard library and numpy only. Script and answers lie in files
 (`xpl.worker.errand`):
 
-    {"policy_dir", "config", "manifest", "script": [[method, arguments], ...]}, further what stands in for the model
-    and whether it is watched, as in the message by which a worker loads an adapter (`xpl.worker.main`)
-    one map for the load and one for each call: a "result" or an "error"; with "unreal": true where only the real model,
-    or a real module, could have answered
+    {"policy_dir", "config", "manifest", "script": [[method, arguments], ...]}, further "shadow", as in the
+    message by which a worker loads an adapter (`xpl.worker.main`), and "watch"
+    one map for the load and one for each call: a "result" or an "error"; with "unreal": true where only the real model
+    could have answered
 
 Observations are handed over as a simulator makes them: arrays of their own that may be written to.
 """
@@ -17,12 +17,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
-from xpl import ecosystem
 from xpl.policy import Policy
-from xpl.worker import stubs
 from xpl.worker.copies import own
 from xpl.worker.errand import FAILURES, carry_out, failed, result
-from xpl.worker.lacking import StandInError
+from xpl.worker.lacking import ShadowError
 from xpl.worker.loading import load_model_class
 
 
@@ -31,35 +29,21 @@ def load(order: Mapping[str, Any]) -> Any:
 
     Args:
         order: `policy_dir`, `config` and `manifest`; `shadow`: without the native model (`xpl.worker.shadow`);
-            `stub_missing`: with stubs for modules that are not installed (`xpl.worker.stubs`); `watch`: what it does to
-            its observations is noted (`xpl.worker.watch`).
+            `watch`: what it does to its observations is noted (`xpl.worker.watch`).
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]
-    model = _with_kit(policy_dir, config) if order.get("shadow") and not order.get("stub_missing") else None
-    if model is None:
-        model = _real(policy_dir, config, manifest, order)
+    if order.get("shadow"):
+        from xpl.worker.shadow import load_shadow_class
+
+        model_class: type = load_shadow_class(policy_dir)
+    else:
+        model_class = load_model_class(policy_dir)
+    model = model_class({**config, "manifest": manifest} if issubclass(model_class, Policy) else dict(config))
     if not order.get("watch"):
         return model
     from xpl.worker.watch import Watched
 
     return Watched(model)
-
-
-def _with_kit(policy_dir: Path, config: Mapping[str, Any]) -> Any:
-    from xpl.worker.standins import kit
-
-    return kit.Kit(policy_dir, config).built() if kit.wants(policy_dir) else None
-
-
-def _real(policy_dir: Path, config: Mapping[str, Any], manifest: Mapping[str, Any], order: Mapping[str, Any]) -> Any:
-    if order.get("stub_missing"):
-        stubs.Stubs(policy_dir, [policy_dir, *ecosystem.roots(policy_dir)]).install()
-    model_class = load_model_class(policy_dir)
-    if order.get("shadow"):
-        from xpl.worker.shadow import shadow_of
-
-        model_class = shadow_of(model_class)
-    return model_class({**config, "manifest": manifest} if issubclass(model_class, Policy) else dict(config))
 
 
 def play(model: Any, script: Sequence[Sequence[Any]]) -> Iterator[bytes]:
@@ -76,11 +60,9 @@ def play(model: Any, script: Sequence[Sequence[Any]]) -> Iterator[bytes]:
 def _called(model: Any, method: str, arguments: Sequence[Any]) -> bytes:
     try:
         answer = getattr(model, method)(*map(own, arguments))
-        stubs.check()
         return result(answer)  # what cannot travel is an error of the served adapter, too
     except FAILURES as error:
-        stands_in = isinstance(error, StandInError) or stubs.asked() is not None
-        return failed(error, **({"unreal": True} if stands_in else {}))
+        return failed(error, **({"unreal": True} if isinstance(error, ShadowError) else {}))
 
 
 def main(asked: str, answers: str) -> NoReturn:

@@ -16,13 +16,7 @@ from xpl import _spec as spec
 from xpl import checkpoint
 from xpl.checkpoint import CheckpointError
 from xpl.ecosystem import checkout
-from xpl.worker import loading
-from xpl.worker.belonging import is_third_party, own_names
-
-STUB = "stub"
-"""The kind of what only a module in whose place a stub stands could give."""
-
-__all__ = ["STUB", "StandInError", "is_third_party", "lacking", "own_names"]
+from xpl.worker.belonging import is_third_party
 
 _OPEN_LIBRARY = "cannot open shared object file"  # the dynamic linker's words
 _LONGEST = 300
@@ -57,19 +51,17 @@ _OF_UPSTREAM = re.compile(
     r"source tree|upstream|submodule|\bclone|repository|\brepo\b|\w+_root\b|\broot\b|\bsource\b|third[-_ ]party",
     re.IGNORECASE,
 )
-_OWN_MISTAKES = (SyntaxError, NameError, ModuleNotFoundError)
-"""What an adapter raises by itself, whatever it imports."""
 _SAYING = (ValueError, RuntimeError, AssertionError, KeyError, ImportError, OSError, AttributeError, TypeError)
 
 
-class StandInError(RuntimeError):
-    """What stands in for a model, or for a module, was asked for something that only the real one can give.
+class ShadowError(RuntimeError):
+    """The adapter asks for something that only its model has, so that shadow mode proves nothing about it.
 
     Attributes:
-        kind: which stand-in; a kind of what `lacking` returns.
+        kind: a kind of what `lacking` returns.
     """
 
-    kind = "model"
+    kind = "shadow"
 
 
 def lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -> dict[str, str] | None:
@@ -83,7 +75,7 @@ def lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -
     Returns:
         a map of `kind` and `name`: a third-party `module`, a shared `library`, the `checkpoint`, a `device`, the
         benchmark's `env_cfg`, the `upstream` code, a `file` elsewhere, a `server`, a `setting` that scripts give; what
-        a `shadow` or a `stub` cannot give in place of the real one; or that the adapter is a `whole` without a shadow.
+        a `shadow` cannot give in place of the real one; or that the adapter is a `whole` without a shadow.
     """
     for cause in _causes(error):
         found = _lacking(cause, policy_dir, config)
@@ -92,35 +84,9 @@ def lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -
     return None
 
 
-def is_by_stand_in(error: BaseException, policy_dir: Path) -> bool:
-    """Tell whether an exception may be one of what stands in for a module, so that it says nothing of the adapter.
-
-    It is the adapter's own if it was raised in a module of the adapter, not in one that it vendors, where nothing that
-    stands in for anything was at hand.
-    """
-    if isinstance(error, _OWN_MISTAKES):
-        return False
-    trace = error.__traceback__
-    if trace is None:
-        return False
-    while trace.tb_next is not None:
-        trace = trace.tb_next
-    frame = trace.tb_frame
-    file = Path(frame.f_code.co_filename)
-    if file == Path(loading.__file__):  # what the adapter offers is wrong
-        return False
-    at_hand = (*error.args, *frame.f_locals.values())
-    return file.parent != policy_dir or any(map(_stands_in, at_hand))
-
-
-def _stands_in(value: Any) -> bool:
-    room = __name__.rpartition(".")[0]
-    return any(kind.__module__.startswith(room) for kind in (type(value), type(type(value))))
-
-
 def _lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -> tuple[str, str] | None:
     found: tuple[str, str] | None = None
-    if isinstance(error, StandInError):
+    if isinstance(error, ShadowError):
         found = error.kind, str(error)
     elif isinstance(error, ModuleNotFoundError):
         found = ("module", error.name) if error.name and is_third_party(error.name, policy_dir) else None

@@ -3,9 +3,7 @@
 Standard library and numpy only. Messages have a head, in JSON, and buffers (`xpl.process.link`):
 
     {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods", "shared"}}; with
-                                                        "shadow": true the model is not loaded (`xpl.worker.shadow`);
-                                                        with "stub_missing": true modules are stubbed
-                                                        (`xpl.worker.stubs`), and the answer names them in "stubbed"
+                                                        "shadow": true the model is not loaded (`xpl.worker.shadow`)
     {"op": "map", "segment", "path", "size"}            -> {"ok": null}; arrays of requests may lie there from now on
     {"op": "unmap", "segment"}                          -> {"ok": null}
     {"op": "run", "requests": [[client, method, segment, optional], ...]}, a packed map (`xpl.wire.packed`) for each
@@ -25,7 +23,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 
 from xpl import _spec as spec
-from xpl import ecosystem
 from xpl.process import child
 from xpl.wire import packed, telling
 from xpl.worker.loading import check_shareable, load_model_class
@@ -34,8 +31,6 @@ if TYPE_CHECKING:
     from xpl.wire.arrays import Data
     from xpl.wire.segment import Window
     from xpl.worker.sharing import SharedModel
-    from xpl.worker.standins.kit import Kit
-    from xpl.worker.stubs import Stubs
 
 
 # Not exceptions only: libraries that parse the command line end the process over an argument that is not theirs, and
@@ -75,8 +70,6 @@ class Worker:
         self._methods: frozenset[str] = frozenset()
         self._shared: SharedModel | None = None
         self._windows: dict[int, Window] = {}
-        self._stubs: Stubs | None = None
-        self._kit: Kit | None = None
         self._policy_dir = Path()
         self._config: dict[str, Any] = {}
 
@@ -93,7 +86,7 @@ class Worker:
         try:
             return {"ok": operations[head["op"]](head)}, []
         except _FAILURES as error:
-            return {"error": {**describe(error), **(self._lacks(error) or self._disturbed(error))}}, []
+            return {"error": {**describe(error), **self._lacks(error)}}, []
 
     # -- between requests ----------------------------------------------------------------------------------------------
 
@@ -105,21 +98,12 @@ class Worker:
         gc.unfreeze()
         gc.collect()
         policy_dir = self._policy_dir = Path(message["policy_dir"])
-        if message.get("shadow") and not message.get("stub_missing"):
-            from xpl.worker.standins import kit
-
-            if kit.wants(policy_dir):
-                return self._load_with_kit(message)
-        if message.get("stub_missing"):
-            from xpl.worker.stubs import Stubs
-
-            self._stubs = Stubs(policy_dir, [policy_dir, *ecosystem.roots(policy_dir)])
-            self._stubs.install()
-        model_class = load_model_class(policy_dir)
         if message.get("shadow"):
-            from xpl.worker.shadow import shadow_of
+            from xpl.worker.shadow import load_shadow_class
 
-            model_class = shadow_of(model_class)
+            model_class: type = load_shadow_class(policy_dir)
+        else:
+            model_class = load_model_class(policy_dir)
         config = self._config = dict(message["config"])
         manifest = message.get("manifest") or {}
         if issubclass(model_class, Policy):
@@ -128,16 +112,6 @@ class Worker:
             check_shareable(model_class, (*spec.HOOKS, *(manifest.get("methods") or ())))
         self._model = model_class(config)
         return self._offer(manifest)
-
-    def _load_with_kit(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Load an adapter that was written without the SDK, with stand-ins for what is not here."""
-        from xpl.worker.standins.kit import Kit
-
-        self._config = dict(message["config"])
-        if self._kit is None:
-            self._kit = Kit(self._policy_dir, self._config)
-        self._model = self._kit.built()
-        return {**self._offer(message.get("manifest") or {}), "stubbed": self._kit.names}
 
     def _offer(self, manifest: Mapping[str, Any]) -> dict[str, Any]:
         """Tell what the model offers, and settle in for serving it."""
@@ -157,22 +131,7 @@ class Worker:
             from xpl.worker.sharing import SharedModel
 
             self._shared = SharedModel(self._model)
-        answer = {"class": model_class.__name__, "methods": sorted(self._methods), "shared": shared}
-        if self._stubs is not None:
-            self._check_stubs()
-            answer["stubbed"] = self._stubs.names
-        return answer
-
-    def _check_stubs(self) -> None:
-        """Stop an adapter that goes on although a stub could not give what it was asked for.
-
-        Raises:
-            StubError: if there was such a failure since the last check.
-        """
-        if self._stubs is not None or self._kit is not None:
-            from xpl.worker import stubs
-
-            stubs.check()
+        return {"class": model_class.__name__, "methods": sorted(self._methods), "shared": shared}
 
     def _map(self, message: Mapping[str, Any]) -> None:
         from xpl.wire.segment import Window
@@ -211,32 +170,13 @@ class Worker:
             found = lacking.lacking(error, self._policy_dir, self._config)
         except _FAILURES:  # an exception whose text cannot be had, for example
             found = None
-        if self._kit is not None:
-            found = found or self._kit.lacks(error)
-        if self._stubs is not None or self._kit is not None:
-            from xpl.worker import stubs
-            from xpl.worker.standins.origins import StubError
-
-            asked = stubs.asked()
-            found = found if asked is None else {"kind": StubError.kind, "name": asked}
         return {} if found is None else {"lacks": found}
-
-    def _disturbed(self, error: BaseException) -> dict[str, Any]:
-        """Return that stubs, and not the adapter, may be to blame for what was raised while it was loaded."""
-        from xpl.worker import lacking
-
-        names = self._stubs.names if self._stubs is not None else []
-        if not names or not lacking.is_by_stand_in(error, self._policy_dir):
-            return {}
-        told = f"{type(error).__name__}: {telling.text_of(error):.200}, with stubs for {', '.join(names)}"
-        return {"lacks": {"kind": lacking.STUB, "name": told}}
 
     def _results(self, requests: Sequence[Request]) -> Iterator[Any]:
         """Yield what each request returns, or the exception that it raises."""
         for request in requests:
             try:
                 result = self._perform(request)
-                self._check_stubs()
             except _FAILURES as error:
                 result = error
             yield result

@@ -8,7 +8,9 @@ answers one environment at a time, so that the others of a batch cannot matter.
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
@@ -18,7 +20,9 @@ from xpl import checkpoint
 from xpl.action import action_dim
 from xpl.decoding import decode_rows
 from xpl.policy import Observation, Policy
-from xpl.worker.answers import Answers, ShadowError
+from xpl.worker.answers import Answers
+from xpl.worker.lacking import ShadowError
+from xpl.worker.loading import load_model_class
 
 if TYPE_CHECKING:
     from xpl.convert import Interface
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
 _STEPS = 4  # of a chunk, where nothing declares how many
 _DEPTH = 32
 _REACH = 0.2  # rad or m around the middle: a motion that a robot can follow
+_SDK = re.compile(r"^\s*(?:from|import)\s+xpl\b", re.MULTILINE)
 _TILT = 0.3  # of a quaternion's imaginary parts; the real one stays near 1
 
 
@@ -37,6 +42,20 @@ class UndividedError(ShadowError):
 
 class NotLoadedError(ShadowError, AttributeError):
     """An attribute is not there, because `load`, which would set it, was skipped."""
+
+
+def load_shadow_class(policy_dir: Path) -> type[Policy]:
+    """Return the shadow of the class in an adapter's model.py, which is imported.
+
+    Raises:
+        UndividedError: if the adapter does not keep its model apart from what is around it; before anything is imported
+            where it was written without the SDK, so that this is told in place of the first library that is not here.
+        LoadError: if there is no model.py or no class `Model` in it.
+    """
+    texts = [path.read_text(encoding="utf-8", errors="replace") for path in policy_dir.glob("*.py")]
+    if texts and not any(map(_SDK.search, texts)):
+        raise UndividedError("an adapter that does not derive from xpl.Policy has no shadow")
+    return shadow_of(load_model_class(policy_dir))
 
 
 def shadow_of(model_class: type) -> type[Policy]:

@@ -56,7 +56,6 @@ class RunningServer:
         also: where it answers clients of other wires, by their names.
         pid: process of its front end.
         log: last lines of what it and the adapter printed.
-        stubbed: modules that were stubbed, where that was asked for.
         stop_seconds: how long it took to end when it was told to, s.
         token: what clients have to show, where it was started with a secret.
         process: its front end, for whoever started it.
@@ -65,7 +64,6 @@ class RunningServer:
     url: str
     pid: int
     log: collections.deque[str] = field(default_factory=lambda: collections.deque(maxlen=LOG_LINES))
-    stubbed: tuple[str, ...] = ()
     stop_seconds: float | None = None
     also: dict[str, str] = field(default_factory=dict)
     token: str | None = None
@@ -128,7 +126,7 @@ def serving(  # noqa: PLR0913 - what `xpl serve` takes
         try:
             ready = _wait_ready(process, process.stdout, load_timeout, reader, server.log)
             starting.close()  # it has read its token
-            server.url, server.stubbed = ready["url"], tuple(ready.get("stubbed", ()))
+            server.url = ready["url"]
             server.also = dict(ready.get("also", {}))
             yield server
         finally:

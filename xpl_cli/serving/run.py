@@ -10,7 +10,7 @@ import os
 import shlex
 import signal
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -24,14 +24,13 @@ from xpl_cli.isolation import family
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.lifecycle import interpreter
+from xpl_cli.serving import openpi
 from xpl_cli.serving.connection import Timing
 from xpl_cli.serving.entry.names import LOOPBACK, Names
 from xpl_cli.serving.logbook import log
 from xpl_cli.serving.observe import Observer
 from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server import FrontEnd, Settings
-from xpl_cli.serving.stand_in import StandIn
-from xpl_cli.serving.wires import entrances
 from xpl_cli.serving.workers import patience
 from xpl_cli.serving.workers.pool import LoadError
 from xpl_cli.serving.workers.worker import WorkerProcess
@@ -69,7 +68,7 @@ class Options:
         metrics: offer /metrics.
         trace: file that gets one line for each request.
         until_stdin_ends: end when standard input ends.
-        stand_in: what is not real.
+        shadow: do not load the model; a function of its inputs answers (`xpl.worker.shadow`).
         working_directory: of the adapter; its own folder by default.
         memory_limit: what each worker may hold; None means what the machine has.
         isolate: keep the adapter from the network, and from writing to anything but a temporary folder.
@@ -77,7 +76,7 @@ class Options:
         proven: the way by which either is done, which whoever starts this has just tried.
         patience: how long it may be silent while it loads or answers, s; None for as long as it takes.
         renew: build the model anew for every client.
-        also: what is spoken besides, each at a port of its own: the name of a wire, or `NAME:PORT`.
+        also: what is spoken besides, each at a port of its own: `openpi`, or `openpi:PORT`.
     """
 
     python: str | None = None
@@ -94,7 +93,7 @@ class Options:
     metrics: bool = False
     trace: Path | None = None
     until_stdin_ends: bool = False
-    stand_in: StandIn = field(default_factory=StandIn)
+    shadow: bool = False
     working_directory: Path | None = None
     memory_limit: MemoryLimit | None = None
     isolate: bool = False
@@ -118,7 +117,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     config = package.config(overrides)
     package.require_declared(config)
     settings = _settings(package, config, options)
-    others = entrances(options.also, config, package.manifest, settings.policy)
+    entrances = openpi.entrances(options.also, config, package.manifest, settings.policy)
     try:
         python = interpreter.resolve(package.path, package.manifest, python=options.python, env=options.env)
     except UserError as error:
@@ -127,7 +126,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     kept = Bounds(options.isolate, options.apart, options.proven).around(package.path)
     with _trace(options.trace) as trace, kept as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
-        run = _Run(package, config, settings, options, python, observer, isolation, others)
+        run = _Run(package, config, settings, options, python, observer, isolation, entrances)
         reason = asyncio.run(_serve(run))
     if reason is not None:
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)
@@ -157,7 +156,7 @@ def _settings(package: Package, config: Mapping[str, Any], options: Options) -> 
         handshake_timeout=config[spec.Deploy.HANDSHAKE_TIMEOUT_S] or None,
         request_timeout=config[spec.Deploy.REQUEST_TIMEOUT_S],
         grace=spec.DEPLOY_DEFAULTS[spec.Deploy.CLOSE_TIMEOUT_S] if close is None else close,
-        policy={**agreement.needs(package.manifest, config), **options.stand_in.message},
+        policy={**agreement.needs(package.manifest, config), **({"shadow": True} if options.shadow else {})},
         names=Names(host, options.allow_hosts, options.allow_origins),
         token=token,
         tls=server_tls_context(options.tls_cert, options.tls_key),
@@ -304,11 +303,8 @@ async def _until_ended(
         "url": url,
         "port": int(url.rpartition(":")[2]),
         **({"also": urls} if urls else {}),
-        **run.options.stand_in.message,
+        **({"shadow": True} if run.options.shadow else {}),
     }
-    stubbed = sorted({name for worker in front_end.workers.values() for name in worker.stubbed})
-    if stubbed or run.options.stand_in.stub_missing:
-        ready["stubbed"] = stubbed
     _announce(ready, shlex.join(["xpl", "eval", str(run.package.path), "--connect", str(ready["url"])]))
     await _first(asked, front_end.failed)
     if front_end.failed.done():
@@ -353,7 +349,7 @@ async def _load(run: _Run, front_end: FrontEnd) -> LoadError | None:
     limit = run.config[spec.Deploy.MAX_CONNECT_SECONDS] or None  # nobody waits longer than that for a connection
     package = run.package
     loads = [
-        asyncio.create_task(worker.load(package.path, run.config, package.manifest, run.options.stand_in))
+        asyncio.create_task(worker.load(package.path, run.config, package.manifest, shadow=run.options.shadow))
         for worker in front_end.workers.values()
     ]
     with progress() as said:

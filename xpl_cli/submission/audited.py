@@ -18,7 +18,6 @@ from xpl_cli.audit.rules.verdict import PARITY, Verdict, Word, judged
 from xpl_cli.audit.static.source import Source
 from xpl_cli.native import pairs
 from xpl_cli.packages.package import POLICY
-from xpl_cli.serving.stand_in import StandIn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -110,9 +109,7 @@ def _served(told: Mapping[str, Any]) -> Choice | None:
     """Return what a gate says that it served."""
     if told.get("profile") is None:
         return None
-    profile = Profile(told["profile"])
-    stand_in = StandIn(shadow=profile is Profile.SHADOW)
-    return Choice(profile, stand_in, stubbed=tuple(map(str, told.get("stubbed", ()))))
+    return Choice(Profile(told["profile"]))
 
 
 def _incomplete(gate: GateReport, version: str) -> Iterator[str]:

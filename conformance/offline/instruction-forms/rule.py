@@ -21,8 +21,7 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     ## What it does
     Shows the same observation once with `instruction` and once with `instructions`, a list whose first entry is the
     same text. A text under `instructions`, and a list under `instruction`, are not of the standard: they must be
-    understood or refused, not read as something else. The list is left out where stand-ins answer: a tokenizer takes
-    it for a batch of one, and whether this one does is not known.
+    understood or refused, not read as something else.
 
     ## Why it matters
     Both occur in the field. A policy that ignores one of them follows no instruction there, or stops.
@@ -45,8 +44,6 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         "a text under `instructions`": {**rest, spec.Obs.INSTRUCTIONS: text},
         "a list under `instruction`": {**rest, spec.Obs.INSTRUCTION: [text]},
     }
-    if probe.choice.stubbed:  # tokenizers take a text and a list of one alike, and a stand-in cannot tell
-        del forms["a list under `instruction`"]
     wanted, *others = forms
     answers = dict(zip(forms, semantics.compare([((obs,), (form,)) for form in forms.values()]), strict=True))
     found = semantics.disagreement(*answers[wanted])

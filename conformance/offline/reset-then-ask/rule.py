@@ -31,7 +31,7 @@ def reset_then_ask(probe: Probe) -> Iterator[Finding]:
     probe.ready()
     obs = probe.observation()
     with probe.session() as policy:
-        policy.leave_behind(obs)
+        policy.act(obs)
         policy.reset()
         single = policy.get_action()
         policy.reset()

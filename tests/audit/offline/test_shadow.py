@@ -1,4 +1,4 @@
-"""Audits without the model: what the shadow proves, when it is chosen, and what stubs may not prove."""
+"""Audits without the model: what the shadow proves, and when it is chosen."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import pytest
 
 from tests.support.peer import DEADLINE_S
 from xpl.policy import Policy
-from xpl.worker.lacking import is_third_party, lacking
-from xpl.worker.shadow import ShadowError, UndividedError, shadow_of
+from xpl.worker.belonging import is_third_party
+from xpl.worker.lacking import ShadowError, lacking
+from xpl.worker.shadow import UndividedError, shadow_of
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import as_json, render
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, exit_code
 from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.rules.profiles import Choice, Profile
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
 from xpl_cli.serving.launch import ServerStartError, serving
-from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
@@ -58,44 +58,24 @@ class Model(Policy):
         return self.net(np.stack(inputs))
 """
 BARE = f"""
-import numpy as np
 import {MISSING} as lib
-from {MISSING}.nn import Module
-
-
-class Net(Module):
-    def __init__(self):
-        super().__init__()
-        self.layer = lib.nn.Linear(3, 4)
 
 
 class Model:
     def __init__(self, config):
-        self.net = Net().to("cuda" if lib.cuda.is_available() else "cpu").eval()
-        self.reset()
-
-    def reset(self):
-        self.obs = {{}}
-        self.order = []
+        self.net = lib.open(resolve(config))
 
     def update_obs(self, obs):
-        self.update_obs_batch([obs])
+        pass
 
-    def update_obs_batch(self, obs_list):
-        self.order = [obs.get("env_idx", place) for place, obs in enumerate(obs_list)]
-        self.obs.update(zip(self.order, obs_list))
-
-    @lib.no_grad()
     def get_action(self):
-        return self.get_action_batch(self.order)[0]
+        return [{{}}]
 
-    def get_action_batch(self, env_idx_list=None):
-        envs = self.order if env_idx_list is None else env_idx_list
-        states = [self.obs[env]["state"]["left_arm_joint_state"] for env in envs]
-        return self.answer(self.net(lib.from_numpy(np.stack(states))), len(envs))
 
-    def answer(self, out, count):
-        return [[{{"left_arm_joint_state": row}} for row in chunk] for chunk in out.cpu().numpy()]
+def resolve(config):
+    from pathlib import Path
+
+    return Path(__file__).parent / (config["ckpt_name"] or "checkpoints/run.pt")
 """
 
 
@@ -246,6 +226,25 @@ def test_what_a_shadow_cannot_stand_in_for_is_not_run(package: Path, old: str, n
     assert told in _reasons(_gate(report))
 
 
+@pytest.mark.slow
+def test_an_adapter_without_the_sdk_is_not_run_without_its_library_and_weights(package: Path) -> None:
+    """Both are named at once; with the library alone the weights are; with both it is served, whatever they are."""
+    reasons = _reasons(_gate(_offline(package, BARE)))
+    assert f"module {MISSING} is not installed" in reasons
+    assert "the checkpoint is not here" in reasons
+    report = _offline(package, BARE, profile=Profile.SHADOW)
+    assert set(_outcomes(_gate(report)).values()) == {"not_run"}
+    assert exit_code([report]) is ExitCode.NOT_RUN
+    equipped = BARE.replace(MISSING, "builtins")
+    reasons = _reasons(_gate(_offline(package, equipped)))
+    assert MISSING not in reasons
+    assert "the checkpoint is not here" in reasons
+    (package / "checkpoints").mkdir(exist_ok=True)
+    (package / "checkpoints" / "tiny.pt").write_bytes(b"random")
+    gate = _gate(_offline(package, equipped, overrides={"ckpt_name": "checkpoints/tiny.pt"}))
+    assert (gate.profile, _outcomes(gate)["serves"]) == (Profile.FULL, "pass")
+
+
 def test_a_misspelt_module_of_the_adapter_is_a_fault(package: Path) -> None:
     """It is like a file of the adapter; a module that the requirements name is not."""
     (package / "helpers.py").write_text("x = 1\n", encoding="utf-8")
@@ -374,76 +373,6 @@ def test_the_shadow_of_an_adapter_with_a_native_block_answers_in_the_models_word
         assert 0 <= step["left_ee_joint_state"][0] <= 1
         assert np.abs(step["left_arm_joint_state"]).max() < 3
     assert all(np.array_equal(a[key], b[key]) for a, b in zip(one, two, strict=True) for key in a)
-
-
-# -- stubs -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "answer",
-    [
-        pytest.param(
-            "return [[{'left_arm_joint_state': row} for row in chunk] for chunk in out.cpu().numpy()]", id="raised"
-        ),
-        pytest.param(
-            "try:\n            return np.asarray(out).tolist()\n"
-            "        except Exception:\n            return [[{'left_arm_joint_state': np.zeros(6)}]] * count",
-            id="swallowed",
-        ),
-    ],
-)
-def test_no_pass_rests_on_a_stub(package: Path, answer: str) -> None:
-    """What ends before a stub is asked is proven, the rest is not run, also where the failure is swallowed."""
-    head, _, _ = BARE.rpartition("        return [[")
-    report = _offline(package, f"{head}        {answer}\n", stub_missing=True)
-    gate = _gate(report)
-    assert gate.served is not None
-    assert gate.served.stubbed == (MISSING,)
-    found = _outcomes(gate)
-    assert found["reset-then-ask"] == "pass"
-    assert {found[slug] for slug in RULES} == {"pass", "not_run"}
-    assert list(found.values()).count("pass") == 1, found
-    assert "is not installed here, and stubbed" in _reasons(gate)
-    assert str(gate.finish).endswith(f"stubbed={MISSING}")
-    assert exit_code([report]) is ExitCode.NOT_RUN
-
-
-@pytest.mark.slow
-def test_stubs_make_a_shadow_of_an_adapter_that_imports_at_its_top(package: Path) -> None:
-    """All that the shadow needs of the library is that it can be imported."""
-    report = _offline(package, SPLIT.replace("import numpy", f"import {MISSING}\nimport numpy", 1), stub_missing=True)
-    gate = _gate(report)
-    assert gate.outcome is Outcome.PASS, gate.results
-    assert gate.profile is Profile.SHADOW
-    assert MISSING in str(gate.stood_in)
-
-
-@pytest.mark.slow
-def test_a_model_that_fails_in_a_stub_is_not_run(package: Path) -> None:
-    """The reason names the stub."""
-    report = _offline(
-        package, BARE.replace("self.reset()", "self.size = int(lib.size(self.net))", 1), stub_missing=True
-    )
-    assert set(_outcomes(_gate(report)).values()) == {"not_run"}
-    assert f"{MISSING}.size() has no value" in _reasons(_gate(report))
-
-
-def test_own_modules_are_not_stubbed(package: Path) -> None:
-    """A misspelt import stays one."""
-    (package / "helpers.py").write_text("x = 1\n", encoding="utf-8")
-    gate = _gate(_offline(package, "import helpes\n" + BARE, stub_missing=True))
-    assert _outcomes(gate)["serves"] == "fail"
-
-
-def test_a_report_names_what_stood_in() -> None:
-    """In words that tell stand-ins, which answer, from stubs, which do not."""
-    stood_in = Choice(Profile.SHADOW, StandIn(shadow=True), stubbed=("torch", "upstream"))
-    assert stood_in.sentence.endswith("stand-ins for torch, upstream")
-    assert stood_in.briefly == "without the model, stand-ins for torch, upstream"
-    assert not stood_in.is_made_of_stubs
-    stubbed = Choice(Profile.SHADOW, StandIn(shadow=True, stub_missing=True), stubbed=("torch",))
-    assert stubbed.sentence.endswith("stubbed: torch")
 
 
 # -- the server --------------------------------------------------------------------------------------------------------

@@ -84,7 +84,6 @@ def _gate(gate: GateReport, entries: Iterator[Listed], folder: str) -> dict[str,
         "fingerprint": gate.fingerprint,
         "profile": gate.profile.value if gate.profile is not None else None,
         "stood_in": gate.stood_in,
-        "stubbed": list(gate.served.stubbed) if gate.served is not None else [],
         "figures": [figure.as_json() for figure in gate.figures],
         "results": [_result(result, entries, folder) for result in gate.results],
     }

@@ -49,8 +49,12 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
 def loading(probe: Probe) -> dict[str, Any]:
     """Return what a process that loads the adapter is told, as a server's worker is."""
     package = probe.package
-    stand_in = probe.choice.stand_in.message
-    return {"policy_dir": str(package.path), "config": probe.config, "manifest": package.manifest, **stand_in}
+    return {
+        "policy_dir": str(package.path),
+        "config": probe.config,
+        "manifest": package.manifest,
+        "shadow": probe.choice.is_shadow,
+    }
 
 
 def place(probe: Probe, limit_s: float = LIMIT_S) -> errand.Place:

@@ -60,19 +60,16 @@ class Motion:
         answers: an episode of one environment, then the first answers of a batch.
         near_limits: answers to a robot whose joints are near their limits; none for poses, and where no limits are
             known.
-        is_made_up: whether values come from stand-ins for what the adapter wraps, which do not know in what order and
-            range it answers.
     """
 
     embodiment: Embodiment
     action_type: str
     answers: tuple[Answer, ...]
     near_limits: tuple[Answer, ...] = ()
-    is_made_up: bool = False
 
     def problem(self, answer: Answer) -> str | None:
         """Return what is wrong with the form of an answer, or None."""
-        return structure_problem(answer.chunk, self.embodiment, self.action_type, only_form=self.is_made_up)
+        return structure_problem(answer.chunk, self.embodiment, self.action_type)
 
     @property
     def sound(self) -> list[Answer]:
@@ -111,7 +108,7 @@ class Motions:
             with self._probe.served_as(name, action_type) as policy:
                 answers = tuple(self._play(policy, embodiment, action_type))
                 near_limits = tuple(self._play_near_limits(policy, embodiment, action_type))
-            played.append(Motion(embodiment, action_type, answers, near_limits, self._probe.choice.is_made_up))
+            played.append(Motion(embodiment, action_type, answers, near_limits))
         return tuple(played)
 
     @property

@@ -216,7 +216,7 @@ class GateReport:
 
     @property
     def stood_in(self) -> str | None:
-        """What stood in for the model or for modules, and why; None where everything was real."""
+        """What stood in for the model, and why; None where everything was real."""
         return None if self.served is None else self.served.sentence or None
 
 

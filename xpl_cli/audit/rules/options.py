@@ -30,7 +30,6 @@ class Options:
         profile: what the gates that serve the adapter run on; None for the full one, or where the model cannot be
             loaded here for want of something, the shadow.
         profile_reason: why an earlier gate chose the shadow; None if it was asked for.
-        stub_missing: stub modules that are not installed where nothing else helps.
         memory_limit: what the adapter's processes may hold, as for `xpl serve`.
         isolate: keep the adapter from the network and from writing.
         bounds: what it is kept from in this gate, as far as the machine allows.
@@ -55,7 +54,6 @@ class Options:
     env: str | None = None
     profile: Profile | None = None
     profile_reason: str | None = None
-    stub_missing: bool = False
     memory_limit: str = "none"
     isolate: bool = False
     bounds: Bounds = field(default_factory=Bounds)

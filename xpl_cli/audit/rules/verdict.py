@@ -41,7 +41,7 @@ MEANINGS: Final[Mapping[Word, str]] = {
     Word.RED: "a rule failed, or crashed",
     Word.INCOMPLETE: "something that was asked for could not run, or nothing was proved",
     Word.OPEN: "nothing is wrong in what ran, but the author has places to fill in, or native values are unknown",
-    Word.SHADOW: "nothing is wrong in what ran, but something stood in for the model or for modules",
+    Word.SHADOW: "nothing is wrong in what ran, but something stood in for the model",
     Word.PARTIAL: "nothing is wrong in what ran, but `--gate`, `--select` or `--ignore` left rules out, or `--set` "
     "what else an environment offers",
     Word.GREEN: "every gate ran on all that the package declares, with the real model, and nothing failed",
@@ -194,7 +194,7 @@ class Ended:
         name: the gate's.
         outcome: how it ended.
         reason: why it was not started, or had nothing to prove.
-        stood_in: what stood in for the model or for modules, in a few words; empty if everything was real.
+        stood_in: what stood in for the model, in a few words; empty if everything was real.
         failed, crashed, not_run: codes of the rules that ended so.
         waived: codes of rules with findings that were accepted, each as often as it has some.
         proofs: what rules said that they proved, by code.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xpl.action import ActionError, check_chunk, check_form
+from xpl.action import ActionError, check_chunk
 from xpl.client import PolicyServerError
 
 if TYPE_CHECKING:
@@ -84,16 +84,12 @@ def mistaken(answer: Any, alone: dict[int, Any], wanted: Sequence[int]) -> str:
     return f"answers for {plural} {', '.join(map(str, actual))}: robots receive each other's commands"
 
 
-def structure_problem(chunk: Any, embodiment: Embodiment, action_type: str, *, only_form: bool = False) -> str | None:
-    """Return what is wrong with a chunk's keys, dimensions or values, or None; with `only_form` not with values."""
+def structure_problem(chunk: Any, embodiment: Embodiment, action_type: str) -> str | None:
+    """Return what is wrong with a chunk's keys, dimensions or values, or None."""
     if isinstance(chunk, PolicyServerError):
         return str(chunk)
     try:
-        if only_form and answers(chunk):
-            for step in chunk:
-                check_form(step, embodiment, action_type)
-        else:
-            check_chunk(chunk, embodiment, action_type)
+        check_chunk(chunk, embodiment, action_type)
     except ActionError as error:
         return str(error)
     return None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from abc import ABC, abstractmethod
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
@@ -14,7 +13,6 @@ from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.served import choosing
-from xpl_cli.audit.served.choosing import Lacking
 from xpl_cli.audit.served.hanging import Hangs, bounds
 from xpl_cli.audit.served.session import Recorder, Session
 from xpl_cli.isolation.life import HUNG
@@ -81,7 +79,7 @@ class Servers(ABC):
             try:
                 self._server = self.start_server()
             except ServerStartError as error:
-                raise NotRun(choosing.told(self.choice, error)) from None
+                raise NotRun(choosing.told(self.choice, error, self.config, self.package.path)) from None
         if self.ended is not None:
             raise NotRun(f"the server has ended: {self.ended}")
         return self._server
@@ -219,7 +217,7 @@ class Servers(ABC):
         self._hangs.check()
         if self.presence.loss is not None:
             raise NotRun(self.presence.loss)
-        served = (*self.choice.stand_in.flags, *flags)
+        served = (*(["--shadow"] if self.choice.is_shadow else []), *flags)
         started = serving(
             self.package.path,
             {**overrides, **bounds({**self.config, **overrides})},
@@ -246,7 +244,6 @@ class Servers(ABC):
             ServerStartError: if not: the adapter may have put off what loading is for.
         """
         with self._serving(self.options.overrides) as server:
-            self.choice = replace(self.choice, stubbed=server.stubbed)
             with (
                 contextlib.suppress(ClientError, NotApplicable),
                 Client(server.url, config=self.config | bounds(self.config) | PATIENCE) as client,
@@ -255,6 +252,6 @@ class Servers(ABC):
                     client.infer(self.observation())
                 except PolicyServerError as error:
                     lacks = error.details.get("lacks")
-                    if lacks and not Lacking(lacks).is_stub:
+                    if lacks:
                         raise ServerStartError(str(error), list(server.log), lacks) from None
             yield server

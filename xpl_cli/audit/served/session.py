@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
 from xpl_cli.audit.rules.clock import Clock
-from xpl_cli.audit.served.choosing import Lacking
+from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.served.choosing import sentence
 from xpl_cli.audit.served.compare import error_code
 
 if TYPE_CHECKING:
@@ -40,8 +41,7 @@ class Recorder:
 
         Raises:
             ClientError: if no answer came.
-            Lacking: if the machine has not what an answer would take.
-            NotRun: if the audit's time is over.
+            NotRun: if the machine has not what an answer would take, or the audit's time is over.
         """
         self._clock.check()
         try:
@@ -52,7 +52,7 @@ class Recorder:
         # Texts of errors may hold addresses and paths; that there was one is what counts.
         self._value(error_code(answer) if isinstance(answer, PolicyServerError) else answer)
         if isinstance(answer, PolicyServerError) and answer.details.get("lacks"):
-            raise Lacking(answer.details["lacks"])
+            raise NotRun(sentence(answer.details["lacks"]))
         return answer
 
     def record(self) -> str:
@@ -119,14 +119,6 @@ class Session:
         """Show one observation and return the chunk, without a reset before."""
         shown = self.update_obs(obs)
         return shown if isinstance(shown, PolicyServerError) else self.get_action()
-
-    def leave_behind(self, obs: Any) -> None:
-        """Do the same for what it leaves behind; what the answer is does not matter, also if a stub cannot give it."""
-        try:
-            self.act(obs)
-        except Lacking as why:
-            if not why.is_stub:
-                raise
 
     def prepare_case(self, told: Mapping[str, Any]) -> Any:
         """Announce a case, its name among what is told; None where the adapter has no hook for it."""

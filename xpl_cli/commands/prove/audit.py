@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from xpl_cli.audit.formats.listing import Context
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.audit.rules.registry import Rule
-    from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.packages.targets import Target
     from xpl_cli.standard.spec import Requirement
 
@@ -62,9 +61,6 @@ def audit(
         None, metavar="PROFILE", help="full demands the real model, shadow does without; full where it can be had."
     ),
     shadow: bool = typer.Option(False, "--shadow", help="The same as --profile shadow: neither weights nor a GPU."),
-    stub_missing: bool = typer.Option(
-        False, "--stub-missing", help="Stub modules that are not installed, where nothing else makes an adapter run."
-    ),
     task: list[str] = typer.Option([], metavar="NAME", help="Drive it in this task in physics; may be repeated."),
     episodes: int | None = typer.Option(
         None, min=1, metavar="N", help="Whole episodes over which the MuJoCo gate measures success."
@@ -128,7 +124,6 @@ def audit(
             python=python,
             env=policy_env,
             profile=Profile(profile) if profile else None,
-            stub_missing=stub_missing,
             memory_limit=memory_limit,
             isolate=isolate,
             clock=Clock.parse(time_limit),
@@ -164,7 +159,6 @@ def audit(
             *(("--keep-going",) if keep_going else ()),
             *(() if fail_on == Outcome.FAIL else ("--fail-on", fail_on)),
             *(("--profile", profile) if profile else ()),
-            *(("--stub-missing",) if stub_missing else ()),
             *(("--isolate",) if isolate else ()),
             *_repeated("--task", task),
             *_repeated("--episodes", [str(episodes)] if episodes else []),
@@ -204,24 +198,16 @@ def _check_demos(demos: Path | None, targets: Sequence[Target]) -> None:
 def _targets(
     paths: Iterable[Path], changed_since: str | None, *, every: bool, is_run: bool, demos: Path | None
 ) -> list[Target]:
-    """Return the packages that are audited: all that were asked for, or those of them that changed since a commit.
-
-    Waivers of them that name a retired rule are told of in a note.
-    """
-    from xpl_cli.audit.engine import waivers
-    from xpl_cli.audit.static.source import Source
-    from xpl_cli.basics import console
+    """Return the packages that are audited: all that were asked for, or those of them that changed since a commit."""
     from xpl_cli.packages.targets import asked
 
     targets = asked(paths, every=every)
     _check_demos(demos, targets)
-    if changed_since is not None:
-        from xpl_cli.audit.engine.changed import select_changed
+    if changed_since is None:
+        return targets
+    from xpl_cli.audit.engine.changed import select_changed
 
-        targets = select_changed(changed_since, targets, is_run=is_run)
-    for line in (line for target in targets for line in waivers.notes(Source(target.path))):
-        console.note(line)
-    return targets
+    return select_changed(changed_since, targets, is_run=is_run)
 
 
 def _remember(targets: list[Target], reports: list[TargetReport], context: Context) -> None:
@@ -256,16 +242,15 @@ def explain(
     names: list[str] = typer.Argument(..., metavar="RULE...", help="Codes or slugs of rules, such as XPL101 XPL203."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Explain rules: what each checks, why, and what to do instead; of retired ones, what proves the same."""
-    from xpl_cli.audit.rules.retired import Retired
+    """Explain rules: what each checks, why, and what to do instead."""
     from xpl_cli.basics import console
+    from xpl_cli.standard import spec
 
     found = list({rule.code: rule for rule in map(_ruled, names)}.values())
-    proven = {rule.code: requirement for rule in found if (requirement := _requirement(rule)) is not None}
+    proven = {rule.code: spec.requirement(rule.requirement) for rule in found if rule.requirement}
     if as_json:
         told = [_explained(rule, proven.get(rule.code)) for rule in found]
-        following = list(dict.fromkeys(f"xpl spec show {requirement.id}" for requirement in proven.values()))
-        following += [f"xpl explain {code}" for rule in found if isinstance(rule, Retired) for code in rule.proven_by]
+        following = list(dict.fromkeys(f"xpl spec show {rule.requirement}" for rule in found if rule.requirement))
         if len(told) == 1:
             console.answer("xpl.explain/1", told[0], following)
         else:
@@ -274,9 +259,6 @@ def explain(
     from rich.markdown import Markdown
 
     for rule in found:
-        if isinstance(rule, Retired):
-            console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n*retired*\n\n{rule.documentation}"))
-            continue
         requirement = proven.get(rule.code)
         proves = "*demonstrations, `xpl data validate`*"
         if requirement is not None:
@@ -284,35 +266,23 @@ def explain(
         console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n{proves}\n\n{rule.documentation}"))
 
 
-def _ruled(name: str) -> Rule | type[Check] | Retired:
-    """Return a rule of packages, a check of demonstrations or a retired rule, by its code or slug."""
+def _ruled(name: str) -> Rule | type[Check]:
+    """Return a rule of packages, or a check of demonstrations, by its code or slug."""
     from xpl_cli.audit.demonstrations.catalogue import named
-    from xpl_cli.audit.rules import retired
     from xpl_cli.audit.rules.registry import find
 
-    return named(name) or retired.lookup(name) or find(name)
+    return named(name) or find(name)
 
 
-def _requirement(rule: Rule | type[Check] | Retired) -> Requirement | None:
-    """Return what a rule proves; None for a check of demonstrations, and for a retired rule."""
-    from xpl_cli.audit.rules.retired import Retired
-    from xpl_cli.standard import spec
-
-    return None if isinstance(rule, Retired) or not rule.requirement else spec.requirement(rule.requirement)
-
-
-def _explained(rule: Rule | type[Check] | Retired, requirement: Requirement | None) -> dict[str, Any]:
-    from xpl_cli.audit.rules.retired import Retired
-
+def _explained(rule: Rule | type[Check], requirement: Requirement | None) -> dict[str, Any]:
     return {
         "code": rule.code,
         "slug": rule.slug,
-        "retired": isinstance(rule, Retired),
-        "gate": None if isinstance(rule, Retired) else rule.gate.value,
+        "gate": rule.gate.value,
         "requirement": None
         if requirement is None
         else {"id": requirement.id, "level": requirement.level, "text": requirement.text},
-        "severity": None if isinstance(rule, Retired) else rule.severity,
+        "severity": rule.severity,
         "documentation": rule.documentation,
     }
 

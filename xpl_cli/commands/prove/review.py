@@ -32,7 +32,6 @@ def review(
         help="What makes it red: new findings (the default) or all; fail (the default) or warn. May be repeated.",
     ),
     shadow: bool = typer.Option(False, "--shadow", help="Do not try the model, which runs where it can be had."),
-    stub_missing: bool = typer.Option(False, "--stub-missing", help="As for xpl audit."),
     output: list[str] = typer.Option(
         [],
         "--output",
@@ -91,7 +90,6 @@ def review(
             names=tuple(selected),
             ignore=tuple(ignored),
             profile=Profile.SHADOW if shadow else None,
-            stub_missing=stub_missing,
             memory_limit=memory_limit,
             isolate=isolate,
             clock=clock,
@@ -106,7 +104,6 @@ def review(
                 *(part for name in ignored for part in ("--ignore", name)),
                 *(() if mildest is Outcome.FAIL else ("--fail-on", mildest.value)),
                 *(("--shadow",) if shadow else ()),
-                *(("--stub-missing",) if stub_missing else ()),
                 *(("--isolate",) if isolate else ()),
             ),
         )

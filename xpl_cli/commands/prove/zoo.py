@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 _GATES = ("static", "offline")
-_READ = ("embodiments", "action_types")
+_READ = ("embodiments", "action_types", "temporal.chunk")
 """Keys of the manifest that a proof writes down."""
 _DEFAULT = "list"
 _JSON = typer.Option(False, "--json", help="Print a JSON object.")
@@ -79,8 +79,6 @@ def prove(
         ..., metavar="CHECKOUT", help="Folder with its adapter: of XPolicyLab, or its own."
     ),
     gate: list[str] = typer.Option([], "--gate", help="Only this gate; may be repeated. static, offline."),
-    shadow: bool = typer.Option(False, "--shadow", help="With stand-ins, also where the model could be loaded."),
-    stub_missing: bool = typer.Option(False, "--stub-missing", help="Stub modules that are not installed."),
     run: Path | None = typer.Option(None, metavar="RUN", help="A recorded run of its weights, for the last level."),
     isolate: bool = typer.Option(False, "--isolate", help="Keep it from the network and from writing."),
     time_limit: str = typer.Option("10m", metavar="TIME", help=TIME_HELP),
@@ -88,11 +86,12 @@ def prove(
     as_json: bool = _JSON,
 ) -> None:
     """Audit the adapter of a policy in a checkout, and write down how far it runs (in a checkout of xpl only)."""
-    from xpl_cli.adopt import files
+    from xpl_cli.adopt import infer
     from xpl_cli.audit.rules.clock import Clock
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.rules.profiles import Profile
+    from xpl_cli.audit.static.source import Source
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError, one_of
     from xpl_cli.basics.progress import progress
@@ -110,16 +109,14 @@ def prove(
         options = Options(
             gates=tuple(Gate(each) for each in _GATES if not gate or each in gate),
             keep_going=True,
-            profile=Profile.SHADOW if shadow else None,
-            stub_missing=stub_missing,
+            profile=Profile.FULL,
             memory_limit="80%",
             isolate=isolate,
             clock=Clock.parse(time_limit),
             progress=say,
         )
-        said = dict(_said(files.stated(adapter.path)))
+        said = dict(_said(infer.draft(Source(adapter.path), {}).facts))
         arguments = [word for each in gate for word in ("--gate", each)]
-        arguments += [flag for flag, is_on in (("--shadow", shadow), ("--stub-missing", stub_missing)) if is_on]
         found = proving.proof(adapter, options, said, [*arguments, *(["--run", "RUN"] if run else [])], run)
     path = None if dry_run else proving.write(found)
     if as_json:
@@ -134,12 +131,8 @@ def prove(
         console.note(f"{path}: written; `xpl spec compile` renews the page")
 
 
-def _said(sections: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _said(facts: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield what the adapter's files say of some keys of a manifest, with where they say it."""
-    from xpl_cli.adopt.checkpoints.told import findings
-    from xpl_cli.adopt.facts import Fact
-
     for key in _READ:
-        for entry in findings(sections.get(key), key):
-            if isinstance(entry, Fact):
-                yield key, {"value": entry.value, "source": entry.comment[:400]}
+        if key in facts:
+            yield key, {"value": facts[key].value, "source": facts[key].comment[:400]}

@@ -15,9 +15,7 @@ POLICY_ENV = typer.Option(
 )
 
 MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
-ALSO_HELP = (
-    "Also serve clients of another wire, such as openpi: NAME, or NAME:PORT; without PORT the system chooses one."
-)
+ALSO_HELP = "Also serve clients of this wire: openpi, or openpi:PORT; without PORT the system chooses one."
 ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
 APART_HELP = "Run the adapter where it sees and signals no process but its own; --isolate does so, too."
 
@@ -55,9 +53,6 @@ def serve(
     shadow: bool = typer.Option(
         False, "--shadow", help="Do not load the model: a function of its inputs answers, for trying all the rest."
     ),
-    stub_missing: bool = typer.Option(
-        False, "--stub-missing", help="Stub third-party modules that are not installed, for trying what needs none."
-    ),
     until_stdin_ends: bool = typer.Option(
         False, "--until-stdin-ends", help="End when standard input ends, for whoever starts servers."
     ),
@@ -79,7 +74,6 @@ def serve(
     from xpl_cli.isolation.sandbox import MemoryLimit
     from xpl_cli.packages import package
     from xpl_cli.serving.run import Options, run_server
-    from xpl_cli.serving.stand_in import StandIn
 
     overrides = package.parse_overrides(settings)
     if host is not None:
@@ -101,7 +95,7 @@ def serve(
         metrics=metrics,
         trace=trace,
         until_stdin_ends=until_stdin_ends,
-        stand_in=StandIn(shadow=shadow, stub_missing=stub_missing),
+        shadow=shadow,
         working_directory=chdir,
         memory_limit=MemoryLimit.parse(memory_limit),
         isolate=isolate,

@@ -13,7 +13,6 @@ from xpl.process.link import LinkError
 from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.serving.logbook import log
 from xpl_cli.serving.session import RequestError
-from xpl_cli.serving.stand_in import StandIn
 from xpl_cli.serving.workers.line import Line
 from xpl_cli.serving.workers.worker import WorkerDiedError
 
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from xpl_cli.serving.workers.line import Job
     from xpl_cli.serving.workers.worker import Answered, WorkerProcess
 
-_REAL = StandIn()
 _REPORT_S = 10.0
 """A request that takes longer is reported while it runs, and again whenever it has taken twice as long."""
 
@@ -83,7 +81,6 @@ class Worker:
         self.line = Line()
         self.failed = False
         self.shares_memory = True
-        self.stubbed: tuple[str, ...] = ()
         self._timeout = timeout
         self._stacks_after = max(0.0, 0.5 * (timeout or 0.0), (timeout or 0.0) - STACKS_S)
         self._desk = desk
@@ -101,15 +98,15 @@ class Worker:
         process.died.add_done_callback(lambda died: self.fail(died.result()))
 
     async def load(
-        self, policy_dir: Path, config: Mapping[str, Any], manifest: Mapping[str, Any], stand_in: StandIn = _REAL
+        self, policy_dir: Path, config: Mapping[str, Any], manifest: Mapping[str, Any], *, shadow: bool = False
     ) -> None:
-        """Load the adapter.
+        """Load the adapter; with `shadow` not its model (`xpl.worker.shadow`).
 
         Raises:
             LoadError: with one sentence that says why it could not be loaded.
         """
         request = {"policy_dir": str(policy_dir), "config": dict(config), "manifest": dict(manifest)}
-        self._loading = {"op": "load", **request, **stand_in.message}
+        self._loading = {"op": "load", **request, **({"shadow": True} if shadow else {})}
         self._busy, self._started = True, time.monotonic()
         try:
             answer = await self.process.ask(**self._loading)
@@ -121,7 +118,6 @@ class Worker:
             told = f"the model could not be loaded: {raised['type']}: {raised['message']}"
             raise LoadError(told, raised.get("lacks"))
         self._busy = False
-        self.stubbed = tuple(answer["ok"].get("stubbed", ()))
         serving = manifest.get("serving") or {}
         self.line = Line(shared=bool(answer["ok"]["shared"]), most=serving.get("max_batch"))
 

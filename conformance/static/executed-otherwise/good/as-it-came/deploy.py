@@ -1,0 +1,18 @@
+def eval_one_episode(TASK_ENV, model_client):
+    model_client.call(func_name="reset")
+    while not TASK_ENV.is_episode_end():
+        obs = TASK_ENV.get_obs()
+        model_client.call(func_name="update_obs", obs=obs)
+        actions = model_client.call(func_name="get_action")
+        last = len(actions) - 1
+        for place, action in enumerate(list(actions)):
+            TASK_ENV.take_action(action)
+            if place == last:
+                break
+            if TASK_ENV.is_episode_end():
+                break
+            model_client.call(func_name="update_obs", obs=TASK_ENV.get_obs())
+
+
+def eval_one_episode_batch(TASK_ENV, model_client):
+    raise NotImplementedError

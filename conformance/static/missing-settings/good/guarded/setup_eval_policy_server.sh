@@ -1,0 +1,1 @@
+exec xpl serve "$(dirname "$0")" --set from_script=1 "$@"

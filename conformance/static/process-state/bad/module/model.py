@@ -1,0 +1,34 @@
+import numpy as np
+
+
+PREVIOUS = {}
+STEP = 0
+
+
+class Model:
+    def __init__(self, config):
+        self.action_type = config["action_type"]
+        self.policy = build(config["ckpt_name"])
+        self.latest = {}
+
+    def update_obs(self, obs):
+        self.update_obs_batch([obs])
+
+    def update_obs_batch(self, obs_list):
+        self.latest = {obs.get("env_idx", place): obs for place, obs in enumerate(obs_list)}
+
+    def get_action(self):
+        return self.get_action_batch()[0]
+
+    def get_action_batch(self, env_idx_list=None):
+        wanted = list(self.latest) if env_idx_list is None else env_idx_list
+        return [self.act(self.latest[env]) for env in wanted]
+
+    def reset(self):
+        self.latest = {}
+
+    def act(self, obs):
+        global STEP
+        STEP += 1
+        PREVIOUS[obs["env_idx"]] = obs["state"]
+        return self.policy(obs)[STEP:]

@@ -1,0 +1,1 @@
+"""Marked by others."""

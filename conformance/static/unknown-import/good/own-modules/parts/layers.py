@@ -1,0 +1,5 @@
+from dataclasses import dataclass as Plain
+
+
+class Layer:
+    pass

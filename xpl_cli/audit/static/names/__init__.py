@@ -1,0 +1,1 @@
+"""Names that modules offer and import, read from their syntax trees."""
