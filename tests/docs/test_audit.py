@@ -97,7 +97,7 @@ def test_the_claim_of_the_page_is_one(workspace: Path) -> None:
     with (folder / "policy.yml").open("a") as manifest:
         manifest.write(example)
     assert validate(yaml.safe_load((folder / "policy.yml").read_text()), "policy") == []
-    with Probe.start(folder, Options(gates=(Gate.MUJOCO,)), Gate.MUJOCO) as probe:
+    with Probe.start(folder, Options(gates=(Gate.MUJOCO,))) as probe:
         (claim,) = claims(Simulation(probe))
     assert (claim.course, claim.success_rate) == (Course("lift_cube", "arx_x5", "joint", "randomized"), 0.85)
 
