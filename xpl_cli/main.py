@@ -166,7 +166,7 @@ def main(arguments: list[str]) -> int:
     except Exception as error:
         if os.environ.get("XPL_DEBUG"):
             raise
-        return _told(failures.of_system(error) if isinstance(error, OSError) else failures.of_fault(error), arguments)
+        return _told(failures.of_other(error), arguments)
     return ended if isinstance(ended, int) else ExitCode.CLEAN
 
 

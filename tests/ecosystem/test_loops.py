@@ -25,7 +25,6 @@ CHUNK = 4
 FUNCTIONS = tuple(spec.data("package")["loop"]["functions"])
 OURS = ROOT / "policy" / "demo_policy" / "deploy.py"
 THEIRS = spec.newest_path(room("templates") / "loop", spec.CURRENT, "deploy.py")
-OLD = ROOT / "conformance" / "static" / "end-unasked" / "bad" / "list-only" / "deploy.py"
 PUBLIC = checkout()
 
 
@@ -77,10 +76,17 @@ def test_the_sdks_own_loop_ends_there_too(run: Any) -> None:
         assert env.steps == LIMIT
 
 
-def test_the_loop_that_was_scaffolded_before_does_not_end_there() -> None:
-    """The stand-in shows the mistake that was mended."""
+def test_a_loop_that_asks_the_list_alone_does_not_end_there() -> None:
+    """The list of running environments stays whole in the debug client; only `is_episode_end` tells the end."""
     with pytest.raises(NeverEndsError):
-        load_module(OLD).eval_one_episode_batch(DebugEnv(), Still())
+        _run_by_the_list(DebugEnv(), Still())
+
+
+def _run_by_the_list(env: DebugEnv, policy: Still) -> None:
+    while running := env.get_running_env_idx_list():
+        policy.call("update_obs_batch", env.get_obs_batch(running))
+        for step in zip(*policy.call("get_action_batch", running), strict=True):
+            env.take_action_batch(list(step), running)
 
 
 @pytest.mark.slow

@@ -208,15 +208,6 @@ def test_an_episode_does_not_depend_on_the_one_before() -> None:
     assert env.results() == fresh.results()
 
 
-def test_seeds_count_on_when_none_are_given() -> None:
-    """The first reset uses the configured seed, later ones those that follow."""
-    env = _env(num_envs=2, seed=10)
-    env.reset()
-    assert [result["seed"] for result in env.results()] == [10, 11]
-    env.reset()
-    assert [result["seed"] for result in env.results()] == [12, 13]
-
-
 def test_rendering_does_not_disturb_the_physics() -> None:
     """With and without cameras the states are the same."""
     digests = []
@@ -247,21 +238,6 @@ def test_commanding_the_current_pose_stays(embodiment: str, action_type: str) ->
         key = f"{prefix}ee_pose"
         assert np.abs(end["state"][key] - start["state"][key]).max() < 1e-3
     assert env.results()[0]["score"] == 0.0
-
-
-def test_gripper_closes_at_zero_and_opens_at_one() -> None:
-    """The observed opening follows the command; fingertips meet when closed and are a stroke apart when open."""
-    env = _env()
-    env.reset([0])
-    physics = env.episodes[0].physics
-    for command in (0.0, 1.0, 0.5):
-        for _ in range(15):
-            env.take_action({**_hold(env.get_obs()), "left_ee_joint_state": [command]})
-        assert np.isclose(env.get_obs()["state"]["left_ee_joint_state"][0], command, atol=0.02)
-        left, right = (physics.body_pose(f"left_finger_{side}")[:3] for side in ("left", "right"))
-        thickness = 2 * physics.model.geom_size[physics.model.body("left_finger_left").geomadr[0]][1]
-        gap = np.sqrt(np.sum((left - right) ** 2)) - thickness
-        assert np.isclose(gap, command * get_embodiment("arx_x5").arms[0].stroke, atol=2e-3)
 
 
 def test_clamps_are_counted_and_reported() -> None:
@@ -345,23 +321,6 @@ def test_a_state_beyond_all_measure_is_none() -> None:
     assert not physics.is_finite()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"left_arm_joint_state": np.zeros(7)}, r"shape \(6,\)"),
-        ({"left_ee_pose": np.zeros(7)}, "left_ee_pose"),
-        ({"left_arm_joint_state": None}, "6 numbers|shape"),
-    ],
-)
-def test_a_malformed_action_is_an_error(change: dict[str, Any], message: str) -> None:
-    """Wrong dimensions and mixed control are refused, and nothing moves."""
-    env = _env()
-    env.reset([0])
-    with pytest.raises(ActionError, match=message):
-        env.take_action({**_hold(env.get_obs()), **change})
-    assert env.results()[0]["steps"] == 0
-
-
 # -- several environments ----------------------------------------------------------------------------------------------
 
 
@@ -399,16 +358,6 @@ def test_batch_equals_single() -> None:
     assert batch.results()[1]["digest"] == single.results()[0]["digest"]
 
 
-def test_last_frame_returns_the_observation_again() -> None:
-    """Nothing is rendered a second time."""
-    env = _env()
-    env.reset([0])
-    first = env.get_obs_batch()
-    assert env.get_obs_batch(last_frame=True)[0] is first[0]
-    env.take_action(_hold(first[0]))
-    assert env.get_obs_batch()[0] is not first[0]
-
-
 @pytest.mark.parametrize(
     ("config", "message"),
     [
@@ -427,21 +376,7 @@ def test_a_wrong_configuration_is_refused(config: Any, message: str) -> None:
         _env(**config)
 
 
-# -- tasks -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
-def test_the_expert_solves_each_task(task: str, action_type: str) -> None:
-    """Through the standard's interface, in both action types, with nothing clamped; the result tells the stages."""
-    env = _env(task=task, action_type=action_type, privileged=True)
-    for seed in (0, 1, 2):
-        result = _solve(env, seed, action_type)
-        assert result["success"], result
-        assert result["score"] == 1.0
-        assert all(result["stages"].values())
-        assert result["corrections"] == {}
+# -- experts and robots ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -452,39 +387,6 @@ def test_the_expert_solves_seeds_that_are_not_frozen(task: str, embodiment: str,
     env = _env(task=task, embodiment=embodiment, action_type=action_type, privileged=True)
     failed = [seed for seed in range(10) if not _solve(env, seed, action_type, embodiment)["success"]]
     assert failed == []
-
-
-@pytest.mark.slow
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("task", TASKS)
-def test_doing_nothing_or_anything_solves_nothing(task: str) -> None:
-    """Holding the pose and random joints fail every seed; holding earns no score at all."""
-    for seed in range(3):
-        env = _env(task=task)
-        env.reset([seed])
-        action = _hold(env.get_obs())
-        while not env.is_episode_end():
-            env.take_action(action)
-        assert env.results()[0]["score"] == 0.0
-        rng = np.random.default_rng(seed)
-        env.reset([seed])
-        while not env.is_episode_end():
-            env.take_action(_random_action(rng))
-        assert not env.results()[0]["success"]
-
-
-def test_success_must_hold() -> None:
-    """The goal is met for ten steps before the episode counts as solved."""
-    env = _env(privileged=True)
-    policy = Expert({"env_cfg_type": "arx_x5", "action_type": "joint"})
-    env.reset([0])
-    lifted_at = None
-    while not env.is_episode_end():
-        policy.update_obs(env.get_obs())
-        report = env.take_action(policy.get_action()[0])
-        if lifted_at is None and env.results()[0]["stages"]["lifted"]:
-            lifted_at = report["step"]
-    assert report["step"] - lifted_at >= FACTS["success"]["hold_steps"] - 1
 
 
 def test_the_expert_says_what_it_lacks() -> None:
@@ -552,12 +454,6 @@ def test_torques_are_bounded(embodiment: str) -> None:
         env.take_action(action)
         for name, bound in bounds.items():
             assert abs(physics.data.actuator(name).force[0]) <= bound + 1e-9
-
-
-def test_every_stage_has_a_weight_and_they_add_up() -> None:
-    """The manifest's weights of each task sum to one."""
-    for facts in FACTS["tasks"].values():
-        assert sum(facts["stages"].values()) == pytest.approx(1.0)
 
 
 def test_an_episode_is_what_mj_step_alone_makes_of_it() -> None:

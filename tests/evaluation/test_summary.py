@@ -255,11 +255,3 @@ def test_the_course_of_a_run_is_told_apart(tmp_path: Path) -> None:
     told = summary_of(rewritten(folder, timed))["course"]["inference"]
     assert 0.002 < told["p50"] < 0.003
     assert 0.016 < told["p95"] < told["p99"] < 0.023
-
-
-def test_numbers_agree_with_their_nouns() -> None:
-    """One episode was, two were."""
-    assert wording.were(1, "episode") == "1 episode was"
-    assert wording.were(2, "episode", "of Foo") == "2 episodes of Foo were"
-    assert wording.interval(0.9, 0.95) == "90.0 to 95.0 %"
-    assert wording.points(-0.034, 0.12) == "-3 to +12"

@@ -1,4 +1,4 @@
-"""`xpl.client.openpi` and `--kind remote` in front of openpi's server, and what is told of servers of other makes."""
+"""`xpl.Client` and `--kind remote` in front of openpi's server, and what is told of servers of other makes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from tests.support.outside.openpi import METADATA, policy_server
 from tests.support.outside.stand_in import standing_in
 from tests.support.peer import DEADLINE_S
 from xpl import AsyncClient, Client, get_embodiment
-from xpl.client import ClientError, PolicyServerError, RequestTimeoutError, ServerConnectionError
-from xpl.client.openpi import OpenpiClient
+from xpl.client import ClientError, NoOperationError, PolicyServerError, RequestTimeoutError, ServerConnectionError
 from xpl.observation import ObservationError
 from xpl.policy import ConfigError, PolicyStateError
 from xpl_cli.scaffold import adapter as scaffold
@@ -78,14 +77,13 @@ def url(model: Model) -> Iterator[str]:
 
 
 @pytest.fixture
-def client(url: str) -> Iterator[OpenpiClient]:
+def client(url: str) -> Iterator[Client]:
     """Return a client of it."""
     with Client(url, config={**CONFIG, "server": url}) as client:
-        assert isinstance(client, OpenpiClient)
         yield client
 
 
-def test_observations_become_chunks(client: OpenpiClient, model: Model) -> None:
+def test_observations_become_chunks(client: Client, model: Model) -> None:
     """The metadata comes first; names are openpi's there and the standard's here."""
     assert client.metadata == METADATA
     client.update_obs(observation(0.25))
@@ -97,7 +95,7 @@ def test_observations_become_chunks(client: OpenpiClient, model: Model) -> None:
     assert len(set(model.served)) == 1
 
 
-def test_environments_and_episodes_have_connections_of_their_own(client: OpenpiClient, model: Model) -> None:
+def test_environments_and_episodes_have_connections_of_their_own(client: Client, model: Model) -> None:
     """There is no reset on this wire, and a server may keep state for each connection."""
     client.update_obs_batch([observation(0.1 * env, env) for env in (1, 2, 3)])
     assert [first_joint(chunk) for chunk in client.get_action_batch([3, 1])] == [0.3, 0.1]
@@ -117,7 +115,7 @@ def test_environments_and_episodes_have_connections_of_their_own(client: OpenpiC
         client.get_action_batch([1, 1])
 
 
-def test_an_error_is_quoted_and_the_next_question_is_answered(client: OpenpiClient, model: Model) -> None:
+def test_an_error_is_quoted_and_the_next_question_is_answered(client: Client, model: Model) -> None:
     """A server of openpi closes the connection after an error; nothing of an episode is lost by that."""
     client.update_obs(observation(1.0))
     with pytest.raises(PolicyServerError, match=r"^infer_failed: ValueError: the gripper is unhappy$") as raised:
@@ -128,6 +126,31 @@ def test_an_error_is_quoted_and_the_next_question_is_answered(client: OpenpiClie
     assert len(model.served) == 2
     with pytest.raises(ObservationError, match=r"lacks vision.cam_wrist"):
         _ask(client, {**observation(0.1), "vision": {"cam_head": {"color": np.zeros((4, 4, 3), np.uint8)}}})
+
+
+def test_who_awaits_speaks_it_too(url: str) -> None:
+    """The conversation is the same; only the connection suspends."""
+
+    async def ask() -> Any:
+        async with AsyncClient(f"openpi+{url}", config=CONFIG) as client:
+            await client.update_obs_batch([observation(0.1 * env, env) for env in (1, 2)])
+            chunks = await client.get_action_batch()
+            await client.reset()
+            with pytest.raises(PolicyServerError, match="the gripper is unhappy"):
+                await client.infer(observation(1.0))
+            return client.metadata, [first_joint(chunk) for chunk in chunks]
+
+    assert asyncio.run(ask()) == (METADATA, [0.1, 0.2])
+
+
+def test_operations_go_by_name_and_what_the_wire_lacks_is_told(client: Client) -> None:
+    """`call` of benchmarks works; hooks and methods of an adapter do not travel."""
+    client.call("update_obs", observation(0.25))
+    assert first_joint(client.call("get_action")) == 0.25
+    client.call("reset")
+    for name in ("trial_end", "heartbeat", "retry"):
+        with pytest.raises(NoOperationError, match=f"the wire openpi has no {name}"):
+            client.call(name)
 
 
 def _ask(client: Any, obs: dict[str, Any]) -> Any:
@@ -146,7 +169,7 @@ def test_after_a_cut_the_episode_has_to_begin_anew() -> None:
         return {"actions": np.stack([obs["observation/state"]])}
 
     with policy_server(infer) as url:
-        client = OpenpiClient(url, config=CONFIG)
+        client = Client(f"openpi+{url}", config=CONFIG)
         with pytest.raises(ServerConnectionError, match=r"the connection was cut.*reset and begin anew"):
             _ask(client, observation(0.1))
         with pytest.raises(ServerConnectionError, match="was lost, with its episode; reset"):
@@ -165,7 +188,7 @@ def test_a_late_answer_is_an_error() -> None:
         return {"actions": np.stack([obs["observation/state"]])}
 
     with policy_server(infer) as url:
-        client = OpenpiClient(url, config={**CONFIG, "request_timeout_s": 0.05})
+        client = Client(f"openpi+{url}", config={**CONFIG, "request_timeout_s": 0.05})
         with pytest.raises(RequestTimeoutError):
             _ask(client, observation(0.1))
         go_on.set()
@@ -206,7 +229,7 @@ def test_a_server_of_openpi_is_recognised_by_its_first_word(url: str) -> None:
 def test_what_is_neither_is_told_with_what_is_spoken(hello: bytes) -> None:
     """Whatever comes first."""
     with policy_server(lambda obs: obs, hello) as url:
-        for refused in (lambda: Client(url, config=ONCE), lambda: OpenpiClient(url, config=CONFIG)):
+        for refused in (lambda: Client(url, config=ONCE), lambda: Client(f"openpi+{url}", config=CONFIG)):
             with pytest.raises(
                 ClientError, match="GR00T's ZeroMQ, LeRobot's gRPC and JSON over HTTP are not spoken yet"
             ):
@@ -219,7 +242,7 @@ def test_text_first_is_how_a_server_refuses() -> None:
         policy_server(lambda obs: obs, "no checkpoint") as url,
         pytest.raises(ServerConnectionError, match="no checkp"),
     ):
-        OpenpiClient(url, config=CONFIG)
+        Client(f"openpi+{url}", config=CONFIG)
 
 
 def test_an_address_where_nothing_answers_is_told() -> None:
@@ -227,7 +250,7 @@ def test_an_address_where_nothing_answers_is_told() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         silent = f"ws://127.0.0.1:{listener.getsockname()[1]}"
         with pytest.raises(ServerConnectionError, match=r"no openpi server at .* after 1 attempts"):
-            OpenpiClient(silent, config={**CONFIG, "connect_timeout_s": 0.05})
+            Client(f"openpi+{silent}", config={**CONFIG, "connect_timeout_s": 0.05})
 
 
 def test_a_server_that_waits_for_hello_is_told_apart() -> None:
@@ -238,13 +261,13 @@ def test_a_server_that_waits_for_hello_is_told_apart() -> None:
             ServerConnectionError, match=r"said nothing in time .*one of xpl waits for hello \(`wire: xpl`\)"
         ),
     ):
-        OpenpiClient(address, config={**CONFIG, "handshake_timeout_s": 0.05, "max_connect_attempts": 9})
+        Client(f"openpi+{address}", config={**CONFIG, "handshake_timeout_s": 0.05, "max_connect_attempts": 9})
 
 
 def test_an_http_server_is_told_with_what_is_spoken() -> None:
     """The field has policies behind JSON over HTTP, too."""
     with _web() as url:
-        for refused in (lambda: Client(url, config=ONCE), lambda: OpenpiClient(url, config=CONFIG)):
+        for refused in (lambda: Client(url, config=ONCE), lambda: Client(f"openpi+{url}", config=CONFIG)):
             with pytest.raises(ServerConnectionError, match=r"HTTP 404.*JSON over HTTP are not spoken yet"):
                 refused()
 
@@ -274,7 +297,7 @@ def test_a_wire_that_is_not_spoken_is_refused(url: str) -> None:
     """With those that are, and those that are not yet."""
     with pytest.raises(ConfigError, match=r"one of xpl, openpi, got 'groot'.*not spoken yet"):
         Client(url, config={"wire": "groot", "server": url})
-    with pytest.raises(ConfigError, match=r"spoken by xpl.Client, and by no other client"):
-        AsyncClient(url, config={**CONFIG, "server": url})
+    with pytest.raises(ConfigError, match=r"server says 'openpi' and wire says 'xpl'"):
+        Client(f"openpi+{url}", config={"wire": "xpl", "server": f"openpi+{url}"})
     with pytest.raises(ConfigError, match=r"`openpi` in deploy.yml has to say"):
         Client(url, config={**CONFIG, "server": url, "openpi": None})

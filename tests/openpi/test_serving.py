@@ -14,8 +14,8 @@ from tests.support.outside.openpi import OpenpiPeer, pack, unpack
 from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
 from xpl import Client
 from xpl_cli.basics.errors import UserError
-from xpl_cli.serving import openpi as door
 from xpl_cli.serving.launch import RunningServer, serving
+from xpl_cli.serving.wires import entrances
 
 DROID = {"openpi": {"style": "droid"}}
 ALSO = ("--also", "openpi")
@@ -177,16 +177,36 @@ def test_what_openpi_cannot_be_told_is_refused_before_the_model_loads(subject: P
     assert "`openpi` in deploy.yml has to say what its names mean, for example {style: droid}" in done.stderr
 
 
-@pytest.mark.parametrize("also", [["groot"], ["openpi:door"], ["openpi:65536"], ["openpi", "openpi:1"], [""]])
-def test_other_wires_are_refused(also: list[str]) -> None:
+LIBERO = {"env_cfg_type": "franka_single", "action_type": "joint", "openpi": {"style": "libero"}}
+
+
+@pytest.mark.parametrize(
+    ("also", "told"),
+    [
+        (["groot"], "no wire 'groot' besides xpl's; there are: openpi"),
+        (["xpl"], "no wire 'xpl' besides xpl's"),
+        ([""], "no wire ''"),
+        (["openpi:door"], "NAME:PORT; got 'openpi:door'"),
+        (["openpi:65536"], "NAME:PORT"),
+        (["openpi", "openpi:1"], "given twice for openpi"),
+    ],
+)
+def test_other_wires_are_refused(also: list[str], told: str) -> None:
     """With what the option takes."""
-    with pytest.raises(UserError, match=r"--also takes openpi, or openpi:PORT; got|given twice"):
-        door.port(also)
-    assert [door.port(told) for told in ([], ["openpi"], ["openpi:8001"])] == [None, 0, 8001]
+    with pytest.raises(UserError, match=told):
+        entrances(also, LIBERO, {}, {})
+
+
+def test_an_entrance_has_the_port_that_was_asked_for() -> None:
+    """The system chooses one where none was."""
+    found = [
+        {name: one.port for name, one in entrances(also, LIBERO, {}, {}).items()}
+        for also in ([], ["openpi"], ["openpi:8001"])
+    ]
+    assert found == [{}, {"openpi": 0}, {"openpi": 8001}]
 
 
 def test_names_that_lead_nowhere_are_refused() -> None:
     """Before anybody is served, with the key of deploy.yml."""
-    config = {"env_cfg_type": "franka_single", "action_type": "joint"}
     with pytest.raises(UserError, match=r"--also openpi: .*images.cam_left_wrist must stand for"):
-        door.names({**config, "openpi": {"style": "aloha"}}, {})
+        entrances(["openpi"], {**LIBERO, "openpi": {"style": "aloha"}}, {}, {})

@@ -34,14 +34,21 @@ class AsyncClient(ClientBase):
     """
 
     def _transport(
-        self, url: str, timing: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+        self,
+        url: str,
+        timing: Mapping[str, Any],
+        token: str | None,
+        ssl_context: ssl.SSLContext | None,
+        scheme: str,
     ) -> Transport:
+        return _Suspending(url, timing, None if token is None else f"{scheme} {token}", ssl_context)
+
+    def _made(self) -> None:
         self._turn = asyncio.Lock()
-        return _Suspending(url, timing, token, ssl_context)
 
     async def connect(self) -> None:
         """Connect and exchange hellos."""
-        await self._run(self._exchange.connect())
+        await self._run(self._talk.connect())
 
     async def reset(self) -> None:
         """Start a new episode."""
@@ -89,11 +96,11 @@ class AsyncClient(ClientBase):
 
     async def settle(self) -> None:
         """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
-        await self._run(self._exchange.settle())
+        await self._run(self._talk.settle())
 
     async def close(self) -> None:
         """Say goodbye and close the connection; closing twice is fine."""
-        await self._run(self._exchange.close())
+        await self._run(self._talk.close())
 
     async def __aenter__(self) -> AsyncClient:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
         await self.connect()
@@ -114,22 +121,24 @@ class _Suspending:
     """A WebSocket connection whose methods suspend."""
 
     def __init__(
-        self, url: str, config: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+        self, url: str, config: Mapping[str, Any], authorization: str | None, ssl_context: ssl.SSLContext | None
     ) -> None:
         self._url = url
         self._config = config
-        self._token = token
+        self._authorization = authorization
         self._ssl = ssl_context
         self._socket: Any = None
 
     async def open(self, timeout: float | None) -> None:
         connect = _connect()
         try:
-            self._socket = await connect(self._url, **_options(connect, self._config, timeout, self._token, self._ssl))
+            self._socket = await connect(
+                self._url, **_options(connect, self._config, timeout, self._authorization, self._ssl)
+            )
         except Exception as error:  # noqa: BLE001 - mapped
             raise _connection_problem(error, self._url) from None
 
-    async def send(self, data: bytes, timeout: float | None) -> None:
+    async def send(self, data: bytes | str, timeout: float | None) -> None:
         try:
             await asyncio.wait_for(self._socket.send(data), timeout)
         except asyncio.TimeoutError:
@@ -141,15 +150,18 @@ class _Suspending:
         loop = asyncio.get_running_loop()
         deadline = None if timeout is None else loop.time() + timeout
         while True:
-            left = None if deadline is None else max(0.0, deadline - loop.time())
-            try:
-                message = await asyncio.wait_for(self._socket.recv(), left)
-            except asyncio.TimeoutError:
-                raise TimeoutError from None
-            except Exception as error:  # noqa: BLE001 - mapped
-                raise _lost_connection(error) from None
-            if isinstance(message, bytes):  # the wire is binary only
+            message = await self.receive_any(None if deadline is None else max(0.0, deadline - loop.time()))
+            if isinstance(message, bytes):  # xpl's wire is binary only
                 return message
+
+    async def receive_any(self, timeout: float | None) -> bytes | str:
+        try:
+            message: bytes | str = await asyncio.wait_for(self._socket.recv(), timeout)
+        except asyncio.TimeoutError:
+            raise TimeoutError from None
+        except Exception as error:  # noqa: BLE001 - mapped
+            raise _lost_connection(error) from None
+        return message
 
     async def close(self) -> None:
         opened, self._socket = self._socket, None
@@ -176,7 +188,7 @@ def _options(
     connect: Any,
     config: Mapping[str, Any],
     timeout: float | None,
-    token: str | None,
+    authorization: str | None,
     ssl_context: ssl.SSLContext | None,
 ) -> dict[str, Any]:
     """Return the options for `connect` of any version of websockets from 12 on."""
@@ -193,9 +205,9 @@ def _options(
         options["proxy"] = None  # straight to the server, whatever proxy the environment names
     if ssl_context is not None:
         options["ssl"] = ssl_context
-    if token is not None:
+    if authorization is not None:
         name = "additional_headers" if "additional_headers" in known else "extra_headers"
-        options[name] = {"Authorization": f"Bearer {token}"}
+        options[name] = {"Authorization": authorization}
     return options
 
 

@@ -7,18 +7,18 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import _spec as spec
-from xpl.client import makes
-from xpl.client.conversation import Conversation
-from xpl.client.exchange import Exchange
+from xpl.client import wires
 from xpl.client.labels import UNSAID, Labels, Unsaid, timing
-from xpl.client.transport import Transport, Wishes
+from xpl.client.transport import Setup, Transport, Wishes
 
 if TYPE_CHECKING:
     import ssl
 
+    from xpl.client.conversation import Conversation
+
 
 class ClientBase:
-    """A client of xpl's wire before it is connected; `xpl.client.Client` documents the arguments."""
+    """A client before it is connected; `xpl.client.Client` documents the arguments."""
 
     def __init__(  # noqa: PLR0913 - keywords only
         self,
@@ -75,12 +75,15 @@ class ClientBase:
             },
         )
         settings = {**spec.DEPLOY_DEFAULTS, **(config or {}), **limits}
-        makes.check(url, settings)
+        name, wire, address = wires.of(url, settings)
         self._labels = Labels(evaluation_id or uuid.uuid4().hex, trial_id, action_case_id, repeat_index)
-        transport = self._transport(url, settings, token, ssl_context)
-        self._exchange = Exchange(transport, url, settings, wishes, self._labels)
-        self._talk = Conversation(self._exchange, self._labels)
         self._made()
+
+        def transport() -> Transport:
+            return self._transport(address, settings, token, ssl_context, wire.scheme)
+
+        self._talk: Conversation = _conversation(wire, Setup(name, address, settings, self._labels, wishes, transport))
+        self._begin()
 
     def _share(self, client: Any) -> None:
         """Use the connection of another client, with its names; closing either one closes it.
@@ -95,13 +98,22 @@ class ClientBase:
             )
         vars(self).update(vars(client))
 
+    def _made(self) -> None:
+        """Make what calls take turns with."""
+        raise NotImplementedError
+
     def _transport(
-        self, url: str, timing: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+        self,
+        url: str,
+        timing: Mapping[str, Any],
+        token: str | None,
+        ssl_context: ssl.SSLContext | None,
+        scheme: str,
     ) -> Transport:
         """Return what carries the messages, not yet open."""
         raise NotImplementedError
 
-    def _made(self) -> None:
+    def _begin(self) -> None:
         """Do what a new client does at once."""
 
     @property
@@ -138,15 +150,30 @@ class ClientBase:
 
     @property
     def server_instance_id(self) -> str | None:
-        """What the server calls itself; None for one of the first generation."""
-        return self._exchange.server_instance_id
+        """What the server calls itself; None for one of the first generation, or of another wire."""
+        return self._talk.server_instance_id
 
     @property
     def capabilities(self) -> Mapping[str, Any]:
         """What the server announced that it can do."""
-        return self._exchange.capabilities
+        return self._talk.capabilities
 
     @property
     def policy(self) -> Mapping[str, Any]:
         """What the policy needs, where the server said so."""
-        return self._exchange.policy
+        return self._talk.policy
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """What a server of another wire said of itself first."""
+        return self._talk.metadata
+
+
+def _conversation(wire: wires.Wire, setup: Setup) -> Conversation:
+    if wire.conversation is not None:
+        return wire.conversation(setup)
+    if wire.codec is None:
+        raise TypeError(f"the wire {setup.wire} has neither a conversation nor a codec")
+    from xpl.client.request_reply import RequestReply
+
+    return RequestReply(setup, wire.codec(setup.config))

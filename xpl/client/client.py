@@ -6,10 +6,9 @@
         chunk = policy.get_action()
 
 `call(func_name=..., obs=...)` is the same in the style that benchmarks use: this client takes the place of the
-ecosystem's WsModelClient, with all of its arguments. Against a server of the first generation,
-which knows no `call`, observations are held back and sent with `infer`, and a batch is one infer per environment. A
-thread of its own looks after an idle connection, so that a simulator that blocks misses no ping. `xpl.client.aio` is
-for asyncio.
+ecosystem's WsModelClient, with all of its arguments. What is spoken is the business of a conversation, which the wire
+of the address makes (`xpl.client.wires`). A thread of its own looks after an idle connection, so that a simulator that
+blocks misses no ping. `xpl.client.aio` is for asyncio.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import threading
 from collections.abc import Coroutine, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from xpl.client import makes
 from xpl.client.base import ClientBase
 from xpl.client.connection import BlockingTransport
 from xpl.client.errors import (
@@ -57,13 +55,13 @@ class Client(ClientBase):
     """A connection to a policy server. Its methods may be called from several threads; they take turns.
 
     Args:
-        url: `ws://host:port`, or `wss://`.
+        url: `ws://host:port`, or `wss://`; `openpi+ws://host:port` where the server speaks another wire than xpl's.
         evaluation_id: name of the evaluation; made up if not given.
         trial_id, action_case_id: names of the trial and of its case, where the benchmark has them.
         repeat_index: how often the case was tried before, where the benchmark counts.
         config: the timing keys of deploy.yml; the spec's defaults otherwise. null in a limit means none, and 0 means
-            no cap on attempts and on the time to connect. Where `server` is this address and `wire` is openpi, a client
-            of openpi's servers is returned (`xpl.client.openpi`), whose operations are the same.
+            no cap on attempts and on the time to connect. Where `server` is this address, `wire` says what is spoken
+            there; a wire may need more of it, as openpi's needs `openpi`.
         token: bearer token, where the server asks for one.
         ssl_context: for `wss://`, where the system's certificates are not enough.
         environment: what the environment offers: `embodiment`, `action_type`, `control_frequency` (Hz), `inputs`. A
@@ -84,26 +82,21 @@ class Client(ClientBase):
         PolicyServerError: if the server refused the hello for good.
     """
 
-    if not TYPE_CHECKING:  # the arguments are those of the base class
-
-        def __new__(cls, url: str, **options: Any) -> Any:
-            """Return a client of the wire that the configuration asks for."""
-            config = options.get("config") or {}
-            if makes.wire_of(url, config) != makes.OPENPI:
-                return super().__new__(cls)
-            from xpl.client.openpi import OpenpiClient
-
-            known = {name: options[name] for name in ("token", "ssl_context") if name in options}
-            return OpenpiClient(url, config=config, **known)
+    def _made(self) -> None:
+        self._turn = threading.Lock()
 
     def _transport(
-        self, url: str, timing: Mapping[str, Any], token: str | None, ssl_context: ssl.SSLContext | None
+        self,
+        url: str,
+        timing: Mapping[str, Any],
+        token: str | None,
+        ssl_context: ssl.SSLContext | None,
+        scheme: str,
     ) -> Transport:
-        self._turn = threading.Lock()
-        return BlockingTransport(url, timing, token, ssl_context, self._turn)
+        return BlockingTransport(url, timing, token, ssl_context, self._turn, scheme)
 
-    def _made(self) -> None:
-        self._run(self._exchange.connect())
+    def _begin(self) -> None:
+        self._run(self._talk.connect())
 
     def reset(self) -> None:
         """Start a new episode."""
@@ -162,11 +155,11 @@ class Client(ClientBase):
 
     def settle(self) -> None:
         """Wait until every update that was sent ahead is answered, and raise what went wrong with one."""
-        self._run(self._exchange.settle())
+        self._run(self._talk.settle())
 
     def close(self) -> None:
         """Say goodbye and close the connection; closing twice is fine."""
-        self._run(self._exchange.close())
+        self._run(self._talk.close())
 
     def __enter__(self) -> Client:  # noqa: PYI034 - Self is not in the typing module of Python 3.9
         return self

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from xpl import _spec as spec
-from xpl.client import makes
+from xpl.client import wires
 from xpl.client.errors import ServerConnectionError, ServerFailedError
 
 _CHUNK = 1 << 18
@@ -33,10 +33,10 @@ class BlockingTransport:
     Args:
         url: `ws://host:port`, or `wss://`.
         config: the timing keys of deploy.yml.
-        token: bearer token, or None.
+        token: what authorizes this client, or None.
         ssl_context: for `wss://`; the system's certificates otherwise.
         turn: held by whoever uses the connection.
-        scheme: how the token is announced.
+        scheme: how the token is announced in the header `Authorization`.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 - what a connection needs
@@ -46,7 +46,7 @@ class BlockingTransport:
         token: str | None,
         ssl_context: ssl.SSLContext | None,
         turn: threading.Lock,
-        scheme: str = "Bearer",
+        scheme: str,
     ) -> None:
         self._url = url
         self._authorization = None if token is None else f"{scheme} {token}"
@@ -105,8 +105,8 @@ class BlockingTransport:
         # A daemon: it must not keep the interpreter alive for a script that forgets to close.
         threading.Thread(target=_look_after, args=(weakref.ref(self), self._socket), daemon=True).start()
 
-    async def send(self, data: bytes, timeout: float | None) -> None:
-        """Send a binary message within `timeout` seconds."""
+    async def send(self, data: bytes | str, timeout: float | None) -> None:
+        """Send a message, binary or text, within `timeout` seconds."""
         from websockets.exceptions import WebSocketException
 
         connected = self._connected()
@@ -114,7 +114,10 @@ class BlockingTransport:
         if self._ended:  # while nobody asked anything
             self._end()
         try:
-            self._protocol.send_binary(data)
+            if isinstance(data, str):
+                self._protocol.send_text(data.encode())
+            else:
+                self._protocol.send_binary(data)
         except WebSocketException:  # the server closed right after the handshake, or broke the protocol
             self._end()
         self._flush()
@@ -254,7 +257,7 @@ def refused_handshake(error: Exception, url: str) -> Exception:
     if status == _REFUSED:
         told = bytes(getattr(response, "body", None) or b"").decode(errors="replace").strip()
         return ServerConnectionError(f"the policy server at {url} refuses this client (HTTP {status}): {told:.300}")
-    return ConnectionError(f"{error}; {makes.SPOKEN}")  # something answers there, but no policy server of ours
+    return ConnectionError(f"{error}; {wires.spoken()}")  # something answers there, but no policy server of ours
 
 
 def _left(deadline: float | None) -> float | None:

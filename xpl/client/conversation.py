@@ -1,4 +1,4 @@
-"""What an environment says to a policy server: the operations of the contract, for servers of any generation."""
+"""The client's side of a wire: the operations of the contract, and what wires do that know fewer of them."""
 
 from __future__ import annotations
 
@@ -6,114 +6,103 @@ from collections.abc import Coroutine, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Callable, ClassVar
 
 from xpl import _spec as spec
-from xpl.client.errors import ClientError, NoOperationError
-from xpl.observation import env_indices
+from xpl.client.errors import NoOperationError
 
 if TYPE_CHECKING:
-    from xpl.client.exchange import Exchange
-    from xpl.client.labels import Labels
-
-_ACTING = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
+    from xpl.client.transport import Setup
 
 
 class Conversation:
-    """The operations of the contract over an exchange of requests.
+    """What clients hold. Written with `async`, and never suspended over a transport that blocks (`xpl.Client`).
 
     Args:
-        exchange: the connection.
-        labels: what the trial is called.
+        setup: the address, the configuration, and how a connection is made.
+
+    Attributes:
+        server_instance_id: what the server calls itself, None where it does not.
+        capabilities: what it announced that it can do.
+        policy: what its policy needs, where it said so (`xpl.client.agreement`).
+        metadata: what else it said of itself.
     """
 
-    def __init__(self, exchange: Exchange, labels: Labels) -> None:
-        self._exchange = exchange
-        self._labels = labels
-        self._held: list[Mapping[str, Any]] = []
+    server_instance_id: str | None = None
+    capabilities: Mapping[str, Any] = {}
+    policy: Mapping[str, Any] = {}
+    metadata: Mapping[str, Any] = {}
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._labels = setup.labels
+
+    async def connect(self) -> None:
+        """Connect, trying again while nobody listens."""
+        raise NotImplementedError
+
+    async def close(self) -> None:
+        """Close all connections; closing twice is fine."""
+        raise NotImplementedError
 
     # -- the operations of the contract --------------------------------------------------------------------------------
 
     async def reset(self, meta: Mapping[str, Any] | None = None) -> Any:
         """Start a new episode; what is told besides reaches the server, and no adapter."""
-        self._held = []
-        self._exchange.begin_episode()
-        payload = {spec.Payload.TRIAL_ID: self._labels.trial_id, **(meta or {})}
-        return (await self._exchange.request(spec.Message.RESET, payload)).get(spec.Payload.RESULT)
+        raise NotImplementedError
 
     async def update_obs(self, obs: Mapping[str, Any]) -> None:
         """Show the policy the newest observation of one environment."""
-        self._held = [obs]
-        if not self._exchange.is_first_generation:
-            await self._update(spec.Method.UPDATE_OBS, obs)
+        raise NotImplementedError
 
     async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
         """Show the policy the newest observation of several environments."""
-        self._held = list(obs_list)
-        if not self._exchange.is_first_generation:
-            await self._update(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
+        raise NotImplementedError
 
     async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
         """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
-        if obs is not None:
-            return await self.infer(obs)
-        if self._exchange.is_first_generation:
-            if len(self._held) != 1:
-                raise ClientError("get_action needs exactly one observation since the last reset")
-            return await self.infer(self._held[0])
-        return await self._call(spec.Method.GET_ACTION)
+        raise NotImplementedError
 
     async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
         """Return one action chunk per environment of the list; None means the last batch."""
-        if not self._exchange.is_first_generation:
-            return await self._call(spec.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
-        held = dict(zip(env_indices(self._held), self._held))
-        wanted = list(held) if env_idx_list is None else list(env_idx_list)
-        missing = [index for index in wanted if index not in held]
-        if missing or len(set(wanted)) != len(wanted):
-            raise ClientError(f"expected environments out of {list(held)}, each once; got {wanted}")
-        # Each infer stands alone there, so an index that followed from the position in the batch has to be written.
-        return [await self.infer({**held[index], spec.Obs.ENV_IDX: index}) for index in wanted]
+        raise NotImplementedError
 
     async def infer(self, obs: Mapping[str, Any]) -> Any:
         """Return the action chunk for one observation: update_obs and get_action as one unit."""
-        answer = await self._exchange.request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
-        if spec.Payload.ACTIONS not in answer:
-            raise ClientError(
-                f"the server's answer to infer has no {spec.Payload.ACTIONS!r}; it has {', '.join(answer)}"
-            )
-        self._exchange.step += 1
-        return answer[spec.Payload.ACTIONS]
+        return await self.get_action(obs)
 
     # -- the other requests --------------------------------------------------------------------------------------------
 
     async def prepare_case(self, action_case_id: str, meta: Mapping[str, Any]) -> Any:
         """Announce a case to the adapter's hook; what follows is about this case."""
-        self._labels.action_case_id = action_case_id
-        payload = {spec.Payload.ACTION_CASE_ID: action_case_id, **meta}
-        return (await self._exchange.request(spec.Message.PREPARE_CASE, payload)).get(spec.Payload.RESULT)
+        del action_case_id, meta
+        raise self._without(spec.Message.PREPARE_CASE)
 
     async def trial_end(self, result: Mapping[str, Any] | None) -> Any:
         """Tell the adapter's hook how the trial ended."""
-        payload = {spec.Payload.TRIAL_ID: self._labels.trial_id, **(result or {})}
-        return (await self._exchange.request(spec.Message.TRIAL_END, payload)).get(spec.Payload.RESULT)
+        del result
+        raise self._without(spec.Message.TRIAL_END)
 
     async def health(self) -> dict[str, Any]:
         """Return the server's state; answered while the model loads or thinks, too."""
-        return await self._exchange.request(spec.Message.HEARTBEAT, {})
+        raise self._without(spec.Message.HEARTBEAT)
+
+    async def settle(self) -> None:
+        """Wait until every update that was sent ahead is answered."""
+
+    async def call_method(self, name: str, obs: Any = None) -> Any:
+        """Call a method that the adapter declares besides the contract."""
+        del obs
+        raise self._without(name)
 
     async def call(self, func_name: str | None, obs: Any = None) -> Any:
         """Call an operation by name, as benchmarks do; further names are methods the adapter declares.
 
         Raises:
-            NoOperationError: the name is none of an operation that anybody may call.
+            NoOperationError: the name is none of an operation that anybody may call, or that this wire knows.
             ValueError, TypeError: prepare_case without a case, or something else than a map for what takes one.
         """
         if not isinstance(func_name, str) or not func_name or func_name.startswith("_"):
             raise NoOperationError(f"call takes the name of an operation of the policy, got {func_name!r:.80}")
         operation = self._operations.get(func_name)
-        if operation is not None:
-            return await operation(self, obs)
-        if self._exchange.is_first_generation:
-            raise ClientError(f"this server offers no {func_name!r}: it is of the first generation, without `call`")
-        return await self._call(func_name, obs)
+        return await (self.call_method(func_name, obs) if operation is None else operation(self, obs))
 
     async def _prepare(self, obs: Any) -> Any:
         about = dict(_map(spec.Message.PREPARE_CASE, obs))
@@ -134,19 +123,8 @@ class Conversation:
         spec.Message.HEARTBEAT: lambda self, _: self.health(),
     }
 
-    async def _update(self, name: str, obs: Any) -> None:
-        if self._exchange.goes_ahead:
-            await self._exchange.send_ahead({spec.Payload.FUNC_NAME: name, spec.Payload.OBS: obs})
-        else:
-            await self._call(name, obs)
-
-    async def _call(self, name: str, obs: Any = None) -> Any:
-        payload = {spec.Payload.FUNC_NAME: name}
-        if obs is not None:
-            payload[spec.Payload.OBS] = obs
-        result = (await self._exchange.request(spec.Message.CALL, payload)).get(spec.Payload.RESULT)
-        self._exchange.step += name in _ACTING
-        return result
+    def _without(self, name: str) -> NoOperationError:
+        return NoOperationError(f"the wire {self._setup.wire} has no {name}")
 
 
 def _map(operation: str, obs: Any) -> Mapping[str, Any]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl.client import agreement, makes
+from xpl.client import agreement, wires
 from xpl.client.encoding import Encoder
 from xpl.client.errors import (
     ClientError,
@@ -327,7 +327,7 @@ class Exchange:
             while True:
                 data = await self._transport.receive(_left(deadline))
                 is_hello = frame.message_type == spec.Message.HELLO
-                answer = makes.greeting(data, self._address) if is_hello else codec.decode(data)
+                answer = wires.greeting(data, self._address) if is_hello else codec.decode(data)
                 if answer.message_id == frame.message_id:
                     return self._read(answer, frame)
                 self._take(answer)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Coroutine, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Callable, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Callable, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from xpl.client.labels import Labels
 
 _Value = TypeVar("_Value")
 
@@ -15,11 +18,14 @@ class Transport(Protocol):
     async def open(self, timeout: float | None) -> None:
         """Connect within `timeout` seconds."""
 
-    async def send(self, data: bytes, timeout: float | None) -> None:
-        """Send a binary message within `timeout` seconds."""
+    async def send(self, data: bytes | str, timeout: float | None) -> None:
+        """Send a message, binary or text, within `timeout` seconds."""
 
     async def receive(self, timeout: float | None) -> bytes:
-        """Return the next binary message."""
+        """Return the next binary message; text is dropped."""
+
+    async def receive_any(self, timeout: float | None) -> bytes | str:
+        """Return the next message, binary or text."""
 
     async def close(self) -> None:
         """Close the connection, if there is one."""
@@ -47,6 +53,27 @@ class Wishes:
     jpeg: Mapping[str, int] = field(default_factory=dict)
     environment: Mapping[str, Any] | None = None
     on_loading: Callable[[Mapping[str, Any]], None] | None = None
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a wire makes the client's side of a conversation of.
+
+    Attributes:
+        wire: the wire's name.
+        address: `ws://host:port`, or `wss://`.
+        config: values of deploy.yml, with the defaults of the timing keys.
+        labels: what the evaluation calls itself.
+        wishes: see there.
+        transport: returns a connection to the address that is not yet open; blocking or suspending, as the client is.
+    """
+
+    wire: str
+    address: str
+    config: Mapping[str, Any]
+    labels: Labels
+    wishes: Wishes
+    transport: Callable[[], Transport]
 
 
 def run(talk: Coroutine[Any, Any, _Value]) -> _Value:

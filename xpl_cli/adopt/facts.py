@@ -1,20 +1,17 @@
-"""What is known of an adapter, where it was read, and how sure that is; and what is left to its author."""
+"""What is known of an adapter or a checkpoint, where it was read and how sure that is, and what is unknown."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+from typing import Any
 
 
 class Confidence(StrEnum):
     """How sure a fact is: what the author has to look at again."""
 
     CERTAIN = "certain"
-    """A file or the code says exactly this."""
+    """A file says exactly this."""
     LIKELY = "likely"
     """It is named where this is usually told."""
     ASSUMED = "assumed"
@@ -48,15 +45,13 @@ class Fact:
         key: with dots between the levels.
         value: what the manifest says.
         confidence: how sure it is.
-        evidence: where it was read; for a list that `is_itemised`, one place for each entry.
-        is_itemised: whether each entry of the list has a source of its own.
+        evidence: where it was read.
     """
 
     key: str
     value: Any
     confidence: Confidence
     evidence: tuple[Evidence, ...]
-    is_itemised: bool = False
 
     @property
     def comment(self) -> str:
@@ -80,48 +75,18 @@ class Question:
     Attributes:
         key: key of the manifest.
         meaning: what it says.
-        options: values that would do; empty where it is a number or a text.
         seen: places that may help the author.
-        stand_in: what the manifest holds until it is answered.
     """
 
     key: str
     meaning: str
-    options: tuple[str, ...] = ()
     seen: tuple[Evidence, ...] = ()
-    stand_in: Any = None
 
     @property
     def text(self) -> str:
         """The question in one line."""
-        options = f" ({', '.join(self.options)})" if self.options else ""
-        seen = f"; seen: {', '.join(map(str, self.seen))}" if self.seen else ""
-        return f"{self.meaning}{options}{seen}"
+        return f"{self.meaning}; seen: {', '.join(map(str, self.seen))}" if self.seen else self.meaning
 
     def as_json(self) -> dict[str, Any]:
         """Return the question for programs."""
-        return {
-            "key": self.key,
-            "meaning": self.meaning,
-            "options": list(self.options),
-            "seen": [asdict(entry) for entry in self.seen],
-        }
-
-
-Finding = Fact | Question
-
-
-def certain(key: str, value: Any, *evidence: Evidence) -> Fact:
-    """Return a fact that the files say exactly."""
-    return Fact(key, value, Confidence.CERTAIN, evidence)
-
-
-def likely(key: str, value: Any, *evidence: Evidence) -> Fact:
-    """Return a fact that its author should look at again."""
-    return Fact(key, value, Confidence.LIKELY, evidence)
-
-
-def weakest(facts: Iterable[Confidence]) -> Confidence:
-    """Return the confidence of something that rests on several."""
-    ranked = list(Confidence)
-    return max(facts, key=ranked.index, default=Confidence.LIKELY)
+        return {"key": self.key, "meaning": self.meaning, "seen": [asdict(entry) for entry in self.seen]}

@@ -1,7 +1,6 @@
-"""What the zoo knows of an adapter's policy: facts that answer what the adapter's own files leave open.
+"""What the zoo knows of an adapter's policy: it answers what neither the adapter's files nor a checkpoint say.
 
-An adapter is a policy's if it is called like it, and wraps no other code. One that only wraps the same code may be of
-another policy, as many stand on one library: of it only what is said of that code counts.
+An adapter is a policy's if it is called like it, and wraps no other code.
 """
 
 from __future__ import annotations
@@ -9,12 +8,12 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.adopt.facts import Evidence, Fact, likely
+from xpl_cli.adopt.facts import Confidence, Evidence, Fact
 from xpl_cli.standard import spec
 from xpl_cli.standard.zoo import policies
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from xpl_cli.standard.zoo.policies import Policy
 
@@ -50,40 +49,15 @@ def facts(policy: Policy) -> Iterator[Fact]:
         yield _fact(policy, "temporal.chunk", known["chunk"].value, "chunk")  # else an adapter may answer either
 
 
-def completed(fact: Fact, known: Fact) -> Fact:
-    """Return a map that was read with what the zoo adds to it, if both say the same as far as both speak."""
-    read: Mapping[str, Any] = fact.value
-    added = {key: value for key, value in known.value.items() if read.get(key) is None and value is not None}
-    if not added or any(read.get(key) not in (None, value) for key, value in known.value.items()):
-        return fact
-    return Fact(fact.key, {**read, **added}, fact.confidence, (*fact.evidence, *known.evidence))
-
-
-def licensed(upstream: Fact) -> Fact:
-    """Return the fact about the code that an adapter wraps with its licence, if policies of the zoo agree on that."""
-    told: Mapping[str, Any] = upstream.value
-    same = [one for one in policies.policies() if _place(one.facts["code"].value) == _place(told["repository"])]
-    licences = {one.facts["license"].value for one in same}
-    if told.get("license") or len(licences) != 1 or None in licences:
-        return upstream
-    value = {**told, "license": licences.pop()}
-    return Fact(upstream.key, value, upstream.confidence, (*upstream.evidence, _evidence(same[0], "license")))
-
-
 def _fact(policy: Policy, key: str, value: Any, *sources: str) -> Fact:
-    return likely(key, value, *(_evidence(policy, source) for source in sources))
-
-
-def _evidence(policy: Policy, name: str) -> Evidence:
-    return Evidence("", None, f"xpl zoo show {policy.name} ({name}: {policy.facts[name].source})")
+    where = (f"xpl zoo show {policy.name} ({name}: {policy.facts[name].source})" for name in sources)
+    return Fact(key, value, Confidence.LIKELY, tuple(Evidence("", None, place) for place in where))
 
 
 def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _place(repository: str | None) -> str | None:
+def _place(repository: str) -> str:
     """Return where a repository is, however its address is written."""
-    if repository is None:
-        return None
     return repository.lower().removesuffix("/").removesuffix(".git").partition("://")[2]

@@ -4,26 +4,31 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
-from xpl_cli.adopt import field, infer, manifest
-from xpl_cli.adopt.checkpoints import known
-from xpl_cli.adopt.checkpoints.told import findings
-from xpl_cli.adopt.facts import Fact, Question
-from xpl_cli.audit.static.source import Source
+from xpl_cli.adopt import field, files
+from xpl_cli.adopt.checkpoints import known, writing
+from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, findings, leaves, likely, plain
+from xpl_cli.adopt.facts import Evidence, Fact, Question
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError
 from xpl_cli.packages import manifests, package
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from xpl_cli.adopt.checkpoints.block import Choices
 
-_MANIFEST = sdk.File.POLICY_YML
+_MANIFEST: Final = sdk.File.POLICY_YML
+_SCHEMA: Final = "policy"
+_VERSION: Final = "spec"
+_HEAD: Final = """\
+# Written by `xpl adopt`: what the adapter's files state, each value with its place. What they do not state is
+# `{unknown: what it is}`; fill it in. All keys: `xpl spec show policy`.
+"""
 
 
 @dataclass(frozen=True)
@@ -32,27 +37,28 @@ class Adoption:
 
     Attributes:
         folder: the adapter's.
-        draft: what was read.
+        sections: what becomes part of its manifest, by top-level key, with sources.
         files: new contents by name; only policy.yml may be there already, and then grows.
         state: what becomes of the manifest.
+        notes: what kept a checkpoint from being read.
     """
 
     folder: Path
-    draft: infer.Draft
-    files: dict[str, bytes]
+    sections: Mapping[str, Tree]
+    files: Mapping[str, bytes]
     state: str
+    notes: Sequence[str] = ()
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many facts there are of each confidence, and how many open questions."""
+        """How many facts there are of each confidence, and how many are unknown."""
         found = Counter(str(entry.confidence) for entry in self.entries if isinstance(entry, Fact))
-        return {**found, "open": sum(not isinstance(entry, Fact) for entry in self.entries)}
+        return {**found, "unknown": sum(not isinstance(entry, Fact) for entry in self.entries)}
 
     @property
     def entries(self) -> list[Fact | Question]:
-        """All facts and open questions, those of the native block last."""
-        native = findings(self.draft.native, known.NATIVE) if self.draft.native is not None else ()
-        return [*self.draft.facts.values(), *self.draft.questions.values(), *native]
+        """All facts, and all that is unknown."""
+        return [entry for key, tree in self.sections.items() for entry in findings(tree, key)]
 
     def write(self) -> None:
         """Put the files there, each in one step.
@@ -93,8 +99,8 @@ def adoption(
 
     Args:
         path: its folder.
-        given: values of the user's own, by dotted key of the manifest.
-        trained: a checkpoint that answers what the code leaves open, and fills the native block.
+        given: values of the user's own, by dotted key of the manifest; they outrank what is read.
+        trained: a checkpoint that says what the files do not, and fills the native block.
         merge: add to a manifest that is there.
         scripts: also make the scripts that are missing.
 
@@ -109,86 +115,153 @@ def adoption(
             f"{path / _MANIFEST} is there already, and is not replaced",
             hint="--merge appends the keys that it lacks; `xpl update` brings it to the newest version",
         )
-    draft = infer.draft(Source(folder), given)
-    if trained is not None:
-        draft = _answered(draft, trained)
-    draft = _of_the_field(draft, folder.name)
-    files: dict[str, bytes] = {}
+    sections, notes = _sections(folder, given, trained)
+    contents: dict[str, bytes] = {}
+    state = "written"
     if existing is None:
-        content = manifest.text(draft)
-        manifest.check(content, draft)
-        files[_MANIFEST] = content.encode()
-        state = "written"
+        content = (_HEAD + _yaml(sections)).encode()
+        _check(content)
+        contents[_MANIFEST] = content
     else:
-        values = manifests.read(folder / _MANIFEST, package.POLICY)
-        added, names = manifest.addition(draft, values)
-        draft = _only(draft, names)
-        if added:
-            files[_MANIFEST] = existing.rstrip(b"\n") + b"\n" + added.encode()
-        state = "completed" if added else "unchanged"
+        manifests.read(folder / _MANIFEST, package.POLICY)  # raises where something in it is wrong
+        there = spec.parse_yaml(existing)
+        sections = {key: tree for key, tree in sections.items() if key not in there}
+        if sections:
+            added = f"# Added by `xpl adopt`:\n{_yaml(sections)}"
+            contents[_MANIFEST] = existing.rstrip(b"\n") + b"\n" + added.encode()
+        state = "completed" if sections else "unchanged"
     if scripts:
-        files |= _scripts(folder, draft)
-    return Adoption(folder, draft, files, state)
+        contents |= _scripts(folder, sections)
+    return Adoption(folder, sections, contents, state, notes)
 
 
-def _answered(draft: infer.Draft, trained: Trained) -> infer.Draft:
-    """Return a draft whose open questions are answered by a checkpoint, with its native block.
+def _sections(
+    folder: Path, given: Mapping[str, Any], trained: Trained | None
+) -> tuple[dict[str, Tree], tuple[str, ...]]:
+    """Return the manifest by top-level key, what nobody knows of it as such, and what a checkpoint could not tell."""
+    sections: dict[str, Tree] = {}
+    for key, value in given.items():
+        _check_key(key)
+        _put(sections, key, certain(value, Evidence("", None, "given with --set")))
+    _complete(sections, files.stated(folder))
+    notes: tuple[str, ...] = ()
+    if trained is not None:
+        found = _checkpoint(sections, trained)
+        _complete(sections, {key: tree for key, tree in found.sections().items() if any(leaves(tree, key))})
+        notes = tuple(found.trained.notes)
+    policy = field.called(folder.name)
+    for fact in field.facts(policy) if policy is not None else ():
+        _put(sections, fact.key, likely(fact.value, *fact.evidence))
+    for key, meaning in _required():
+        _put(sections, key, Open(meaning))
+    sections[_VERSION] = spec.CURRENT if known.NATIVE not in sections else known.VERSION
+    schema = spec.schema(_SCHEMA)["properties"]
+    return {key: _ordered(sections[key], schema[key]) for key in schema if key in sections}, notes
 
-    What the code says outranks the checkpoint: an adapter may hand on fewer steps than a model answers.
-    """
-    robots = draft.facts.get("embodiments")
-    kinds = draft.facts.get("action_types")
-    found = known.read(
+
+def _checkpoint(sections: Mapping[str, Tree], trained: Trained) -> known.Known:
+    """Read the checkpoint, as that of the robot and the kind of control that are known by now."""
+    robots, kinds = plain(sections.get("embodiments")), plain(sections.get("action_types"))
+    return known.read(
         trained.paths,
-        str(robots.value[0]) if robots is not None and robots.value else None,
-        str(kinds.value[0]) if kinds is not None and len(kinds.value) == 1 else None,
+        str(robots[0]) if robots else None,
+        str(kinds[0]) if kinds and len(kinds) == 1 else None,
         trained.choices,
     )
-    sections = found.sections()
-    native = sections.pop(known.NATIVE)
-    told = {
-        entry.key: entry
-        for key, value in sections.items()
-        for entry in findings(value, key)
-        if isinstance(entry, Fact) and entry.key in draft.questions
-    }
-    questions = {key: question for key, question in draft.questions.items() if key not in told}
-    notes = (*draft.notes, *found.trained.notes)
-    return infer.Draft({**draft.facts, **told}, questions, notes, native)
 
 
-def _of_the_field(draft: infer.Draft, name: str) -> infer.Draft:
-    """Return a draft whose open questions are answered by what the zoo knows of the policy, if it is there."""
-    known, questions = dict(draft.facts), dict(draft.questions)
-    code = known.get("upstream")
-    policy = field.called(name, code.value["repository"] if code is not None and code.value else None)
-    for fact in field.facts(policy) if policy is not None else ():
-        if questions.pop(fact.key, None) is not None:
-            known[fact.key] = fact
-        elif fact.key in known and isinstance(known[fact.key].value, dict):
-            known[fact.key] = field.completed(known[fact.key], fact)
-    if code is not None and code.value:
-        known["upstream"] = field.licensed(known["upstream"])
-    return infer.Draft(known, questions, draft.notes, draft.native)
+def _complete(sections: dict[str, Tree], found: Mapping[str, Tree]) -> None:
+    """Add what is not there yet; of a map, entry by entry."""
+    for key, tree in found.items():
+        if isinstance(tree, dict):
+            for name, entry in tree.items():
+                _put(sections, f"{key}.{name}", entry)
+        else:
+            _put(sections, key, tree)
 
 
-def _only(draft: infer.Draft, names: list[str]) -> infer.Draft:
-    """Return the part of a draft that is about some keys."""
-    facts = {key: fact for key, fact in draft.facts.items() if key.partition(".")[0] in names}
-    questions = {key: question for key, question in draft.questions.items() if key.partition(".")[0] in names}
-    return infer.Draft(facts, questions, draft.notes, draft.native if known.NATIVE in names else None)
+def _put(sections: dict[str, Tree], key: str, tree: Tree) -> None:
+    """Put a value under a dotted key, unless that, or a part of it, has one."""
+    place = sections
+    *above, name = key.split(".")
+    for part in above:
+        place = place.setdefault(part, {})
+        if not isinstance(place, dict):
+            return
+    place.setdefault(name, tree)
 
 
-def _scripts(folder: Path, draft: infer.Draft) -> dict[str, bytes]:
+def _required() -> Iterator[tuple[str, str]]:
+    """Yield the keys that a manifest must have, with what they say."""
+    schema = spec.schema(_SCHEMA)
+    for name in schema["required"]:
+        entry = schema["properties"][name]
+        for inner in entry.get("required", ()):
+            yield f"{name}.{inner}", _meaning(inner, entry["properties"][inner])
+        if "required" not in entry and name != _VERSION:
+            yield name, _meaning(name, entry)
+
+
+def _meaning(name: str, entry: Mapping[str, Any]) -> str:
+    options = entry.get("enum") or entry.get("items", {}).get("enum") or ()
+    return str(entry.get("description", name)) + (f" ({', '.join(map(str, options))})" if options else "")
+
+
+def _ordered(tree: Tree, schema: Mapping[str, Any]) -> Tree:
+    """Return a map with its keys in the order of its schema."""
+    order = list(schema.get("properties", {}))
+    if not isinstance(tree, dict) or not order:
+        return tree
+    return dict(sorted(tree.items(), key=lambda entry: order.index(entry[0]) if entry[0] in order else len(order)))
+
+
+def _yaml(sections: Mapping[str, Tree]) -> str:
+    return "".join(writing.section(key, tree) for key, tree in sections.items())
+
+
+def _check(content: bytes) -> None:
+    """Stop where a value does not fit: one that the user gave.
+
+    Raises:
+        UserError: with the first one.
+    """
+    from xpl_cli.standard.validate import validate_yaml
+
+    _, problems = validate_yaml(content, _MANIFEST, _SCHEMA, None)
+    for problem in problems:
+        if problem.missing is None:
+            place = ".".join(map(str, problem.path)) or "the manifest"
+            raise UserError(f"{place}: {problem.told}", hint=f"`xpl spec show {_SCHEMA}`")
+
+
+def _check_key(key: str) -> None:
+    from xpl_cli.standard.problems import nearest
+
+    schema: Any = spec.schema(_SCHEMA)
+    for part in key.split("."):
+        below = schema.get("properties", {})
+        if isinstance(schema.get("additionalProperties"), dict):
+            schema = schema["additionalProperties"]
+        elif part in below:
+            schema = below[part]
+        else:
+            near = nearest(part, below)
+            hint = f"did you mean {near}?" if near else f"`xpl spec show {_SCHEMA}` lists them"
+            raise UserError(f"--set {key}: the manifest has no key {part!r} there", hint=hint)
+        if "anyOf" in schema or "$ref" in schema:
+            return
+
+
+def _scripts(folder: Path, sections: Mapping[str, Tree]) -> dict[str, bytes]:
     """Return the scripts of the template that the adapter lacks."""
     from xpl_cli.scaffold import adapter
     from xpl_cli.scaffold.answers import Answers
 
     chosen = adapter.defaults()
     for key, answer in (("embodiments", "embodiment"), ("action_types", sdk.Deploy.ACTION_TYPE)):
-        if key in draft.facts:
-            chosen[answer] = draft.facts[key].value[0]
-    chosen["eval_only"] = "evaluation_only" not in draft.facts or bool(draft.facts["evaluation_only"].value)
+        if isinstance(told := sections.get(key), Told):
+            chosen[answer] = told.value[0]
+    chosen["eval_only"] = bool(plain(sections.get("evaluation_only", True)))
     rendered = adapter.render(Answers(name=folder.name, **chosen))
     wanted = spec.data("package")["scripts"].keys() | {sdk.File.INSTALL_SH}
     return {name: content for name, content in rendered.items() if name in wanted and not (folder / name).exists()}

@@ -6,6 +6,7 @@ import itertools
 import re
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl.registry import EntryPointError
 from xpl_cli.basics.errors import ExitCode, UserError, no_such
 
 if TYPE_CHECKING:
@@ -57,6 +58,14 @@ def of_usage(error: Any) -> UserError:
         known = [name for name, command in context.command.commands.items() if not command.hidden]
         return no_such(f"{path} has no command {given[1]!r}", given[1], known, listing=f"{path} --help")
     return UserError(f"{path}: {message[:1].lower()}{message[1:]}", hint=f"`{path} --help` tells what it takes")
+
+
+def of_other(error: Exception) -> UserError:
+    """Return what a command did not foresee as an error: of the system, of an installed package, or our own fault."""
+    if isinstance(error, EntryPointError):
+        hint = "the fault is the named package's: mend or uninstall it"
+        return UserError(str(error), hint=hint, code=ExitCode.NOT_RUN)
+    return of_system(error) if isinstance(error, OSError) else of_fault(error)
 
 
 def of_system(error: OSError) -> UserError:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.demonstrations.catalogue import CHECKS
 from xpl_cli.audit.rules.registry import Rule, rules
+from xpl_cli.audit.rules.retired import retired
 from xpl_cli.derived.reference import NOTE, prose, table
 from xpl_cli.standard import spec
 
@@ -36,6 +37,7 @@ What `xpl audit` checks. Severity comes from the requirement that a rule proves:
 SHOULD warns, and a dash stands where that version of the standard does not ask for it. `xpl explain CODE` prints an
 entry.
 """
+_RETIRED: Final = "Their codes and names are not used again. A waiver that names one may be deleted."
 
 
 def pages() -> dict[str, str]:
@@ -70,6 +72,15 @@ def _index(found: dict[str, list[Rule]]) -> str:
         for check in CHECKS
     ]
     lines += [f"## {title}", "", introduction, "", *table(("check", "severity", "holds if"), told), ""]
+    gone = [(f"{entry.code} {entry.slug}", entry.found, f"{entry.reason} {entry.instead}") for entry in retired()]
+    lines += [
+        "## Retired",
+        "",
+        _RETIRED,
+        "",
+        *table(("rule", "reported", "why it is gone, and what proves it"), gone),
+        "",
+    ]
     return "\n".join(lines)
 
 

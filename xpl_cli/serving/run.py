@@ -24,13 +24,13 @@ from xpl_cli.isolation import family
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.serving import openpi
 from xpl_cli.serving.connection import Timing
 from xpl_cli.serving.entry.names import LOOPBACK, Names
 from xpl_cli.serving.logbook import log
 from xpl_cli.serving.observe import Observer
 from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server import FrontEnd, Settings
+from xpl_cli.serving.wires import entrances
 from xpl_cli.serving.workers import patience
 from xpl_cli.serving.workers.pool import LoadError
 from xpl_cli.serving.workers.worker import WorkerProcess
@@ -76,7 +76,7 @@ class Options:
         proven: the way by which either is done, which whoever starts this has just tried.
         patience: how long it may be silent while it loads or answers, s; None for as long as it takes.
         renew: build the model anew for every client.
-        also: what is spoken besides, each at a port of its own: `openpi`, or `openpi:PORT`.
+        also: what is spoken besides, each at a port of its own: the name of a wire, or `NAME:PORT`.
     """
 
     python: str | None = None
@@ -117,7 +117,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     config = package.config(overrides)
     package.require_declared(config)
     settings = _settings(package, config, options)
-    entrances = openpi.entrances(options.also, config, package.manifest, settings.policy)
+    others = entrances(options.also, config, package.manifest, settings.policy)
     try:
         python = interpreter.resolve(package.path, package.manifest, python=options.python, env=options.env)
     except UserError as error:
@@ -126,7 +126,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     kept = Bounds(options.isolate, options.apart, options.proven).around(package.path)
     with _trace(options.trace) as trace, kept as isolation:
         observer = Observer(metrics=options.metrics, trace=trace) if options.metrics or trace else None
-        run = _Run(package, config, settings, options, python, observer, isolation, entrances)
+        run = _Run(package, config, settings, options, python, observer, isolation, others)
         reason = asyncio.run(_serve(run))
     if reason is not None:
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)

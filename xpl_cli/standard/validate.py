@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 import yaml
 
 from xpl_cli.basics.yaml import text
-from xpl_cli.standard import spec
+from xpl_cli.standard import spec, unknown
 from xpl_cli.standard.problems import Problem, described, explain
 
 if TYPE_CHECKING:
@@ -274,13 +274,22 @@ def validate_yaml(
     data, root = document.data, document.root
     if version is None:
         version = spec.declared(data if isinstance(data, dict) else {})
-    problems = validate(data, schema_name, version, bindings)
+    data, open_ = unknown.split(data) if schema_name == "policy" else (data, {})
+    problems = [_unknown(problem, open_) for problem in validate(data, schema_name, version, bindings)]
     found = [*_repeated_keys(root), *((problem, mark_of(root, problem.path)) for problem in problems)]
     placed = [
         replace(problem, file=file, line=mark.line + 1, column=mark.column + 1, page=page_of(schema_name, problem))
         for problem, mark in found
     ]
     return data, sorted(placed, key=lambda problem: (problem.line or 0, problem.column or 0))
+
+
+def _unknown(problem: Problem, gaps: Mapping[tuple[str | int, ...], str]) -> Problem:
+    """Return a problem, which says of a key that is missing why, where the document does."""
+    place = (*problem.path, problem.missing) if problem.missing is not None else ()
+    if place not in gaps:
+        return problem
+    return replace(problem, path=place, message=f"unknown: {gaps[place]}")
 
 
 def page_of(schema_name: str, problem: Problem | None = None) -> str:

@@ -1,4 +1,4 @@
-"""`xpl adopt --from`: what an adapter's code leaves open is answered by the checkpoint that it runs."""
+"""`xpl adopt --from`: what an adapter's files do not state is said by the checkpoint that it runs."""
 
 from __future__ import annotations
 
@@ -27,14 +27,16 @@ def adopted(folder: Path, *sources: Path, merge: bool = False, **given: Any) -> 
     return chosen, yaml.safe_load(chosen.files[sdk.File.POLICY_YML])
 
 
-def test_the_native_block_and_open_questions_come_from_the_checkpoint(adapter: Path, tmp_path: Path) -> None:
-    """What the code says stays: this adapter hands on fewer steps than the model answers."""
+def test_the_native_block_and_what_is_unknown_come_from_the_checkpoint(adapter: Path, tmp_path: Path) -> None:
+    """What the user says stays: an adapter may hand on fewer steps than the model answers."""
     checkpoint = trained.lerobot(tmp_path / "run", n_action_steps=100)
-    chosen, manifest = adopted(adapter, checkpoint, embodiments=["aloha_agilex"])
+    chosen, manifest = adopted(adapter, checkpoint, embodiments=["aloha_agilex"], **{"temporal.chunk": 16})
     assert manifest["spec"] == "v1.2"
     assert manifest["temporal"]["chunk"] == 16
+    assert manifest["temporal"]["kind"] == "chunk"
+    assert manifest["inputs"]["required"]
     assert manifest["native"]["state"][0]["input"] == "observation.state"
-    assert chosen.counts["open"] >= 8
+    assert chosen.counts["unknown"] >= 8
     assert any(entry.key == "native.state.0.parts.1.gripper.closed" for entry in chosen.entries)
 
 

@@ -111,7 +111,6 @@ def watched(adapter: Path, tmp_path: Path) -> dict[str, list[str]]:
     return found
 
 
-@pytest.mark.slow
 def test_the_interpreter_confirms_that_nothing_runs(adapter: Path, tmp_path: Path) -> None:
     """Audit hooks see every import, execution, process and connection of the whole command."""
     trace = tmp_path / "trace"

@@ -100,4 +100,4 @@ def findings(tree: Tree, key: str) -> Iterator[Fact | Question]:
         if isinstance(leaf, Told):
             yield Fact(name, leaf.value, leaf.confidence, leaf.evidence)
         else:
-            yield Question(name, leaf.reason, seen=leaf.seen, stand_in=leaf.value)
+            yield Question(name, leaf.reason, leaf.seen)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.audit.engine.checks import outcome_of
+from xpl_cli.audit.rules import retired
 from xpl_cli.audit.rules.model import NotRun, Waived
 from xpl_cli.audit.rules.registry import lookup
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.rules.model import Finding, Result
     from xpl_cli.audit.rules.registry import Entry
+    from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.audit.static.source import Source
 
 _KEY = "waivers"
@@ -41,6 +43,11 @@ class Waiver:
         """The rule, None if there is none of that name."""
         return lookup(self.rule)
 
+    @property
+    def retired(self) -> Retired | None:
+        """The retired rule of that name, None if there was none."""
+        return retired.lookup(self.rule)
+
     def covers(self, finding: Finding) -> bool:
         """Tell whether it accepts a finding of its rule."""
         return finding.message.startswith(self.message)
@@ -56,6 +63,15 @@ def read(source: Source) -> tuple[Waiver, ...]:
         return ()
     entries = source.manifest.get(_KEY)
     return tuple(_waivers(entries)) if isinstance(entries, list) else ()
+
+
+def notes(source: Source) -> tuple[str, ...]:
+    """Return what is to be said of waivers whose rule is retired: that they may be deleted, and what proves it now."""
+    return tuple(
+        f"{sdk.File.POLICY_YML} of {source.path.name}: waivers[{waiver.place}] may be deleted: {waiver.retired.text}"
+        for waiver in read(source)
+        if waiver.retired is not None
+    )
 
 
 def _waivers(entries: list[Any]) -> Iterable[Waiver]:

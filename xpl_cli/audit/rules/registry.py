@@ -9,11 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
+from xpl_cli.audit.rules import retired
 from xpl_cli.audit.rules.gates import DataGate, Gate
 from xpl_cli.audit.rules.model import Finding, Proof
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics import content
-from xpl_cli.basics.errors import no_such
+from xpl_cli.basics.errors import UserError, no_such
 from xpl_cli.standard import spec
 
 Check = Callable[..., Iterator[Finding | Proof]]
@@ -234,8 +235,11 @@ def find(name: str) -> Rule:
     """Return a rule by code or slug.
 
     Raises:
-        UserError: with the nearest names.
+        UserError: with the nearest names; for a retired rule, with the reason and what proves the same.
     """
+    gone = retired.lookup(name)
+    if gone is not None:
+        raise UserError(gone.text, hint=f"xpl explain {gone.code}")
     names = {key: entry for entry in entries() for key in (entry.code, entry.slug)}
     wanted = name.upper() if name.upper() in names else name.lower()
     if wanted in names:
@@ -252,9 +256,10 @@ def select(names: tuple[str, ...], ignore: tuple[str, ...], gates: tuple[Gate, .
         gates: the gates.
 
     Raises:
-        UserError: if a name stands for no rule.
+        UserError: if a name stands for no rule; one that is retired may still be left out.
     """
-    for name in (*names, *ignore):
+    left_out = [name for name in ignore if retired.lookup(name) is None]
+    for name in (*names, *left_out):
         if not any(_matches(entry, name) for entry in entries()):
             find(name)
     return tuple(

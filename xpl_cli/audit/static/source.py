@@ -22,7 +22,7 @@ from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.shell import Command, parse
 from xpl_cli.basics.yaml import text as yaml_text
 from xpl_cli.packages.package import ENV
-from xpl_cli.standard import spec
+from xpl_cli.standard import spec, unknown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -237,8 +237,9 @@ class Source:
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
-        """The map in policy.yml; empty for an adapter of the ecosystem, which has none."""
-        return self.manifest_of(sdk.File.POLICY_YML)
+        """The map in policy.yml without what is unknown; empty for an adapter of the ecosystem, which has none."""
+        known: dict[str, Any] = unknown.split(self.manifest_of(sdk.File.POLICY_YML))[0]
+        return known
 
     @cached_property
     def version(self) -> str:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.formats.listing import Context
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.audit.rules.registry import Rule
+    from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.packages.targets import Target
     from xpl_cli.standard.spec import Requirement
 
@@ -198,16 +199,24 @@ def _check_demos(demos: Path | None, targets: Sequence[Target]) -> None:
 def _targets(
     paths: Iterable[Path], changed_since: str | None, *, every: bool, is_run: bool, demos: Path | None
 ) -> list[Target]:
-    """Return the packages that are audited: all that were asked for, or those of them that changed since a commit."""
+    """Return the packages that are audited: all that were asked for, or those of them that changed since a commit.
+
+    Waivers of them that name a retired rule are told of in a note.
+    """
+    from xpl_cli.audit.engine import waivers
+    from xpl_cli.audit.static.source import Source
+    from xpl_cli.basics import console
     from xpl_cli.packages.targets import asked
 
     targets = asked(paths, every=every)
     _check_demos(demos, targets)
-    if changed_since is None:
-        return targets
-    from xpl_cli.audit.engine.changed import select_changed
+    if changed_since is not None:
+        from xpl_cli.audit.engine.changed import select_changed
 
-    return select_changed(changed_since, targets, is_run=is_run)
+        targets = select_changed(changed_since, targets, is_run=is_run)
+    for line in (line for target in targets for line in waivers.notes(Source(target.path))):
+        console.note(line)
+    return targets
 
 
 def _remember(targets: list[Target], reports: list[TargetReport], context: Context) -> None:
@@ -242,15 +251,16 @@ def explain(
     names: list[str] = typer.Argument(..., metavar="RULE...", help="Codes or slugs of rules, such as XPL101 XPL203."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Explain rules: what each checks, why, and what to do instead."""
+    """Explain rules: what each checks, why, and what to do instead; of retired ones, what proves the same."""
+    from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.basics import console
-    from xpl_cli.standard import spec
 
     found = list({rule.code: rule for rule in map(_ruled, names)}.values())
-    proven = {rule.code: spec.requirement(rule.requirement) for rule in found if rule.requirement}
+    proven = {rule.code: requirement for rule in found if (requirement := _requirement(rule)) is not None}
     if as_json:
         told = [_explained(rule, proven.get(rule.code)) for rule in found]
-        following = list(dict.fromkeys(f"xpl spec show {rule.requirement}" for rule in found if rule.requirement))
+        following = list(dict.fromkeys(f"xpl spec show {requirement.id}" for requirement in proven.values()))
+        following += [f"xpl explain {code}" for rule in found if isinstance(rule, Retired) for code in rule.proven_by]
         if len(told) == 1:
             console.answer("xpl.explain/1", told[0], following)
         else:
@@ -259,6 +269,9 @@ def explain(
     from rich.markdown import Markdown
 
     for rule in found:
+        if isinstance(rule, Retired):
+            console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n*retired*\n\n{rule.documentation}"))
+            continue
         requirement = proven.get(rule.code)
         proves = "*demonstrations, `xpl data validate`*"
         if requirement is not None:
@@ -266,23 +279,35 @@ def explain(
         console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n{proves}\n\n{rule.documentation}"))
 
 
-def _ruled(name: str) -> Rule | type[Check]:
-    """Return a rule of packages, or a check of demonstrations, by its code or slug."""
+def _ruled(name: str) -> Rule | type[Check] | Retired:
+    """Return a rule of packages, a check of demonstrations or a retired rule, by its code or slug."""
     from xpl_cli.audit.demonstrations.catalogue import named
+    from xpl_cli.audit.rules import retired
     from xpl_cli.audit.rules.registry import find
 
-    return named(name) or find(name)
+    return named(name) or retired.lookup(name) or find(name)
 
 
-def _explained(rule: Rule | type[Check], requirement: Requirement | None) -> dict[str, Any]:
+def _requirement(rule: Rule | type[Check] | Retired) -> Requirement | None:
+    """Return what a rule proves; None for a check of demonstrations, and for a retired rule."""
+    from xpl_cli.audit.rules.retired import Retired
+    from xpl_cli.standard import spec
+
+    return None if isinstance(rule, Retired) or not rule.requirement else spec.requirement(rule.requirement)
+
+
+def _explained(rule: Rule | type[Check] | Retired, requirement: Requirement | None) -> dict[str, Any]:
+    from xpl_cli.audit.rules.retired import Retired
+
     return {
         "code": rule.code,
         "slug": rule.slug,
-        "gate": rule.gate.value,
+        "retired": isinstance(rule, Retired),
+        "gate": None if isinstance(rule, Retired) else rule.gate.value,
         "requirement": None
         if requirement is None
         else {"id": requirement.id, "level": requirement.level, "text": requirement.text},
-        "severity": rule.severity,
+        "severity": None if isinstance(rule, Retired) else rule.severity,
         "documentation": rule.documentation,
     }
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 _GATES = ("static", "offline")
-_READ = ("embodiments", "action_types", "temporal.chunk")
+_READ = ("embodiments", "action_types")
 """Keys of the manifest that a proof writes down."""
 _DEFAULT = "list"
 _JSON = typer.Option(False, "--json", help="Print a JSON object.")
@@ -86,12 +86,11 @@ def prove(
     as_json: bool = _JSON,
 ) -> None:
     """Audit the adapter of a policy in a checkout, and write down how far it runs (in a checkout of xpl only)."""
-    from xpl_cli.adopt import infer
+    from xpl_cli.adopt import files
     from xpl_cli.audit.rules.clock import Clock
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.rules.profiles import Profile
-    from xpl_cli.audit.static.source import Source
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError, one_of
     from xpl_cli.basics.progress import progress
@@ -115,7 +114,7 @@ def prove(
             clock=Clock.parse(time_limit),
             progress=say,
         )
-        said = dict(_said(infer.draft(Source(adapter.path), {}).facts))
+        said = dict(_said(files.stated(adapter.path)))
         arguments = [word for each in gate for word in ("--gate", each)]
         found = proving.proof(adapter, options, said, [*arguments, *(["--run", "RUN"] if run else [])], run)
     path = None if dry_run else proving.write(found)
@@ -131,8 +130,12 @@ def prove(
         console.note(f"{path}: written; `xpl spec compile` renews the page")
 
 
-def _said(facts: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _said(sections: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield what the adapter's files say of some keys of a manifest, with where they say it."""
+    from xpl_cli.adopt.checkpoints.told import findings
+    from xpl_cli.adopt.facts import Fact
+
     for key in _READ:
-        if key in facts:
-            yield key, {"value": facts[key].value, "source": facts[key].comment[:400]}
+        for entry in findings(sections.get(key), key):
+            if isinstance(entry, Fact):
+                yield key, {"value": entry.value, "source": entry.comment[:400]}

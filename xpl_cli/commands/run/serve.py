@@ -15,7 +15,9 @@ POLICY_ENV = typer.Option(
 )
 
 MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
-ALSO_HELP = "Also serve clients of this wire: openpi, or openpi:PORT; without PORT the system chooses one."
+ALSO_HELP = (
+    "Also serve clients of another wire, such as openpi: NAME, or NAME:PORT; without PORT the system chooses one."
+)
 ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
 APART_HELP = "Run the adapter where it sees and signals no process but its own; --isolate does so, too."
 

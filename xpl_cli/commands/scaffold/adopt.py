@@ -34,7 +34,7 @@ def adopt(
     dry_run: bool = typer.Option(False, "--dry-run", help="Print what would be written, and write nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Write the manifest that an adapter lacks. It is read from code and documents; nothing else is changed."""
+    """Write the manifest that an adapter lacks: what its files state, the rest as unknown. Nothing else is changed."""
     from xpl_cli.adopt.facts import Fact, Question
     from xpl_cli.adopt.package import Trained, adoption
     from xpl_cli.basics import console
@@ -56,14 +56,14 @@ def adopt(
                 "state": chosen.state if not dry_run else "would be written",
                 "files": {name: content.decode() for name, content in chosen.files.items()},
                 "facts": [entry.as_json() for entry in chosen.entries if isinstance(entry, Fact)],
-                "open": [entry.as_json() for entry in chosen.entries if isinstance(entry, Question)],
-                "notes": list(chosen.draft.notes),
+                "unknown": [entry.as_json() for entry in chosen.entries if isinstance(entry, Question)],
+                "notes": list(chosen.notes),
                 "audit": summary,
                 "next": following,
             }
         )
         return
-    for note in chosen.draft.notes:
+    for note in chosen.notes:
         console.note(f"note: {note}")
     if dry_run:
         for name, content in chosen.files.items():
@@ -83,7 +83,7 @@ def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
     console.data(f"{path}: {chosen.state} ({', '.join(chosen.files) or 'nothing to write'}): {counts}")
     for entry in chosen.entries:
         if isinstance(entry, Question):
-            console.data(f"  open  {entry.key}: {entry.text}")
+            console.data(f"  unknown  {entry.key}: {entry.text}")
     console.data(f"static audit: {summary['statement']}, {summary['counts']}")
     for line in summary["findings"]:
         console.data(f"  {line}")

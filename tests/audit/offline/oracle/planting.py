@@ -13,14 +13,45 @@ from typing import Any
 
 import yaml
 
-from tests.audit.offline.oracle.learned import HERE, Mistake, listed
 from xpl import get_embodiment
 from xpl.convert import NativeError, compile_interface
 
+HERE = Path(__file__).parent
 ROOT = HERE.parents[3]
 LISTS = {"in": HERE / "mistakes.yml", "out": HERE / "planted.yml"}
 """Mistakes of whoever wrote the search, and of somebody who had not read it."""
 RIGHT = "right"
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A change of a right native block.
+
+    Attributes:
+        name: in a few words.
+        conventions: any of them names the cause right.
+        edits: by place in the block, keys joined by `/`, the new value; null takes it out.
+        replace: in a file of the package, what stands for what: `file`, `old`, `new`.
+    """
+
+    name: str
+    conventions: tuple[str, ...]
+    edits: dict[str, Any]
+    replace: dict[str, str] | None = None
+
+    def planted(self, block: dict[str, Any]) -> dict[str, Any]:
+        """Return the block with the mistake."""
+        result = json.loads(json.dumps(block))  # places that YAML's aliases share are places of their own
+        for place, value in self.edits.items():
+            *way, last = [int(key) if key.isdigit() else key for key in place.split("/")]
+            spot: Any = result
+            for key in way:
+                spot = spot[key]
+            if value is None:
+                del spot[last]
+            else:
+                spot[last] = value
+        return result
 
 
 @dataclass(frozen=True)
@@ -172,3 +203,8 @@ def said(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found
+
+
+def listed(told: Any) -> tuple[str, ...]:
+    """Return the conventions of which any names a cause right."""
+    return (told,) if isinstance(told, str) else tuple(told)

@@ -18,8 +18,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from tests.audit.offline.oracle.learned import HERE
-from tests.audit.offline.oracle.planting import RIGHT, ROOT, Subject, said, trained
+from tests.audit.offline.oracle.planting import HERE, RIGHT, ROOT, Subject, said, trained
 from xpl_cli.audit.rules.registry import find
 
 RESULTS = HERE / "results.json"

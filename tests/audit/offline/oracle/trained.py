@@ -22,8 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.audit.offline.oracle import proofs
-from tests.audit.offline.oracle.learned import HERE
-from tests.audit.offline.oracle.planting import RIGHT, Subject, Trained, demonstrations, said, trained
+from tests.audit.offline.oracle.planting import HERE, RIGHT, Subject, Trained, demonstrations, said, trained
 
 PROOFS = ("demonstrations", "parity", "success", "contract")
 """In the order in which they are made; `contract` is the static and the offline gate without the other proofs."""

@@ -8,8 +8,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.static.adapter import ACT, ACT_BATCH, UPDATE, UPDATE_BATCH, symbols
-from xpl_cli.audit.static.syntax import called, constant, enclosing, parameters, targets
+from xpl_cli.audit.static.adapter import UPDATE, UPDATE_BATCH, symbols
+from xpl_cli.audit.static.syntax import constant, parameters
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -88,25 +88,6 @@ def hands_on(node: ast.AST, function: Function, source: Source, parameter: int, 
             if any(isinstance(entry, ast.Attribute) and entry.attr in names for entry in other.nodes):
                 return True
     return False
-
-
-def around(node: ast.AST, function: Function) -> ast.For | ast.While | None:
-    """Return the innermost loop around a node of a function."""
-    return next((entry for entry in enclosing(node, function.up) if isinstance(entry, (ast.For, ast.While))), None)
-
-
-def chunks(function: Function) -> set[str]:
-    """Return the names that hold what the policy answered, as it came."""
-    calls = {id(node) for node, name in asked(function) if name in {ACT, ACT_BATCH}}
-    found: set[str] = set()
-    for node in function.nodes:
-        if isinstance(node, (ast.Assign, ast.AnnAssign, ast.NamedExpr)) and node.value is not None:
-            value = node.value
-            if isinstance(value, ast.Call) and called(value) == "list" and value.args:
-                value = value.args[0]
-            if id(value) in calls:
-                found |= {target.id for target in targets(node) if isinstance(target, ast.Name)}
-    return found
 
 
 def _environment(function: Function) -> str:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.static.names.offered import SDK
 from xpl_cli.audit.static.scripts import flow as script_flow
 from xpl_cli.audit.static.syntax import called, last
 from xpl_cli.standard import spec
@@ -183,5 +182,5 @@ def _is_idle(node: ast.stmt) -> bool:
     if isinstance(node, (ast.Import, ast.ImportFrom)):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
         is_own = isinstance(node, ast.ImportFrom) and node.level > 0
-        return not is_own and all(name.partition(".")[0] in {*sys.stdlib_module_names, SDK} for name in names)
+        return not is_own and all(name.partition(".")[0] in {*sys.stdlib_module_names, "xpl"} for name in names)
     return isinstance(node, (ast.Pass, ast.Raise, ast.Expr, ast.Return, ast.Assign, ast.AnnAssign))

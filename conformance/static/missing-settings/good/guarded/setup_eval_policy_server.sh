@@ -1,1 +1,0 @@
-exec xpl serve "$(dirname "$0")" --set from_script=1 "$@"

@@ -1,1 +1,0 @@
-from .not_everywhere import anything

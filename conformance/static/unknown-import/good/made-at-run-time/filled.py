@@ -1,1 +1,0 @@
-for name in ("Entry", "Table"): globals()[name] = type(name, (), {})

@@ -1,5 +1,0 @@
-from dataclasses import dataclass as Plain
-
-
-class Layer:
-    pass

@@ -1,1 +1,0 @@
-value, other = 1, 2

@@ -1,0 +1,65 @@
+"""Retired rules: they are explained, their codes stay taken, and a waiver that names one is no fault of the user."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.support.adapters.rules import made_adapter
+from tests.support.peer import xpl
+from xpl_cli.audit.engine import engine
+from xpl_cli.audit.rules import registry
+from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.audit.rules.options import Options
+from xpl_cli.audit.rules.retired import Retired, retired
+from xpl_cli.basics.errors import ExitCode
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+GONE = retired()[0]
+
+
+@pytest.mark.parametrize("rule", retired(), ids=lambda rule: rule.code)
+def test_what_proves_a_retired_rule_is_a_rule_that_runs_an_adapter(rule: Retired) -> None:
+    """Nothing is proven by a rule that only reads, or by one that is gone itself."""
+    assert rule.found
+    assert rule.reason
+    for code in rule.proven_by:
+        assert registry.find(code).gate is not Gate.STATIC
+
+
+def test_explain_says_why_a_rule_is_gone_and_what_proves_the_same(tmp_path: Path) -> None:
+    """By code and by slug, with exit code 0, beside rules of today; as JSON, too."""
+    shown = xpl("explain", GONE.code, GONE.proven_by[0], cwd=tmp_path)
+    assert shown.returncode == ExitCode.CLEAN
+    assert f"{GONE.code} {GONE.slug}" in shown.stdout
+    told = json.loads(xpl("explain", GONE.slug, "--json", cwd=tmp_path).stdout)
+    assert (told["code"], told["retired"], told["gate"]) == (GONE.code, True, None)
+    assert GONE.reason in told["documentation"]
+    assert told["next"] == [f"xpl explain {code}" for code in GONE.proven_by]
+
+
+def test_a_retired_rule_cannot_be_selected_and_may_be_left_out(tmp_path: Path) -> None:
+    """Asking for it alone would prove nothing; leaving it out changes nothing."""
+    adapter = made_adapter(tmp_path / "policy/Foo")
+    asked = xpl("audit", str(adapter), "--gate", "static", "--select", GONE.code, cwd=tmp_path)
+    assert (asked.returncode, asked.stdout) == (ExitCode.USAGE, "")
+    assert GONE.proven_by[0] in asked.stderr
+    options = Options(gates=(Gate.STATIC,), ignore=(GONE.code, GONE.slug))
+    assert engine.audit(adapter, "policy", options).gates[0].outcome is Outcome.PASS
+
+
+def test_a_waiver_of_a_retired_rule_is_a_note(tmp_path: Path) -> None:
+    """The audit stays as it is, and says that the waiver may be deleted."""
+    adapter = made_adapter(tmp_path / "policy/Foo")
+    before = xpl("audit", str(adapter), "--gate", "static", cwd=tmp_path)
+    with (adapter / "policy.yml").open("a") as manifest:
+        manifest.write(f"\nwaivers: {json.dumps([{'rule': GONE.slug, 'reason': 'the library does so'}])}\n")
+    after = xpl("audit", str(adapter), "--gate", "static", cwd=tmp_path)
+    assert after.returncode == before.returncode == ExitCode.CLEAN
+    assert f"waivers[0] may be deleted: {GONE.text}" in after.stderr
+    assert "may be deleted" not in before.stderr

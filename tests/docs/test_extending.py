@@ -1,0 +1,133 @@
+"""docs/extending.md: the package that it makes is built, installed, and seen by the commands that it names."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from xpl import Client, get_embodiment, registry
+from xpl.client import PolicyServerError
+
+REPO = Path(__file__).parents[2]
+PAGE = (REPO / "docs" / "extending.md").read_text(encoding="utf-8")
+FILES = dict(re.findall(r"^```\w+ title=\"(.+?)\"\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return where the page's package is installed, built by pip from the page's files."""
+    source, target = tmp_path_factory.mktemp("xpl-tiny"), tmp_path_factory.mktemp("site")
+    for name, text in FILES.items():
+        path = source / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    pip = [sys.executable, "-m", "pip", "install", "--no-index", "--no-deps", "--no-build-isolation", "--quiet"]
+    subprocess.run([*pip, "--target", str(target), str(source)], check=True, timeout=100)
+    return target
+
+
+@pytest.fixture
+def xpl(site: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Return a function that runs the command line where the package is installed, in an empty folder."""
+
+    def run(*arguments: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+        done = subprocess.run(
+            [sys.executable, "-m", "xpl_cli", *map(str, arguments)],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": f"{site}:{REPO}"},
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+        )
+        assert done.returncode == code, done.stdout + done.stderr
+        return done
+
+    return run
+
+
+@pytest.fixture
+def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Have the package in this process, too."""
+    monkeypatch.syspath_prepend(site)
+    registry._installed.cache_clear()
+    yield
+    registry._installed.cache_clear()
+
+
+# -- a wire ------------------------------------------------------------------------------------------------------------
+
+STATE = """
+    import numpy as np
+    from xpl import Policy
+    from xpl.observation import get_instruction, pack_state
+
+    class Model(Policy):
+        def load(self, config):
+            self.count = 0
+
+        def reset_env(self, env):
+            self.count = 0
+
+        def encode(self, obs, env):
+            if get_instruction(obs) == "fall over":
+                raise ValueError("the gripper is unhappy")
+            return pack_state(obs, self.embodiment, self.action_type)
+
+        def predict(self, inputs, envs):
+            self.count += 1
+            return [np.stack([np.r_[self.count, row[1:]]] * 2) for row in inputs]
+"""
+
+
+def observation(number: float, **others: Any) -> dict[str, Any]:
+    """Return what an environment shows."""
+    robot = get_embodiment("franka_single")
+    state = {key: np.full(width, number, np.float32) for key, width in robot.dims("joint").items()}
+    cameras = {name: {"color": np.zeros((4, 4, 3), np.uint8)} for name in robot.cameras}
+    return {"state": state, "vision": cameras, "instruction": "go", **others}
+
+
+@pytest.fixture
+def server(site: Path, write_adapter: Callable[..., Path]) -> Iterator[dict[str, Any]]:
+    """Serve an adapter to clients of the page's wire, too; return what the server says of itself."""
+    folder = write_adapter(STATE, temporal={"chunk": 2})
+    command = [sys.executable, "-m", "xpl_cli", "serve", str(folder), "--port", "0", "--also", "tiny"]
+    with subprocess.Popen(
+        [*command, "--until-stdin-ends"],
+        env={**os.environ, "PYTHONPATH": f"{site}:{REPO}"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        yield json.loads(process.stdout.readline())
+        process.stdin.close()
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_wire_of_a_package_is_served_and_spoken(server: dict[str, Any]) -> None:
+    """Chunks, errors and resets travel; by the address, and by the keys of deploy.yml."""
+    url = server["also"]["tiny"]
+    with Client(f"tiny+{url}") as policy:
+        for _ in range(2):
+            policy.reset()
+            first = [policy.infer(observation(0.25))[0]["arm_joint_state"] for _ in range(2)]
+            np.testing.assert_allclose(first, [[count, *[0.25] * 6] for count in (1, 2)])
+        with pytest.raises(PolicyServerError, match="the gripper is unhappy"):
+            policy.infer(observation(0.25, instruction="fall over"))
+        with pytest.raises(PolicyServerError, match="KeyError"):
+            policy.infer({"state": {}})
+        assert policy.infer(observation(0.25))[0]["arm_joint_state"][0] == 3
+    with Client(url, config={"wire": "tiny", "server": url}) as policy:
+        assert policy.infer(observation(0.5))[1]["arm_joint_state"][1] == 0.5

@@ -1,0 +1,229 @@
+"""A conversation by a codec: an observation goes out, its action chunk comes back. For any wire that has one.
+
+A server may keep state per connection: each environment gets a connection of its own, and a new one with each episode
+where the wire has no reset. Such wires know no batches: environments are asked about one after the other.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as spec
+from xpl.client import wires
+from xpl.client.codec import Actions, Codec, Done, Failure, Infer, Message, Reply, Reset
+from xpl.client.conversation import Conversation
+from xpl.client.errors import (
+    ClientError,
+    PolicyServerError,
+    RequestTimeoutError,
+    ServerConnectionError,
+    ServerFailedError,
+)
+from xpl.observation import env_index, env_indices
+from xpl.policy import PolicyStateError
+from xpl.wire.codec import WireError
+
+if TYPE_CHECKING:
+    from xpl.client.transport import Setup, Transport
+
+
+class RequestReply(Conversation):
+    """Connections to one server.
+
+    Args:
+        setup: see there.
+        codec: of the wire.
+
+    Attributes:
+        metadata: what the server said of itself first, where it does.
+    """
+
+    def __init__(self, setup: Setup, codec: Codec) -> None:
+        super().__init__(setup)
+        self._codec = codec
+        self._newest: dict[int, Mapping[str, Any]] = {}
+        self._order: list[int] | None = None
+        self._connections: dict[int, Transport] = {}
+        self._spare: Transport | None = None
+        self._failed: set[int] = set()
+        self._lost: set[int] = set()
+        self.metadata: Mapping[str, Any] = {}
+
+    async def connect(self) -> None:
+        """Connect: that the server is there shows now, and not when a robot waits; the first environment goes on."""
+        if self._spare is None and not self._connections:
+            self._spare = await self._connect()
+
+    async def close(self) -> None:
+        """Close all connections."""
+        self._forget()
+        for env in list(self._connections):
+            await self._drop(env)
+        spare, self._spare = self._spare, None
+        if spare is not None:
+            await spare.close()
+
+    # -- operations ----------------------------------------------------------------------------------------------------
+
+    async def reset(self, meta: Mapping[str, Any] | None = None) -> None:
+        """Start a new episode in every environment; what is told besides does not travel."""
+        del meta
+        self._forget()
+        for env in list(self._connections):
+            if not self._codec.resets:
+                await self._drop(env)
+            elif not isinstance(await self._request(env, Reset()), Done):
+                await self._drop(env)
+                raise ClientError(f"the {self._setup.wire} server did not answer reset as its wire has it")
+
+    async def update_obs(self, obs: Mapping[str, Any]) -> None:
+        """Keep the newest observation of one environment; it travels when it is asked about."""
+        index = obs.get(spec.Obs.ENV_IDX)
+        self._observe([obs], [0 if index is None else env_index(index)])
+
+    async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+        """Keep the newest observation of several environments."""
+        self._observe(obs_list, env_indices(obs_list))
+
+    async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+        """Return the action chunk for `obs` if it is given, and otherwise for the environment that was observed last.
+
+        Raises:
+            PolicyStateError: before an observation, or after a batch of several.
+        """
+        if obs is not None:
+            await self.update_obs(obs)
+        if self._order is None or len(self._order) != 1:
+            raise PolicyStateError(f"get_action answers one environment that was observed, the last were {self._order}")
+        return (await self.get_action_batch(self._order))[0]
+
+    async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> list[Any]:
+        """Return the action chunks of these environments, in this order; None means the last batch.
+
+        Raises:
+            PolicyStateError: if an environment is unknown or repeated, or nothing was observed.
+            ObservationError: if an observation lacks what the server needs.
+            ActionError: if the answer holds no actions of this robot.
+            PolicyServerError: if the server answered with an error.
+            ServerConnectionError: if the connection was lost; the episode's state may be, too.
+            RequestTimeoutError: if there was no answer in time.
+        """
+        chosen = self._order if env_idx_list is None else env_idx_list
+        envs = None if chosen is None else [env_index(index) for index in chosen]
+        if envs is None or len(set(envs)) != len(envs) or not set(envs) <= self._newest.keys():
+            raise PolicyStateError(f"environments to answer must be observed, and none twice: {envs}")
+        return [await self._infer(env) for env in envs]
+
+    def _observe(self, observations: Sequence[Mapping[str, Any]], envs: list[int]) -> None:
+        self._newest.update(zip(envs, observations))
+        self._order = envs
+
+    def _forget(self) -> None:
+        self._newest.clear()
+        self._order = None
+        self._lost.clear()
+
+    # -- requests ------------------------------------------------------------------------------------------------------
+
+    async def _infer(self, env: int) -> Sequence[Mapping[str, Any]]:
+        reply = await self._request(env, Infer(self._newest[env]))
+        if not isinstance(reply, Actions):
+            await self._drop(env)
+            raise ClientError(f"what the server sent cannot be understood: it answered with {type(reply).__name__}")
+        return reply.steps
+
+    async def _request(self, env: int, request: Infer | Reset) -> Reply:
+        """Return the reply to a request; one that failed is raised."""
+        if env in self._lost:
+            raise ServerConnectionError(f"the connection of environment {env} was lost, with its episode; reset")
+        data = self._codec.encode_request(request)
+        if env not in self._connections:
+            self._connections[env] = await self._new()
+        try:
+            answer = await self._exchange(env, data)
+        except OSError as error:
+            failed = env in self._failed
+            await self._drop(env)
+            if isinstance(error, TimeoutError):
+                self._lost.add(env)
+                raise RequestTimeoutError("the policy server did not answer in time") from None
+            if not failed:
+                self._lost.add(env)
+                raise ServerConnectionError(f"the connection was cut: {error}; reset and begin anew") from None
+            # It had answered with an error, and closed then, as openpi's server does: nothing was begun.
+            self._connections[env] = await self._new()
+            answer = await self._exchange(env, data)
+        try:
+            reply = self._codec.decode_reply(answer)
+        except WireError as error:
+            await self._drop(env)
+            raise ClientError(f"what the server sent cannot be understood: {error}") from None
+        if isinstance(reply, Failure):
+            self._failed.add(env)
+            raise PolicyServerError(spec.ErrorCode.INFER_FAILED, reply.message, reply.details)
+        self._failed.discard(env)
+        return reply
+
+    async def _exchange(self, env: int, data: Message) -> Message:
+        limit = self._setup.config[spec.Deploy.REQUEST_TIMEOUT_S]
+        await self._connections[env].send(data, limit)
+        return await self._connections[env].receive_any(limit)
+
+    async def _new(self) -> Transport:
+        spare, self._spare = self._spare, None
+        return spare or await self._connect()
+
+    async def _drop(self, env: int) -> None:
+        connection = self._connections.pop(env, None)
+        self._failed.discard(env)
+        if connection is not None:
+            await connection.close()
+
+    # -- connecting ----------------------------------------------------------------------------------------------------
+
+    async def _connect(self) -> Transport:
+        """Connect and take the greeting, trying again while nobody listens."""
+        config, address, wire = self._setup.config, self._setup.address, self._setup.wire
+        most = config[spec.Deploy.MAX_CONNECT_ATTEMPTS] or math.inf
+        deadline = time.monotonic() + (config[spec.Deploy.MAX_CONNECT_SECONDS] or math.inf)
+        delay = config[spec.Deploy.CONNECT_RETRY_DELAY_S] or 0.0
+        for attempt in itertools.count(1):
+            transport = self._setup.transport()
+            try:
+                await transport.open(config[spec.Deploy.CONNECT_TIMEOUT_S])
+                await self._greeted(transport)
+            except (ServerConnectionError, ServerFailedError):
+                await transport.close()
+                raise
+            except OSError as error:
+                await transport.close()
+                problem = error
+            else:
+                return transport
+            if attempt >= most or time.monotonic() + delay > deadline:
+                raise ServerConnectionError(f"no {wire} server at {address} after {attempt} attempts: {problem}")
+            await transport.pause(delay)
+        raise AssertionError("the attempts never end by themselves")
+
+    async def _greeted(self, transport: Transport) -> None:
+        """Take what a server says first; one that says nothing says nothing the next time either."""
+        if not self._codec.greets:
+            return
+        address, wire = self._setup.address, self._setup.wire
+        try:
+            first = await transport.receive_any(self._setup.config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
+        except TimeoutError:
+            raise ServerConnectionError(
+                f"the server at {address} said nothing in time (handshake_timeout_s): one of {wire} speaks first, once "
+                "its model is loaded; one of xpl waits for hello (`wire: xpl`)"
+            ) from None
+        try:
+            self.metadata = self._codec.decode_greeting(first)
+        except WireError as error:
+            raise ServerConnectionError(
+                f"what the server at {address} sent first is no greeting of {wire}: {error}; {wires.spoken()}"
+            ) from None

@@ -1,0 +1,122 @@
+"""What an adapter's files literally state: deploy.yml, the scripts, the names of files. Nothing is run or concluded."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Final
+
+import yaml
+
+from xpl import _spec as sdk
+from xpl import robots
+from xpl_cli.adopt.checkpoints.told import Open, Tree, certain, likely
+from xpl_cli.adopt.facts import Evidence
+from xpl_cli.basics import files as bounded
+from xpl_cli.packages import documented
+from xpl_cli.standard import spec
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MOST: Final = 1 << 20
+_CONDA: Final = re.compile(r"\b(?:conda|mamba|micromamba)\s+(create|activate)\b(.*)")
+_NAMED: Final = re.compile(r"(?:-n|--name)[ =]+[\"']?([\w.-]+)[\"']?(?=\s|$)")
+_FIRST: Final = re.compile(r"\s+[\"']?([A-Za-z0-9][\w.-]*)[\"']?(?=\s|$)")
+_UV: Final = re.compile(r"\buv\s+(?:venv|sync)\b(.*)")
+_VENV: Final = re.compile(r"\bpython[\d.]*\s+-m\s+venv\b(.*)")
+_PYTHON: Final = re.compile(r"(?:python=+|--python[ =]|-p )[\"']?(\d[\w.]*)")
+_MOVES: Final = re.compile(r"^\s*cd\s", re.MULTILINE)
+_CALLED: Final = re.compile(r"\bfunc_name\s*=\s*[\"'](\w+)[\"']")
+
+
+def stated(folder: Path) -> dict[str, Tree]:
+    """Return keys of policy.yml with what the files of an adapter say of them, each with its place."""
+    found: dict[str, Tree] = {"name": certain(folder.name, Evidence("", None, "the folder's name"))}
+    found |= _run(folder)
+    found["evaluation_only"] = _training(folder)
+    environment = _environment(folder)
+    if environment:
+        found["environment"] = environment
+    methods: dict[str, Evidence] = {}
+    for number, line in enumerate(_lines(folder, sdk.File.DEPLOY_PY), start=1):
+        for name in _CALLED.findall(line):
+            if name not in (*sdk.CONTRACT_METHODS, *sdk.HOOKS):
+                methods.setdefault(name, Evidence(sdk.File.DEPLOY_PY, number, f"calls {name}"))
+    if methods:
+        found["methods"] = certain(list(methods), *methods.values())
+    return found
+
+
+def _run(folder: Path) -> Iterator[tuple[str, Tree]]:
+    """Yield robot and kind of control: those of deploy.yml, else those of the documented call of a script."""
+    deploy, call = _deploy(folder), documented.run(folder)
+    known: dict[str, dict[str, Any]] = {
+        "embodiments": {"key": sdk.Deploy.ENV_CFG_TYPE, "values": robots.names()},
+        "action_types": {"key": sdk.Deploy.ACTION_TYPE, "values": {kind: kind for kind in sdk.ACTION_TYPES}},
+    }
+    for name, how in known.items():
+        key, values = how["key"], how["values"]
+        given, shown = deploy.get(key), call.get(key)
+        if isinstance(given, str) and given in values:
+            line = next(
+                (
+                    number
+                    for number, line in enumerate(_lines(folder, sdk.File.DEPLOY_YML), start=1)
+                    if re.match(rf"{re.escape(key)}\s*:", line)
+                ),
+                None,
+            )
+            yield name, certain([values[given]], Evidence(sdk.File.DEPLOY_YML, line, f"{key}: {given}"))
+        elif isinstance(shown, str) and shown in values:
+            yield name, likely([values[shown]], Evidence("", None, f"the documented call of its scripts: {shown}"))
+
+
+def _deploy(folder: Path) -> dict[str, Any]:
+    try:
+        value = spec.parse_yaml("\n".join(_lines(folder, sdk.File.DEPLOY_YML)))
+    except (yaml.YAMLError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def _training(folder: Path) -> Tree:
+    """Return whether the package only evaluates: whether its scripts for data and training are there."""
+    scripts = spec.data("package")["files"]["training"]
+    there = [name for name in scripts if (folder / name).is_file()]
+    missing = [name for name in scripts if name not in there]
+    told = [*(f"{name} is there" for name in there), *(f"{name} is not" for name in missing)]
+    return certain(not there, Evidence("", None, ", ".join(told)))
+
+
+def _environment(folder: Path) -> dict[str, Tree]:
+    """Return the interpreter that install.sh makes, or that the script which starts the server enters."""
+    for script in (sdk.File.INSTALL_SH, sdk.File.SETUP_EVAL_POLICY_SERVER_SH):
+        lines = _lines(folder, script)
+        for number, line in enumerate(lines, start=1):
+            where = Evidence(script, number, line.strip()[:70])
+            python = _PYTHON.search(line)
+            version = {"python": certain(python[1], where)} if python else {}
+            if (conda := _CONDA.search(line)) is not None:
+                name = (_NAMED if conda[1] == "create" else _FIRST).search(conda[2])
+                called = certain(name[1], where) if name else Open("what the conda environment is called", (where,))
+                return {"manager": certain("conda", where), "name": called, **version}
+            if _UV.search(line) or _VENV.search(line):
+                kind = certain("uv" if _UV.search(line) else "venv", where)
+                lies = Open("folder of the virtual environment, from the package; .venv if left out", (where,))
+                return {"manager": kind, **({"name": lies} if _moves(lines) else {}), **version}
+    return {}
+
+
+def _moves(lines: list[str]) -> bool:
+    """Tell whether a script changes its folder, so that nobody knows where it makes what it names."""
+    return _MOVES.search("\n".join(lines)) is not None
+
+
+def _lines(folder: Path, name: str) -> list[str]:
+    """Return the lines of a file without comments; none of one that is not there or cannot be read."""
+    try:
+        text = bounded.content(folder / name, _MOST).decode("utf-8", "replace")
+    except OSError:
+        return []
+    return ["" if line.lstrip().startswith("#") else line for line in text.split("\n")]

@@ -1,1 +1,0 @@
-"""Names that modules offer and import, read from their syntax trees."""

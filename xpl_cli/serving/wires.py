@@ -1,0 +1,190 @@
+"""`--also NAME`: an entrance of the front end for clients that speak another wire, by its codec (`xpl.client.codec`).
+
+Whoever comes through it is a client like any other: it says hello, resets, and asks. This one says hello and resets for
+it, and has its codec turn messages into requests and replies into messages.
+"""
+
+from __future__ import annotations
+
+import uuid
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from picows import WSMsgType
+
+from xpl import _spec as spec
+from xpl.client import wires
+from xpl.client.codec import Actions, Done, Failure, Reset
+from xpl.wire import codec as frames
+from xpl_cli.basics.errors import UserError, no_such
+from xpl_cli.serving.connection import Connection
+from xpl_cli.serving.server import Entrance
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from picows import WSTransport
+
+    from xpl.client.codec import Codec, Message
+    from xpl_cli.serving.connection import Owner, Timing
+
+_TRY_AGAIN, _REFUSED = 1013, 1008  # WebSocket close codes: RFC 6455, and its registry
+
+
+def entrances(
+    also: Sequence[str], config: Mapping[str, Any], manifest: Mapping[str, Any], policy: Mapping[str, Any]
+) -> dict[str, Entrance]:
+    """Return the entrances that `--also` asks for, by the names of their wires.
+
+    Args:
+        also: what was asked for: `NAME`, or `NAME:PORT`.
+        config: values of deploy.yml.
+        manifest: the parsed policy.yml.
+        policy: what clients are told of the policy.
+
+    Raises:
+        UserError: one cannot be had.
+    """
+    found: dict[str, Entrance] = {}
+    for one in also:
+        name, _, number = one.partition(":")
+        if not (number or "0").isdecimal() or int(number or 0) > 65535:
+            raise UserError(f"--also takes the name of a wire, or NAME:PORT; got {one!r}")
+        if name in found:
+            raise UserError(f"--also was given twice for {name}: a wire has one port")
+        found[name] = _entrance(name, int(number or 0), {**config, "manifest": manifest}, policy)
+    return found
+
+
+def _entrance(name: str, port: int, config: Mapping[str, Any], policy: Mapping[str, Any]) -> Entrance:
+    wire = wires.find(name)
+    if wire is None or wire.codec is None:
+        others = [other for other in wires.names() if other != wires.XPL]
+        raise no_such(f"--also: there is no wire {name!r} besides xpl's", name, others)
+    try:
+        codec = wire.codec(config)
+        greeting = codec.encode_greeting(policy) if codec.greets else None
+    except (ValueError, LookupError) as error:
+        raise UserError(f"--also {name}: {error}", hint=wire.hint or None) from None
+    return Entrance(port, partial(CodecConnection, codec, greeting), wire.scheme.lower())
+
+
+class CodecConnection(Connection):
+    """A peer that speaks the wire of a codec.
+
+    Args:
+        codec: of the wire.
+        greeting: what the peer is told first; None where it speaks first.
+        owner: the front end.
+        timing: deadlines.
+    """
+
+    def __init__(self, codec: Codec, greeting: Message | None, owner: Owner, timing: Timing) -> None:
+        super().__init__(owner, timing)
+        self._codec = codec
+        self._greeting = greeting
+        self._evaluation = uuid.uuid4().hex
+        self._step = 0
+        self._asked = 0
+        self._told = 0
+        self._ready = False
+        self._early: list[Message] = []
+        self._answers: dict[int, Message] = {}
+
+    def on_ws_connected(self, transport: WSTransport) -> None:
+        """Say hello for the peer; that it says nothing before it has something to ask is how it is."""
+        super().on_ws_connected(transport)
+        self._wait_on()
+        self._ask(spec.Message.HELLO, spec.Message.HELLO, {})
+
+    def on_ws_disconnected(self, transport: WSTransport) -> None:
+        """Give the place back: this peer has no way to come back to its episode."""
+        self._clean = True
+        super().on_ws_disconnected(transport)
+
+    def answer(self, data: bytes) -> None:
+        """Send what the front end answers, in the form of the wire."""
+        frame = frames.decode(data)
+        if frame.message_id.isdecimal():  # to what the peer asked
+            self._answers[int(frame.message_id)] = self._translated(frame)
+            self._tell()
+            return
+        self._settle()
+        if frame.message_type == spec.ANSWERS[spec.Message.HELLO]:
+            self._ask(spec.Message.RESET, spec.Message.RESET, {})
+        elif frame.message_type == spec.ANSWERS[spec.Message.RESET]:
+            self._begin()
+        else:
+            reason = (frame.payload.get(spec.Payload.DETAILS) or {}).get("reason")
+            self.close(_TRY_AGAIN if reason == spec.ErrorReason.BUSY else _REFUSED, _sentence(frame))
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        """Greet the peer, and take what it has asked already."""
+        self._heard()
+        self._ready = True
+        if self._greeting is not None:
+            self._send(self._greeting)
+        early, self._early = self._early, []
+        for data in early:
+            self._settle()
+            self._take(data)
+
+    def _whole(self, data: bytes | memoryview) -> None:
+        self._take(bytes(data))
+
+    def _text(self, data: bytes) -> None:
+        self._take(data.decode(errors="replace"))
+
+    def _take(self, data: Message) -> None:
+        """Ask the front end, or say what is wrong with a request when its turn has come."""
+        if not self._ready:
+            self.expect_answer(len(data))
+            self._early.append(data)
+            return
+        number = self._asked = self._asked + 1
+        try:
+            request = self._codec.decode_request(data)
+        except Exception as error:  # noqa: BLE001 - a codec may come from anywhere, and so may what it reads
+            self.expect_answer(len(data))
+            self._answers[number] = self._codec.encode_reply(Failure(f"{type(error).__name__}: {error}"))
+            self._tell()
+            return
+        if isinstance(request, Reset):
+            self._step = 0
+            self._ask(spec.Message.RESET, str(number), {}, len(data))
+        else:
+            self._ask(spec.Message.INFER, str(number), {spec.Payload.OBSERVATION: request.observation}, len(data))
+            self._step += 1
+
+    def _ask(self, kind: str, identity: str, payload: dict[str, Any], size: int = 0) -> None:
+        self._owner.asked(self, frames.Frame(kind, self._evaluation, payload, identity, step=self._step), size)
+
+    def _translated(self, frame: frames.Frame) -> Message:
+        if frame.message_type == spec.Message.ERROR:
+            return self._codec.encode_reply(Failure(_sentence(frame)))
+        try:
+            if frame.message_type == spec.ANSWERS[spec.Message.RESET]:
+                return self._codec.encode_reply(Done())
+            steps, latency = frame.payload[spec.Payload.ACTIONS], frame.payload.get(spec.Payload.LATENCY_MS)
+            return self._codec.encode_reply(Actions(steps, latency))
+        except Exception as error:  # noqa: BLE001 - whatever the policy returned, and whoever wrote the codec
+            return self._codec.encode_reply(Failure(f"the policy's answer has no form on this wire: {error}"))
+
+    def _tell(self) -> None:
+        """Send what is there in the order of the requests: nothing else says which answer is which."""
+        while (answer := self._answers.pop(self._told + 1, None)) is not None:
+            self._told += 1
+            self._settle()
+            self._send(answer)
+
+    def _send(self, data: Message) -> None:
+        if not self.is_open or self._transport is None:
+            return
+        kind = WSMsgType.TEXT if isinstance(data, str) else WSMsgType.BINARY
+        self._transport.send(kind, data.encode() if isinstance(data, str) else data)
+
+
+def _sentence(frame: frames.Frame) -> str:
+    return f"{frame.payload.get(spec.Payload.CODE)}: {frame.payload.get(spec.Payload.MESSAGE)}"

@@ -1,0 +1,42 @@
+"""What a manifest says that nobody knows: `{unknown: why}` in the place of a value.
+
+Whoever runs a package takes such a key for one that is not there; whoever checks it is told the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+KEY: Final = "unknown"
+_OWN: Final = frozenset(("native",))
+"""Parts that keep their gaps, since those who read them have values for them (`xpl.convert.gaps`)."""
+
+Place = tuple[str | int, ...]
+
+
+def reason(value: Any) -> str | None:
+    """Return why a value is not known; None if it is a value."""
+    is_open = isinstance(value, Mapping) and set(value) == {KEY} and isinstance(value[KEY], str)
+    return value[KEY] if is_open else None
+
+
+def split(document: Any) -> tuple[Any, dict[Place, str]]:
+    """Return a manifest without what is not known in it, and why that is not known, by place."""
+    gaps: dict[Place, str] = {}
+    return _known(document, (), gaps), gaps
+
+
+def _known(value: Any, place: Place, gaps: dict[Place, str]) -> Any:
+    if not isinstance(value, dict):
+        return value
+    known = {}
+    for key, entry in value.items():
+        why = reason(entry)
+        if not place and key in _OWN:
+            known[key] = entry
+        elif why is not None:
+            gaps[*place, key] = why
+        else:
+            known[key] = _known(entry, (*place, key), gaps)
+    return known
