@@ -7,10 +7,9 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, Adapter
-from xpl_cli.audit.static.aliases import Change, Sharing, stored
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, enclosing, last, names, self_attribute, targets, texts
+from xpl_cli.audit.static.syntax import called, enclosing, last, names, parameters, self_attribute, targets
 
 _SAME_AGAIN = frozenset(("asarray", "array", "ascontiguousarray", "as_tensor", "astype", "float", "str", "int", "list"))
 """Conversions that change nothing the second time."""
@@ -44,19 +43,13 @@ def asking_changes(source: Source) -> Iterator[Finding]:
     elsewhere = {id(function.node) for function in [*observing, *adapter.reach(*RESETTING, *LOADING)]}
     acting = [function for function in adapter.reach(*ACTING) if id(function.node) not in elsewhere]
     filled_here = {write.attribute for one in acting for write in one.writes if not _is_emptied(write.node)}
-    held = stored(observing)
-    held = {name: held[name] for name in held if name not in filled_here or _is_map(acting, name)}
-    sharing = Sharing(adapter, held)
-    for function in (adapter.method(name) for name in ACTING):
-        if function is not None and held:
-            sharing.follow(function, {})
-    inside = {id(function.node) for function in acting}
+    stored = {write.attribute for one in observing for write in one.writes}
+    stored = {name for name in stored if name not in filled_here or _is_map(acting, name)}
     found: dict[int, tuple[Function, ast.AST, str]] = {}
-    for change in sharing.changes:
-        if id(change.function.node) in inside and _matters(change):
-            what = "changed" if change.how in {"set", "augmented"} else "taken out"
-            found[id(change.node)] = (change.function, change.node, f"{change.key or 'an entry'} is {what}")
-    for function, node, attribute in _dropped(acting, set(held) - filled_here):
+    for function, shared in _given(adapter, stored):
+        if function in acting:
+            found |= {id(node): (function, node, what) for node, what in _changes(function, shared)}
+    for function, node, attribute in _dropped(acting, stored - filled_here):
         found[id(node)] = (function, node, f"self.{attribute} is dropped")
     for function, node, what in found.values():
         yield Finding(
@@ -68,53 +61,83 @@ def asking_changes(source: Source) -> Iterator[Finding]:
         )
 
 
-def _matters(change: Change) -> bool:
-    """Tell whether the second time differs from the first."""
-    if change.how == "augmented":
-        matters = isinstance(change.node, ast.AugAssign) and isinstance(change.node.target, ast.Subscript)
-    elif change.key is None:
-        matters = change.how == "set" and _is_replaced(change)
-    elif change.how == "set":
-        value, before = change.value, change.before
-        is_same = before is not None and before.keys == (*change.held.keys, change.key)
-        matters = value is not None and not is_same and _is_made_anew(value, change.key)
-    else:
-        matters = change.how == "deleted" or last(called(change.node)) == "pop"
-    return matters and not _is_guarded(change)
+def _given(adapter: Adapter, stored: set[str]) -> Iterator[tuple[Function, frozenset[str]]]:
+    """Yield what acting calls with a stored observation, and the parameters that hold one."""
+    waiting: list[tuple[Function, frozenset[str]]] = [
+        (method, frozenset()) for method in map(adapter.method, ACTING) if method is not None
+    ]
+    for function, shared in waiting:  # grows while it is read
+        yield function, shared
+        for call in function.of(ast.Call):
+            other = adapter.callee(function, call)
+            if other is None:
+                continue
+            expected = [name for name in parameters(other.node) if name != "self"]
+            given = [*zip(expected, call.args, strict=False), *((word.arg, word.value) for word in call.keywords)]
+            handed = frozenset(
+                name
+                for name, value in given
+                if name and (_self_stored(value, stored) or _is_shared(value, function, shared))
+            )
+            if (other, handed) not in waiting:
+                waiting.append((other, handed))
 
 
-def _is_made_anew(value: ast.expr, key: str) -> bool:
-    """Tell whether a value is made of the entry that it replaces, and differs when that is done twice."""
-    return key in texts(value) | names(value) and last(called(value)) not in _SAME_AGAIN
+def _self_stored(value: ast.expr, stored: set[str]) -> bool:
+    """Tell whether an expression is a stored observation, or what one environment has in it."""
+    return isinstance(value, (ast.Attribute, ast.Subscript)) and self_attribute(value) in stored
 
 
-def _is_replaced(change: Change) -> bool:
-    """Tell whether an entry whose key a name holds is replaced by what is made of it, through other names too."""
-    target = next((entry for entry in targets(change.node) if isinstance(entry, ast.Subscript)), None)
-    if target is None or not isinstance(target.slice, ast.Name) or change.value is None:
+def _is_shared(value: ast.expr, function: Function, shared: frozenset[str]) -> bool:
+    """Tell whether an expression is a parameter that holds a stored observation, before the name gets another value."""
+    if not isinstance(value, ast.Name) or value.id not in shared:
         return False
-    before = ast.unparse(target)
-    made: set[str] = set()
-    for node in change.function.of(ast.Assign):
-        if node is not change.node and (before in ast.unparse(node.value) or names(node.value) & made):
-            made |= {entry.id for entry in targets(node) if isinstance(entry, ast.Name)}
-    is_made = before in ast.unparse(change.value) or bool(names(change.value) & made)
-    values: list[ast.expr] = [change.value]
-    if isinstance(change.value, ast.Name):
-        values = [node.value for node in change.function.of(ast.Assign) if names(change.value) & set(_bound(node))]
+    bound = (node for node in function.of(ast.Name) if node.id == value.id and isinstance(node.ctx, ast.Store))
+    return value.lineno <= min((node.lineno for node in bound), default=value.lineno)
+
+
+def _changes(function: Function, shared: frozenset[str]) -> Iterator[tuple[ast.AST, str]]:
+    """Yield where a function takes an entry out of a parameter, or replaces it by what is made of it."""
+    for node in function.of(ast.Call):
+        is_taken = isinstance(node.func, ast.Attribute) and node.func.attr == "pop" and bool(node.args)
+        if is_taken and _is_shared(_owner(node.func), function, shared) and not _is_guarded(node, function):
+            yield node, f"{_named(node.args[0])} is taken out"
+    changes: list[ast.Assign | ast.AugAssign | ast.Delete] = [*function.of(ast.Assign), *function.of(ast.Delete)]
+    for change in (*changes, *function.of(ast.AugAssign)):
+        for place in [change.target] if isinstance(change, ast.AugAssign) else change.targets:
+            if not isinstance(place, ast.Subscript) or not _is_shared(place.value, function, shared):
+                continue
+            is_new = not isinstance(change, ast.Assign) or _is_made_anew(change, ast.unparse(place), function)
+            if is_new and not _is_guarded(change, function):
+                yield change, f"{_named(place.slice)} is {'taken out' if isinstance(change, ast.Delete) else 'changed'}"
+
+
+def _owner(node: ast.expr) -> ast.expr:
+    return node.value if isinstance(node, ast.Attribute) else node
+
+
+def _named(key: ast.expr) -> object:
+    return key.value if isinstance(key, ast.Constant) else "an entry"
+
+
+def _is_made_anew(node: ast.Assign, entry: str, function: Function) -> bool:
+    """Tell whether an entry is replaced by what is made of it, also through names, and twice is not once."""
+    values, made = [node.value], {entry}
+    for other in function.of(ast.Assign):
+        if other is not node and any(text in ast.unparse(other.value) for text in made):
+            bound = [ast.unparse(target) for target in targets(other) if isinstance(target, ast.Name)]
+            made.update(bound)
+            values += [other.value for name in bound if name in names(node.value)]
+    is_made = any(text in ast.unparse(node.value) for text in made)
     is_other = any(isinstance(one, (ast.BinOp, ast.Call)) and last(called(one)) not in _SAME_AGAIN for one in values)
     return is_made and is_other
 
 
-def _bound(node: ast.Assign) -> list[str]:
-    return [entry.id for entry in targets(node) if isinstance(entry, ast.Name)]
-
-
-def _is_guarded(change: Change) -> bool:
+def _is_guarded(node: ast.AST, function: Function) -> bool:
     """Tell whether a change is made only where it was not made yet."""
-    tests = (outer.test for outer in enclosing(change.node, change.function.up) if isinstance(outer, ast.If))
-    return any(isinstance(node, (ast.NotIn, ast.In, ast.Is)) or last(called(node)) == "isinstance"
-               for test in tests for node in ast.walk(test))  # fmt: skip
+    tests = (outer.test for outer in enclosing(node, function.up) if isinstance(outer, ast.If))
+    return any(isinstance(child, (ast.NotIn, ast.In, ast.Is)) or last(called(child)) == "isinstance"
+               for test in tests for child in ast.walk(test))  # fmt: skip
 
 
 def _is_emptied(node: ast.AST) -> bool:
