@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xpl import Client, get_embodiment, registry
+from tests.support.distributions import forget
+from xpl import Client, get_embodiment
 from xpl.client import PolicyServerError
 
 REPO = Path(__file__).parents[2]
+Run = Callable[..., subprocess.CompletedProcess[str]]
 PAGE = (REPO / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```\w+ title=\"(.+?)\"\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE))
 
@@ -36,7 +38,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def xpl(site: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+def xpl(site: Path, tmp_path: Path) -> Run:
     """Return a function that runs the command line where the package is installed, in an empty folder."""
 
     def run(*arguments: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
@@ -59,9 +61,10 @@ def xpl(site: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess
 def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Have the package in this process, too."""
     monkeypatch.syspath_prepend(site)
-    registry._installed.cache_clear()
+    forget()
     yield
-    registry._installed.cache_clear()
+    monkeypatch.undo()
+    forget()
 
 
 # -- a wire ------------------------------------------------------------------------------------------------------------
@@ -131,3 +134,34 @@ def test_a_wire_of_a_package_is_served_and_spoken(server: dict[str, Any]) -> Non
         assert policy.infer(observation(0.25))[0]["arm_joint_state"][0] == 3
     with Client(url, config={"wire": "tiny", "server": url}) as policy:
         assert policy.infer(observation(0.5))[1]["arm_joint_state"][1] == 0.5
+
+
+# -- a rule ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_rule_of_a_package_is_listed_explained_and_run(xpl: Run, write_adapter: Callable[..., Path]) -> None:
+    """As ours are; by its own letters, too."""
+    listed = json.loads(xpl("rules", "--json").stdout)["rules"]
+    assert [(rule["slug"], rule["gate"]) for rule in listed if rule["code"] == "TINY101"] == [
+        ("says-who-wrote-it", "static")
+    ]
+    assert "Whoever finds a fault has nobody to tell." in xpl("explain", "tiny101").stdout
+    folder = write_adapter("")
+    (folder / "README.md").write_text("# Subject\n")
+    chosen = ("--gate", "static", "--select", "TINY", "--fail-on", "warn", "--format", "json")
+    told = json.loads(xpl("audit", folder, *chosen, code=1).stdout)
+    (result,) = (one for one in told["targets"][0]["gates"][0]["results"] if one["findings"])
+    assert (result["code"], Path(result["findings"][0]["path"]).name) == ("TINY101", "README.md")
+    (folder / "README.md").write_text("Maintainer: Ada Example\n")
+    xpl("audit", folder, *chosen)
+
+
+def test_a_rule_of_a_package_changes_no_digest(xpl: Run, write_adapter: Callable[..., Path]) -> None:
+    """Others need not have it."""
+    folder = write_adapter("")
+    (folder / "README.md").write_text("# Subject\n")
+    digests = []
+    for more in ((), ("--ignore", "TINY")):
+        done = xpl("audit", folder, "--gate", "static", "--format", "json", *more, code=1)
+        digests.append(json.loads(done.stdout)["targets"][0]["gates"][0]["digest"])
+    assert digests[0] == digests[1] is not None

@@ -3,35 +3,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.support.distributions import Install, forget, installing
 from xpl import registry
 from xpl.registry import ENVS, WIRES, EntryPointError
-
-Install = Callable[..., Path]
 
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
-    """Return a function that installs a distribution with entry points, and modules, in a place of its own."""
-
-    def installed(name: str, points: str, **files: str) -> Path:
-        site = tmp_path / f"site-{name}"
-        about = site / f"{name}-1.0.dist-info"
-        about.mkdir(parents=True)
-        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-        (about / "entry_points.txt").write_text(points)
-        for module, text in files.items():
-            (site / f"{module}.py").write_text(text)
-        monkeypatch.syspath_prepend(site)
-        registry._installed.cache_clear()
-        return site
-
-    yield installed
-    registry._installed.cache_clear()
+    """Return a function that installs a distribution."""
+    with installing(tmp_path, monkeypatch) as made:
+        yield made
 
 
 def test_what_is_built_in_comes_first_and_is_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,7 +31,11 @@ def test_what_is_built_in_comes_first_and_is_not_looked_for(monkeypatch: pytest.
 
 def test_an_entry_point_is_loaded_when_it_is_used(install: Install) -> None:
     """An object, or a whole module; finding it imports nothing."""
-    install("one", "[xpl.wires]\none = made_one:VALUE\nwhole = made_one\n[other]\nno = nothing\n", made_one="VALUE = 7")
+    install(
+        "one",
+        "[xpl.wires]\none = made_one:VALUE\nwhole = made_one\n[other]\nno = nothing\n",
+        {"made_one.py": "VALUE = 7"},
+    )
     found = registry.entries(WIRES)
     assert {name: entry.distribution for name, entry in found.items()} == {"one": "one 1.0", "whole": "one 1.0"}
     assert (found["one"].load(), found["whole"].load().VALUE) == (7, 7)
@@ -65,17 +55,17 @@ def test_a_broken_one_is_one_line_that_names_its_distribution(
 ) -> None:
     """Whatever the package does when it is imported."""
     monkeypatch.delitem(sys.modules, "made_broken", raising=False)
-    install("bad", f"[xpl.wires]\nbad = {value}\n", made_broken=module)
+    install("bad", f"[xpl.wires]\nbad = {value}\n", {"made_broken.py": module})
     with pytest.raises(EntryPointError, match=rf"bad = '{value}' \(xpl.wires\) of bad 1.0 cannot be used: .*{told}"):
         registry.entries(WIRES)["bad"].load()
 
 
 def test_two_of_one_name_are_an_error_that_names_both(install: Install) -> None:
     """Ours are among them; in another group the name is free."""
-    install("first", "[xpl.wires]\none = a:X\n[xpl.envs]\none = a\n")
+    install("first", "[xpl.wires]\none = a:X\n[xpl.envs]\none = a\n", {})
     with pytest.raises(EntryPointError, match=r"two are called one in xpl.wires: 'b:Y' of xpl and 'a:X' of first 1.0"):
         registry.entries(WIRES, {"one": "b:Y"})
-    install("second", "[xpl.wires]\none = c:Z\n")
+    install("second", "[xpl.wires]\none = c:Z\n", {})
     with pytest.raises(EntryPointError, match=r"'c:Z' of second 1.0 and 'a:X' of first 1.0"):
         registry.entries(WIRES)
     assert list(registry.entries(ENVS)) == ["one"]
@@ -83,28 +73,28 @@ def test_two_of_one_name_are_an_error_that_names_both(install: Install) -> None:
 
 def test_of_one_distribution_the_first_on_the_path_counts(install: Install, monkeypatch: pytest.MonkeyPatch) -> None:
     """As for imports: a checkout may shadow what is installed."""
-    site = install("twice", "[xpl.wires]\none = a:X\n")
+    site = install("twice", "[xpl.wires]\none = a:X\n", {})
     (site.parent / "other").mkdir()
     for path in site.iterdir():
         (site.parent / "other" / path.name).symlink_to(path)
     monkeypatch.syspath_prepend(site.parent / "other")
-    registry._installed.cache_clear()
+    forget()
     assert list(registry.entries(WIRES)) == ["one"]
 
 
 def test_nothing_is_found_in_the_working_directory(install: Install, monkeypatch: pytest.MonkeyPatch) -> None:
     """`python -m` puts it on the path, and the package that is audited may lie there."""
-    site = install("here", "[xpl.wires]\none = a:X\n")
+    site = install("here", "[xpl.wires]\none = a:X\n", {})
     monkeypatch.chdir(site)
-    registry._installed.cache_clear()
+    forget()
     assert registry.entries(WIRES) == {}
 
 
 def test_a_folder_is_found_without_an_import(install: Install) -> None:
     """Content is found by path; a package that is only a folder of it needs no code."""
-    site = install("content", "[xpl.envs]\nall = content_pkg.deep.envs\nnone = content_pkg.absent\nno = absent_pkg\n")
-    (site / "content_pkg" / "deep" / "envs").mkdir(parents=True)
-    (site / "content_pkg" / "__init__.py").write_text("raise AssertionError('imported')")
+    points = "[xpl.envs]\nall = content_pkg.deep.envs\nnone = content_pkg.absent\nno = absent_pkg\n"
+    files = {"content_pkg/__init__.py": "raise AssertionError('imported')", "content_pkg/deep/envs/README.md": ""}
+    site = install("content", points, files)
     found = registry.entries(ENVS)
     assert found["all"].folder() == site / "content_pkg" / "deep" / "envs"
     with pytest.raises(

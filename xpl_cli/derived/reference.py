@@ -123,10 +123,10 @@ def _keys(section: Section) -> Iterator[str]:
 
 def _requirements(version: str) -> str:
     """Write every requirement with the rules that prove it."""
-    from xpl_cli.audit.rules.registry import rules
+    from xpl_cli.audit.rules.registry import own
 
     proofs: dict[str, list[Rule]] = {}
-    for rule in rules():
+    for rule in (entry.load() for entry in own()):
         proofs.setdefault(rule.requirement, []).append(rule)
     areas: dict[str, list[tuple[str, ...]]] = {}
     for entry in spec.requirements(version).values():

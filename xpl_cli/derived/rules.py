@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.demonstrations.catalogue import CHECKS
-from xpl_cli.audit.rules.registry import Rule, rules
+from xpl_cli.audit.rules.registry import OUR_CODES, Rule, own
 from xpl_cli.audit.rules.retired import retired
 from xpl_cli.derived.reference import NOTE, prose, table
 from xpl_cli.standard import spec
@@ -43,8 +43,8 @@ _RETIRED: Final = "Their codes and names are not used again. A waiver that names
 def pages() -> dict[str, str]:
     """Return every page, file name to text: an index, and a page for each hundred of codes."""
     found: dict[str, list[Rule]] = {digit: [] for digit in _PAGES}
-    for rule in rules():
-        found[rule.code.removeprefix("XPL")[0]].append(rule)
+    for rule in (entry.load() for entry in own()):
+        found[rule.code.removeprefix(OUR_CODES)[0]].append(rule)
     written = {"README": _index(found)}
     for digit, members in found.items():
         name, title, introduction = _PAGES[digit]

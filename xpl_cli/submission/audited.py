@@ -13,7 +13,7 @@ from xpl_cli.audit.engine.circumstances import of_package
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport, Waived
 from xpl_cli.audit.rules.profiles import Choice, Profile
-from xpl_cli.audit.rules.registry import entries
+from xpl_cli.audit.rules.registry import entries, own
 from xpl_cli.audit.rules.verdict import PARITY, Verdict, Word, judged
 from xpl_cli.audit.static.source import Source
 from xpl_cli.native import pairs
@@ -115,7 +115,7 @@ def _served(told: Mapping[str, Any]) -> Choice | None:
 def _incomplete(gate: GateReport, version: str) -> Iterator[str]:
     """Yield which rules of a gate the report leaves out, as far as its version asks for them, or names twice."""
     told = [result.code for result in gate.results]
-    known = [entry for entry in entries() if entry.target == POLICY and not entry.is_advice]
+    known = [entry for entry in own() if entry.target == POLICY and not entry.is_advice]
     here = [entry for entry in known if not (entry.closes or entry.needs_demonstrations) and entry.runs_in(gate.name)]
     wanted = {entry.code for entry in here if entry.load().is_in(version)}
     if lacking := sorted(wanted.difference(told)):
@@ -132,7 +132,9 @@ def _unbound(report: TargetReport, target: Mapping[str, Any], adapter: Path) -> 
     told = next((gate for gate in report.gates if gate.name is Gate.STATIC), None)
     if told is None:
         return
-    (here,) = audit(adapter, POLICY, Options(gates=(Gate.STATIC,)), shown=str(target["path"])).gates
+    installed = tuple(entry.code for entry in entries() if entry.source is not None)
+    options = Options(gates=(Gate.STATIC,), ignore=installed)
+    (here,) = audit(adapter, POLICY, options, shown=str(target["path"])).gates
     if here.outcome != told.outcome:
         yield f"the audit's static gate ended with {told.outcome}; of the adapter in the bundle it says {here.outcome}"
     elif here.digest != told.digest:

@@ -26,7 +26,7 @@ from xpl_cli.audit.rules.fingerprint import fingerprint
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, Result, TargetReport
 from xpl_cli.audit.rules.profiles import Profile
-from xpl_cli.audit.rules.registry import Entry, RegistryError, find, select
+from xpl_cli.audit.rules.registry import OUR_CODES, Entry, RegistryError, find, select
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation.bounds import Bounds
@@ -193,11 +193,13 @@ def _note_contents(target: TargetReport, report: GateReport, source: Source) -> 
 def _digest(report: GateReport, version: str, records: list[str]) -> str:
     """Return a hash of the outcomes and of what the adapter did, as far as the gate's facts recorded it.
 
-    What a later version of the standard asks for is left out, so that its rules change no digest of an older adapter.
+    What a later version of the standard asks for is left out, so that its rules change no digest of an older adapter;
+    and so are rules of installed packages, which others need not have.
     """
     known = spec.requirements(max(version, _ALL_COUNT_UP_TO, key=spec.order))
     newer = spec.requirements(spec.versions()[-1]).keys() - known.keys()
-    counted = [result for result in report.results if result.requirement not in newer]
+    ours = [result for result in report.results if result.code.startswith(OUR_CODES)]
+    counted = [result for result in ours if result.requirement not in newer]
     lines = [f"{result.code} {result.outcome} {len(result.findings)}" for result in counted]
     return hashlib.sha256("\n".join([*lines, *records]).encode()).hexdigest()[:16]
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import inspect
+import re
+import string
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
+from xpl import registry
 from xpl_cli.audit.rules import retired
 from xpl_cli.audit.rules.gates import DataGate, Gate
 from xpl_cli.audit.rules.model import Finding, Proof
@@ -20,8 +23,13 @@ from xpl_cli.standard import spec
 Check = Callable[..., Iterator[Finding | Proof]]
 
 
+OUR_CODES: Final = "XPL"
+"""What the codes of our rules begin with, and those of no package."""
+_CODE: Final = re.compile(r"[A-Z]{2,12}[1-9][0-9]{2}")
+
+
 class RegistryError(Exception):
-    """The rules contradict each other; a mistake in the conformance room."""
+    """The rules contradict each other; a mistake in the conformance room, or of a package that brings rules."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +38,8 @@ class Rule:
 
     Attributes:
         code: `XPL1xx` static, `XPL2xx` offline, `XPL3xx` MuJoCo, `XPL4xx` environment packages, `XPL5xx` the
-            audit itself, `XPL6xx` advice of general tools.
-        slug: name for people; the rule's folder in `conformance/GATE/`.
+            audit itself, `XPL6xx` advice of general tools; a package's rules have other letters.
+        slug: name for people; the rule's folder in `GATE/`.
         gate: where it runs; the first where it runs in several.
         requirement: id of what it proves; its level gives the severity.
         target: kind of package it looks at, `policy` or `env`.
@@ -82,6 +90,7 @@ class Rule:
 
 
 # A rule's gate is where it lies: the folder of `conformance/` with the gates whose rules it may hold.
+_FILES = "*/*/rule.py"
 _FOLDERS = {
     "static": (Gate.STATIC,),
     "offline": (Gate.OFFLINE,),
@@ -146,12 +155,37 @@ class Entry:
         code: with which its file begins.
         slug, folder: the names of its folder and of the one above: `conformance/FOLDER/SLUG/rule.py`.
         path: its file.
+        source: the entry point of the package that brings it, None for ours.
     """
 
     code: str
     slug: str
     folder: str
     path: Path
+    source: registry.Entry | None = None
+
+    @classmethod
+    def of_package(cls, path: Path, source: registry.Entry) -> Self:
+        """Return what the place of a rule's file in an installed package says.
+
+        Raises:
+            EntryPointError: there are no rules in such a folder, or its file begins with no code for it.
+        """
+        try:
+            entry = replace(cls.at(path), source=source)
+        except (RegistryError, OSError, UnicodeDecodeError) as error:
+            raise source.broken(str(error)) from None
+        if not _CODE.fullmatch(entry.code) or entry.code.startswith(OUR_CODES):
+            raise source.broken(
+                f"{path} begins with the code {entry.code!r:.40}: expected letters and three digits, such as TINY101, "
+                f"and not {OUR_CODES}, which is ours"
+            )
+        return entry
+
+    @property
+    def origin(self) -> str:
+        """The distribution that brings it."""
+        return registry.OURS if self.source is None else self.source.distribution
 
     @classmethod
     def at(cls, path: Path, code: str | None = None) -> Self:
@@ -215,19 +249,51 @@ class Entry:
         return self.folder == ADVICE
 
     def load(self) -> Rule:
-        """Import the rule."""
-        return _declared(self.path)
+        """Import the rule.
+
+        Raises:
+            EntryPointError: it is a package's, and cannot be imported, or says another code than its first line.
+        """
+        if self.source is None:
+            return _declared(self.path)
+        try:
+            rule = _declared(self.path)
+        except Exception as error:
+            raise self.source.broken(f"{self.path}: {type(error).__name__}: {error}") from error
+        if rule.code != self.code:
+            raise self.source.broken(f"{self.path} begins with {self.code}, and declares {rule.code}")
+        return rule
+
+
+@cache
+def own() -> tuple[Entry, ...]:
+    """Return every rule of the conformance room, not imported, in order of code."""
+    paths = content.room("conformance").glob(_FILES)
+    return tuple(sorted(map(Entry.at, paths), key=lambda item: item.code))
 
 
 @cache
 def entries() -> tuple[Entry, ...]:
-    """Return every rule of the conformance room, not imported, in order of code."""
-    paths = content.room("conformance").glob("*/*/rule.py")
-    return tuple(sorted(map(Entry.at, paths), key=lambda item: item.code))
+    """Return every rule, ours and those of installed packages, not imported, in order of code.
+
+    Raises:
+        EntryPointError: a package's cannot be used, or has a code or a name that another rule has.
+    """
+    found = {name: entry for entry in own() for name in (entry.code, entry.slug)}
+    added = []
+    for folder, source in registry.folders(registry.RULES).items():
+        for path in sorted(folder.glob(_FILES)):
+            entry = Entry.of_package(path, source)
+            for name in (entry.code, entry.slug):
+                other = found.setdefault(name, entry)
+                if other is not entry:
+                    raise source.broken(f"{path} and {other.path} of {other.origin} are both called {name}")
+            added.append(entry)
+    return tuple(sorted((*own(), *added), key=lambda item: item.code))
 
 
 def rules() -> tuple[Rule, ...]:
-    """Return every rule of the conformance room, in order of code."""
+    """Return every rule, ours and those of installed packages, in order of code."""
     return tuple(entry.load() for entry in entries())
 
 
@@ -297,7 +363,8 @@ def needed(item: Rule, way: tuple[str, ...] = ()) -> tuple[Entry, ...]:
 def _matches(entry: Entry, name: str) -> bool:
     if name == ADVICE:
         return entry.is_advice
-    return entry.slug == name or (name.upper().startswith("XPL") and entry.code.startswith(name.upper()))
+    letters, prefix = entry.code.rstrip(string.digits), name.upper()
+    return entry.slug == name or (prefix.startswith(letters) and entry.code.startswith(prefix))
 
 
 def _first_word(path: Path) -> str:
