@@ -1,4 +1,4 @@
-"""What general tools say about an adapter's own files: ruff and mypy, where they are installed.
+"""What general tools say about an adapter's own files: ruff and mypy.
 
 Both are given a copy of the boundary in an empty folder, as the audit has read it. So they see no configuration, plugin
 or stub that lies beside the adapter, follow no import into a vendored tree, and their places fit the text that fixes
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -100,7 +99,7 @@ def ruff(source: Source) -> tuple[Remark, ...]:
     """Return what ruff says, in order of place.
 
     Raises:
-        NotRun: if it is not installed or does not answer.
+        NotRun: if it does not answer.
         NotApplicable: if no Python file of the adapter parses.
     """
     with _copied(source) as (folder, names):
@@ -115,7 +114,7 @@ def mypy(source: Source) -> tuple[Remark, ...]:
     """Return what mypy says, in order of place. Untyped functions are looked into; other packages count as untyped.
 
     Raises:
-        NotRun: if it is not installed or does not answer.
+        NotRun: if it does not answer.
         NotApplicable: if no Python file of the adapter parses.
     """
     with _copied(source) as (folder, names):
@@ -149,17 +148,16 @@ def _answer(tool: str, arguments: list[str], folder: Path) -> str:
     """Run a tool and return its output.
 
     Raises:
-        NotRun: if it is not there, crashes, or takes too long.
+        NotRun: if it crashes or takes too long.
     """
-    program = shutil.which(tool, path=str(Path(sys.executable).parent)) or shutil.which(tool)
-    if program is None:
-        raise NotRun(f"{tool} is not installed: {Path(sys.executable).name} -m pip install {tool}")
     variables = {name: value for name, value in os.environ.items() if not name.startswith(("RUFF_", "MYPY"))}
     if tool == "mypy":
         variables["MYPYPATH"] = str(_sdk(folder / "sdk"))
     try:
         done = subprocess.run(
-            [program, *arguments],
+            # The one that came with xpl, also where its scripts are not on PATH. -P: the copy holds the adapter's
+            # files, and none of them may be imported for a module of the tool.
+            [sys.executable, "-P", "-m", tool, *arguments],
             cwd=folder,
             env=variables,
             stdin=subprocess.DEVNULL,
@@ -174,7 +172,8 @@ def _answer(tool: str, arguments: list[str], folder: Path) -> str:
         raise NotRun(f"{tool} has not ended after {_PATIENCE:.0f} s") from None
     except OSError as error:
         raise NotRun(f"{tool} cannot be started: {error}") from None
-    if done.returncode not in {0, 1}:
+    # What Python itself cannot start ends with 1 as findings do, and prints nothing.
+    if done.returncode not in {0, 1} or (done.returncode and not done.stdout):
         said = (done.stderr or done.stdout).strip().splitlines()
         raise NotRun(f"{tool} fails: {said[-1] if said else f'exit code {done.returncode}'}")
     return done.stdout
