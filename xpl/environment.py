@@ -321,7 +321,7 @@ def require(module: str, folder: str | Path) -> None:
         path = Path(folder)
         name = (path if path.is_dir() else path.parent).name
         raise NotInstalledError(
-            f"{sys.executable} has no {module}, which {name} plays with: `xpl install envs/{name}` makes a Python that "
+            f"{sys.executable} has no {module}, which {name} plays with: `xpl install {name}` makes a Python that "
             "has it"
         )
 

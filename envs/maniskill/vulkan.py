@@ -11,6 +11,7 @@ MESA = "XPL_MESA"
 COMPLAINTS = ("rendering device", "vk::")
 """What errors of SAPIEN say where Vulkan has no device, or no driver."""
 _DEFAULT = "~/.cache/xpl/mesa"
+_SCRIPT = 'bash "$(xpl env path maniskill)/mesa.sh"'
 _DRIVER = "lvp_icd.json"
 _OWN = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")  # Vulkan's variables, the second by its older name
 
@@ -35,12 +36,12 @@ def choose_driver() -> None:
     if driver.is_file():
         os.environ[_OWN[1]] = str(driver)
     elif named:
-        raise RendererMissingError(f"{MESA} names {named}, which has no {_DRIVER}: envs/maniskill/mesa.sh makes one")
+        raise RendererMissingError(f"{MESA} names {named}, which has no {_DRIVER}: {_SCRIPT} makes one")
 
 
 def missing(error: Exception) -> RendererMissingError:
     """Return what to say where SAPIEN finds nothing to draw with."""
     return RendererMissingError(
         f"ManiSkill needs a Vulkan device even without cameras, and SAPIEN found none that it can use ({error}): "
-        "without a GPU, `envs/maniskill/mesa.sh` gets Mesa's driver for processors (Debian 12 has one that is too old)"
+        f"without a GPU, `{_SCRIPT}` gets Mesa's driver for processors (Debian 12 has one that is too old)"
     )

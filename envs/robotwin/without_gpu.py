@@ -26,6 +26,7 @@ from .own import Own, quiet
 MESA = "XPL_MESA"
 """Variable with the folder that envs/maniskill/mesa.sh filled."""
 _DEFAULT = "~/.cache/xpl/mesa"
+_SCRIPT = 'bash "$(xpl env path maniskill)/mesa.sh"'
 _DRIVER = "lvp_icd.json"
 _OWN = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")  # Vulkan's variables, the second by its older name
 _UNUSED = ("open3d",)  # of point clouds, which no setting here asks for
@@ -99,7 +100,7 @@ def choose_driver() -> None:
     if driver.is_file():
         os.environ[_OWN[1]] = str(driver)
     elif named:
-        raise RendererMissingError(f"{MESA} names {named}, which has no {_DRIVER}: envs/maniskill/mesa.sh makes one")
+        raise RendererMissingError(f"{MESA} names {named}, which has no {_DRIVER}: {_SCRIPT} makes one")
 
 
 def _steady(plan: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
@@ -135,5 +136,5 @@ def _explained(error: RuntimeError) -> RuntimeError:
         return error
     return RendererMissingError(
         f"RoboTwin needs a Vulkan device even without cameras, and SAPIEN found none that it can use ({error}): "
-        "without a GPU, `envs/maniskill/mesa.sh` gets Mesa's driver for processors (Debian 12 has one that is too old)"
+        f"without a GPU, `{_SCRIPT}` gets Mesa's driver for processors (Debian 12 has one that is too old)"
     )

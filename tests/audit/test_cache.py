@@ -220,8 +220,11 @@ def test_runs_at_the_same_time_leave_a_whole_record(adapter: Path, tmp_path: Pat
 
 
 def test_the_cache_lies_where_the_user_keeps_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """XDG_CACHE_HOME if it is an absolute path, else `.cache` at home."""
+    """XPL_CACHE, or XDG_CACHE_HOME, if it is an absolute path, else `.cache` at home."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("XPL_CACHE", str(tmp_path / "own"))
+    assert cache.default_folder() == tmp_path / "own/audit"
+    monkeypatch.setenv("XPL_CACHE", "relative")
     assert cache.default_folder() == tmp_path / "xpl/audit"
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))

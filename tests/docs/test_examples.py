@@ -71,9 +71,8 @@ def _tour() -> list[list[str]]:
     """Return the commands of the README's tour, as words behind `xpl`."""
     told = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Sixty seconds\n")[2].partition("\n```\n")[0]
     commands = pages.shell(told.partition("```bash\n")[2])
-    assert all(words[:2] == ["./dev", "xpl"] for words in commands)
-    assert [words[2] for words in commands] == ["new-policy", "audit", "eval", "serve"]
-    return [words[2:] for words in commands]
+    assert [words[:2] for words in commands] == [["xpl", name] for name in ("new-policy", "audit", "eval", "serve")]
+    return [words[1:] for words in commands]
 
 
 def _served(words: list[str], folder: Path) -> None:

@@ -34,6 +34,7 @@ LANGUAGES = {*SHELL, "python", "yaml", "json", "diff", "toml", "dockerfile", "te
 """Languages of blocks. What stands in `text` is output, and no command."""
 
 PROGRAMS = {
+    "bash",
     "cd",
     "curl",
     "docker",
@@ -46,7 +47,6 @@ PROGRAMS = {
     "ssh-keygen",
     "tr",
     "xargs",
-    "envs/maniskill/mesa.sh",
 }
 """Commands of others that pages show: a misspelt `xpl` is none of them."""
 

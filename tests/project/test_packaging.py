@@ -8,6 +8,8 @@ import io
 import json
 import operator
 import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -22,6 +24,7 @@ import pytest
 from packaging.requirements import Requirement
 
 import xpl
+from tests.support.outside.wheels import numpy_wheel
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle import sdk_wheel
@@ -42,6 +45,7 @@ CONTENT = {
     "conformance/planted/bad/.env": "a dot-file",
     "conformance/planted/bad/data/points.npy": "a folder that is ignored elsewhere",
     "conformance/planted/good/build/setup.sh": "#!/bin/sh",
+    "envs/benchmark/env.yml": "name: benchmark\nenvironment: {manager: venv, requirements: [numpy==99.0]}\n",
     "templates/planted/.gitignore.jinja": "a dot-file template",
     "templates/planted/checkpoints/.gitkeep": "an empty file's usual name",
     "templates/planted/{{ name }}/deploy.yml.jinja": "a path with braces and a space",
@@ -135,11 +139,25 @@ class Installation:
         """Run a command of the environment in the empty folder; it has to succeed."""
         return _run(self.scripts / command[0], *command[1:], cwd=self.folder, env=self.env)
 
+    def answer(self, *command: str, **variables: object) -> str:
+        """Return what a command of the environment prints, whatever its exit code."""
+        env = {**self.env, **{name: str(value) for name, value in variables.items()}}
+        words = [self.scripts / command[0], *command[1:]]
+        done = subprocess.run(words, cwd=self.folder, env=env, capture_output=True, text=True, check=False)
+        assert done.stdout, done.stderr
+        return done.stdout.strip()
+
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installation:
     """Return an environment with the wheel installed."""
     return Installation(tmp_path_factory.mktemp("installed wheel"), wheel)
+
+
+def _files(folder: Path) -> set[str]:
+    """Return the names of all files below a folder but bytecode."""
+    found = (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return {path.relative_to(folder).as_posix() for path in found}
 
 
 def _names(wheel: Path) -> set[str]:
@@ -243,6 +261,64 @@ def test_an_adapter_is_made_and_audited_in_an_empty_folder(
     """`xpl new-policy Foo && xpl audit policy/Foo` ends with exit code 0 where there is no checkout."""
     installed.run("xpl", "new-policy", name)
     installed.run("xpl", "audit", f"policy/{name}", *rules)
+
+
+def _tour() -> list[list[str]]:
+    """Return the commands of the README that end, as words."""
+    told = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = [block.partition("```")[0] for block in told.split("```bash\n")[1:]]
+    found = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
+    assert {words[0] for words in found} == {"xpl"}
+    return [words for words in found if words[1] != "serve"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_every_command_of_the_readme_runs_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
+    """In their order, and advice without another installation; nothing but what they say is written."""
+    installation = Installation(tmp_path, wheel)
+    before = _files(installation.scripts.parent)
+    for words in _tour():
+        installation.run(*words)
+    installation.run("xpl", "audit", "policy/Foo", "--select", "advice")
+    assert {path.name for path in installation.folder.iterdir()} <= {"policy", "MUJOCO_LOG.TXT"}
+    assert _files(installation.scripts.parent) == before
+
+
+def test_the_benchmarks_of_the_page_are_found_by_name(installed: Installation) -> None:
+    """In any folder: those that are installed, and the adapters that play them."""
+    page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    names = {name for name in re.findall(r"xpl install (\S+)", page) if name.islower()}
+    assert names >= {"metaworld", "maniskill", "robotwin"}
+    for name in names:
+        assert installed.answer("xpl", "install", name, "--check") == f"{name}: missing"
+        assert (Path(installed.answer("xpl", "env", "path", name)) / "env.yml").is_file()
+    for name in set(re.findall(r"xpl eval ([a-z]\S+)", page)):
+        assert installed.answer("xpl", "install", name, "--check") == f"{name}: given"
+
+
+def test_what_came_with_the_tool_is_installed_into_the_users_cache(
+    installed: Installation, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Once for all that share it, and never below the installation."""
+    shelf, cache = tmp_path_factory.mktemp("wheels"), tmp_path_factory.mktemp("cache")
+    numpy_wheel(shelf)
+    before = _files(installed.scripts.parent)
+    own = {"XPL_CACHE": cache, "PIP_NO_INDEX": 1, "PIP_FIND_LINKS": shelf, "UV_NO_INDEX": 1, "UV_FIND_LINKS": shelf}
+    told = json.loads(installed.answer("xpl", "install", "benchmark", "--json", **own))
+    assert told.get("state") == "made", told
+    (folder,) = (cache / "environments").iterdir()
+    assert folder.name.startswith("benchmark-")
+    assert Path(told["python"]).is_relative_to(folder)
+    assert installed.answer("xpl", "install", "benchmark", **own) == told["python"]
+    assert installed.answer("xpl", "install", "benchmark", "--check", **own) == "benchmark: current"
+    assert _files(installed.scripts.parent) == before
+
+
+def test_a_path_that_is_not_there_names_what_came_with_the_tool(installed: Installation) -> None:
+    """Pages of a clone say `envs/metaworld`; outside of it the name alone is right."""
+    told = json.loads(installed.answer("xpl", "install", "envs/metaworld", "--json"))
+    assert "metaworld alone" in told["hint"]
 
 
 @pytest.mark.slow

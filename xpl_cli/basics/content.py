@@ -12,7 +12,7 @@ from pathlib import Path
 
 from xpl.process.modules import load_module
 
-__all__ = ["load_module", "room"]
+__all__ = ["called", "is_installed", "load_module", "room"]
 
 _INSTALLED = Path(__file__).parents[1] / "_content"
 _CHECKOUT = Path(__file__).parents[2]
@@ -25,3 +25,13 @@ def room(name: str) -> Path:
     """Return the folder of the content room `name` (``"spec"``, ``"envs"``, ...): a checkout's own, or the wheel's."""
     shipped = _INSTALLED / name
     return shipped if shipped.is_dir() else _CHECKOUT / _HIDDEN.get(name, name)
+
+
+def is_installed(folder: Path) -> bool:
+    """Tell whether a package came with the installed tool, where nothing can or should be written beside it."""
+    return folder.resolve().is_relative_to(_INSTALLED.resolve())
+
+
+def called(folder: Path) -> str:
+    """Return what a command takes for a package: the name of one that came with the tool, the path of any other."""
+    return folder.name if is_installed(folder) else str(folder)

@@ -15,13 +15,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.basics import console
+from xpl_cli.basics import console, content
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle.python_env.place import condition
-from xpl_cli.lifecycle.python_env.plan import CONDA, MADE_BY_XPL, environment_folder, plan_of
+from xpl_cli.lifecycle.python_env.plan import CONDA, MADE_BY_XPL, plan_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from xpl_cli.lifecycle.python_env.plan import Plan
 
 _warned: set[Path] = set()
 _OWN = "none"
@@ -60,10 +62,11 @@ def _declared(policy_dir: Path, manifest: Mapping[str, Any]) -> str:
         return sys.executable
     if manager == "path":
         return _executable(_path(str(declared.get("python"))))
-    if manager == CONDA and not declared.get("lock"):
+    plan = plan_of(policy_dir, manifest)
+    if plan is None:
         return _managed(manager, declared.get("name") or policy_dir.name, policy_dir)
-    _warn_if_outdated(policy_dir, manifest)
-    return _in_folder(environment_folder(policy_dir, declared), policy_dir)
+    _warn_if_outdated(plan)
+    return _in_folder(plan.link, policy_dir)
 
 
 def _managed(manager: str, name: str, policy_dir: Path) -> str:
@@ -76,19 +79,19 @@ def _managed(manager: str, name: str, policy_dir: Path) -> str:
 
 def _in_folder(folder: Path, policy_dir: Path) -> str:
     # The environment itself, not the link to it: whoever starts in it stays in it when another one is installed.
-    return _executable(folder.resolve() / "bin" / "python", hint=f"`xpl install {policy_dir}`")
+    hint = f"`xpl install {content.called(policy_dir)}`"
+    return _executable(folder.resolve() / "bin" / "python", hint=hint)
 
 
-def _warn_if_outdated(policy_dir: Path, manifest: Mapping[str, Any]) -> None:
-    """Say once that an environment was made from something else than policy.yml and its lock say now."""
+def _warn_if_outdated(plan: Plan) -> None:
+    """Say once that an environment was made from something else than its manifest and lock say now."""
     try:
-        plan = plan_of(policy_dir, manifest)
-        outdated = plan is not None and condition(plan) == "outdated"
+        outdated = condition(plan) == "outdated"
     except UserError:
         return  # who needs the lock says what is wrong with it
-    if outdated and policy_dir not in _warned:
-        _warned.add(policy_dir)
-        console.note(f"warning: the environment of {policy_dir.name} is not the declared one; xpl install {policy_dir}")
+    if outdated and plan.base not in _warned:
+        _warned.add(plan.base)
+        console.note(f"warning: the environment of {plan.package} is not the declared one; xpl install {plan.base}")
 
 
 def _conda_prefix(name: str) -> Path:

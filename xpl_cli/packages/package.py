@@ -21,6 +21,7 @@ MARKS = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML, sdk.File.POLICY_YML)
 POLICY, ENV = "policy", "env"
 MANIFESTS = {POLICY: sdk.File.POLICY_YML, ENV: "env.yml"}
 """The manifest of each kind of package, which tells the kind."""
+_ROOMS = {"policy": POLICY, "envs": ENV}
 _DEPLOY = "deploy"
 
 
@@ -101,7 +102,10 @@ def find_policy(path: Path | str) -> Path:
         raise NotFoundError(
             f"{given} is a folder without an adapter: expected model.py, deploy.yml or policy.yml in it"
         )
-    raise NotFoundError(f"no adapter at {given}", hint=f"`xpl new-policy {given.name}` makes one")
+    hint = f"`xpl new-policy {given.name}` makes one"
+    if any((content.room(room) / given.name / MANIFESTS[kind]).is_file() for room, kind in _ROOMS.items()):
+        hint = f"one of that name comes with xpl, and is called {given.name} alone"
+    raise NotFoundError(f"no adapter at {given}", hint=hint)
 
 
 def load(path: Path | str) -> Package:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xpl import _spec as sdk
+from xpl_cli.basics import content
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.packages import package, robots
 
@@ -33,7 +34,7 @@ def asked(paths: Iterable[Path], *, every: bool = False) -> list[Target]:
     """Return the packages of a request, each once.
 
     Args:
-        paths: folders, or names below `policy/` and `envs/`.
+        paths: folders, or names below `policy/` and `envs/`, of the working directory or ours.
         every: also every package below `policy/` and `envs/` of the working directory.
 
     Raises:
@@ -49,7 +50,7 @@ def asked(paths: Iterable[Path], *, every: bool = False) -> list[Target]:
 
 
 def find_target(path: Path) -> Target:
-    """Return the package at a path, or of a name below `policy/` or `envs/`.
+    """Return the package at a path, or of a name below `policy/` or `envs/` of the working directory or ours.
 
     Raises:
         NotFoundError: if there is none.
@@ -61,7 +62,13 @@ def find_target(path: Path) -> Target:
         raise NotFoundError(
             f"{path} is a file: an audit takes the folder of an adapter", hint=f"`xpl audit {path.parent}`"
         )
-    return _target(package.find_policy(path), package.POLICY)
+    try:
+        return _target(package.find_policy(path), package.POLICY)
+    except NotFoundError:
+        ours = content.room(_ENVIRONMENTS) / path
+        if (ours / _ENV_YML).is_file():
+            return _target(ours.resolve(), package.ENV)
+        raise
 
 
 def find_all() -> list[Target]:

@@ -107,7 +107,7 @@ def test_a_driver_is_taken_from_the_named_folder_and_never_instead_of_vulkans_ow
 def test_without_maniskill_one_sentence_says_how_to_install_it() -> None:
     """This Python has none."""
     client = load_module(ENV / "client.py")
-    with pytest.raises(RuntimeError, match="xpl install envs/maniskill"):
+    with pytest.raises(RuntimeError, match="xpl install maniskill"):
         client.make({"task": "PickCube", "embodiment": PANDA})
 
 

@@ -326,7 +326,7 @@ def test_without_the_runtime_one_sentence_says_how_to_install_it() -> None:
         pytest.skip("RoboTwin's runtime is installed here")
     client = load_module(ENV / "client.py")
     config = {"task": "stack_blocks_two", "embodiment": "aloha_agilex", "setting": "stand_in_robot"}
-    with pytest.raises(NotInstalledError, match="xpl install envs/robotwin"):
+    with pytest.raises(NotInstalledError, match="xpl install robotwin"):
         client.make(config)
 
 

@@ -26,7 +26,8 @@ from xpl.robots import HANDED_ON
 from xpl_cli import __version__
 from xpl_cli.audit.rules.model import NotRun, Outcome, Result
 from xpl_cli.audit.static.reading import SIZE_LIMIT
-from xpl_cli.basics import content
+from xpl_cli.basics import content, user_cache
+from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -53,9 +54,8 @@ _ROOMS: Final = ("audit", "basics", "packages", "scaffold", "standard")
 
 def default_folder() -> Path | None:
     """Return the folder of the user's cache, None where the user has none."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    with suppress(RuntimeError):
-        return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "xpl" / "audit"
+    with suppress(UserError):
+        return user_cache.folder() / "audit"
     return None
 
 

@@ -43,6 +43,19 @@ def list_(
 
 
 @app.command()
+def path(name: str = _NAME, as_json: bool = _JSON) -> None:
+    """Print the folder of an environment package, where its README and its scripts lie."""
+    from xpl_cli.basics import console
+    from xpl_cli.packages import environments
+
+    folder = str(environments.find(name))
+    if as_json:
+        console.answer("xpl.env-path/1", {"name": name, "path": folder}, [shlex.join(["xpl", "env", "list", name])])
+    else:
+        console.data(folder)
+
+
+@app.command()
 @ends(
     clean="it holds", findings="it does not", not_found="environment, task or seeds not found", not_run="a process died"
 )

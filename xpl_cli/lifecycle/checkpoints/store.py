@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
+from xpl_cli.basics import user_cache
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle.checkpoints.specification import File, check_path, digest_of
 
@@ -193,8 +194,4 @@ def link(policy_dir: Path, name: str, target: Path) -> Path:
 
 
 def _default() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    try:
-        return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "xpl" / "checkpoints"
-    except RuntimeError:
-        raise UserError("there is no home folder to keep checkpoints in", hint="choose one with --cache") from None
+    return user_cache.folder() / "checkpoints"

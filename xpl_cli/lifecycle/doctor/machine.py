@@ -12,6 +12,7 @@ import tempfile
 from importlib import metadata, util
 from pathlib import Path
 
+from xpl_cli.basics import user_cache
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.extras import how_to_install
 from xpl_cli.basics.sizes import told_size
@@ -76,8 +77,7 @@ def cores() -> Check:
 def disk() -> Check:
     """Write to the places that checkpoints and temporary files go to, and read how much room there is."""
     serves = "checkpoints and environments"
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    places = {"cache": cache, "temporary files": Path(tempfile.gettempdir()), "here": Path.cwd()}
+    places = {"cache": user_cache.folder(), "temporary files": Path(tempfile.gettempdir()), "here": Path.cwd()}
     told, mend = [], None
     for name, wanted in places.items():
         place = next(one for one in (wanted, *wanted.parents) if one.is_dir())
@@ -90,7 +90,7 @@ def disk() -> Check:
                 mend = f"make room in {place}"
             continue
         told[-1] = f"{name} cannot be written ({place})"
-        mend = mend or f"make {place} writable, or choose another place (XDG_CACHE_HOME, TMPDIR, another folder)"
+        mend = mend or f"make {place} writable, or choose another place (XPL_CACHE, TMPDIR, another folder)"
     return Check("disk", Status.BROKEN if mend else Status.OK, ", ".join(told), serves, mend)
 
 

@@ -83,7 +83,8 @@ def install(plan: Plan, *, again: bool = False) -> Installed:
         UserError: if it cannot be made; what was in use before stays in use.
     """
     key = plan.key()
-    with _alone(plan.base):
+    _make(plan.link.parent)
+    with _alone(plan.link.parent):
         before = condition(plan)
         if before == "foreign":
             raise UserError(
@@ -95,7 +96,6 @@ def install(plan: Plan, *, again: bool = False) -> Installed:
         _prune(plan)
         folder = _free(plan, key)
         try:
-            _make(plan.link.parent)
             found = installers.build(plan, folder)
             (folder / ".gitignore").write_text("*\n", encoding="utf-8")
             record = {
@@ -123,7 +123,7 @@ def _installed(plan: Plan, state: str) -> Installed:
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Let one process at a time make environments of an adapter; the lock ends with it at the latest."""
+    """Let one process at a time make environments in a folder; the lock ends with it at the latest."""
     held = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         fcntl.flock(held, fcntl.LOCK_EX)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import sys
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
+from xpl_cli.basics import content, user_cache
 from xpl_cli.basics.errors import NotFoundError, UserError
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ VENV, UV, CONDA = "venv", "uv", "conda"
 MADE_BY_XPL = (VENV, UV)
 """Managers whose environments `xpl install` makes; conda's only where there is a lock."""
 
+_DEFAULT_NAME = ".venv"
 _NEEDED = ("numpy",)
 _UV_LOCK = "uv.lock"
 _PROJECT = "pyproject.toml"
@@ -37,7 +40,7 @@ class Plan:
         base: its folder.
         manager: uv, venv or conda.
         python: version or range of versions, None for the tool's own.
-        link: where the environment is found; a link to the one that is in use.
+        name: of the environment, a path below `base` or an absolute one.
         lock: the lock file, None if there is none.
         kind: what the lock file is.
         requirements: what to install where there is no lock.
@@ -47,10 +50,25 @@ class Plan:
     base: Path
     manager: str
     python: str | None
-    link: Path
+    name: Path
     lock: Path | None
     kind: Kind | None
     requirements: tuple[str, ...]
+
+    @functools.cached_property
+    def link(self) -> Path:
+        """Where the environment is found: a link to the one that is in use.
+
+        It lies in the package. What came with the installed tool has its own in the user's cache, under a name that
+        changes with what it is made from: installations of several versions share that cache.
+
+        Raises:
+            NotFoundError: if the lock of a package that came with the tool is not there.
+            UserError: if the user has no cache.
+        """
+        if content.is_installed(self.base):
+            return user_cache.folder() / "environments" / f"{self.package}-{self.key()}" / _DEFAULT_NAME
+        return self.base / self.name
 
     def key(self) -> str:
         """Return what changes with anything that the environment is made from, a short digest.
@@ -101,29 +119,24 @@ def plan_of(folder: Path, manifest: Mapping[str, Any]) -> Plan | None:
             raise UserError(f"{where}: a lock needs the manager uv, venv or conda, got {manager}")
         return None
     kind = None if lock is None else _kind(str(lock), manager, where)
-    link = environment_folder(folder, declared)
-    _check_outside_of_the_tool(link, where)
     requirements = () if lock else tuple(declared.get("requirements") or _NEEDED)
     for requirement in requirements:
         if requirement.startswith("-"):
             raise UserError(f"{where}: {requirement!r} is an option, not a requirement", hint="put it into a lock file")
     python = declared.get("python")
-    return Plan(
+    name = declared.get("name") or (".conda" if manager == CONDA else _DEFAULT_NAME)
+    plan = Plan(
         folder.name,
         folder,
         manager,
         None if python is None else str(python),
-        link,
+        Path(str(name)).expanduser(),
         folder / str(lock) if lock else None,
         kind,
         requirements,
     )
-
-
-def environment_folder(folder: Path, declared: Mapping[str, Any]) -> Path:
-    """Return where the environment of a package is found."""
-    default = ".conda" if declared.get("manager") == CONDA else ".venv"
-    return folder / Path(str(declared.get("name") or default)).expanduser()
+    _check_outside_of_the_tool(plan.link, where)
+    return plan
 
 
 def _kind(lock: str, manager: str, where: str) -> Kind:

@@ -1,0 +1,32 @@
+"""Where the tool keeps what it can make or fetch again: a folder of the user's, never the installation."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+from xpl_cli.basics.errors import ExitCode, UserError
+
+VARIABLE: Final = "XPL_CACHE"
+
+
+def folder() -> Path:
+    """Return `$XPL_CACHE`, or `xpl` in the user's cache: `$XDG_CACHE_HOME`, by default `~/.cache`.
+
+    A relative path in either variable does not count: it would be another folder wherever the user goes.
+
+    Raises:
+        UserError: the user has no home folder.
+    """
+    given, base = (Path(os.environ.get(name, "")) for name in (VARIABLE, "XDG_CACHE_HOME"))
+    if given.is_absolute():
+        return given
+    try:
+        return (base if base.is_absolute() else Path.home() / ".cache") / "xpl"
+    except RuntimeError:
+        raise UserError(
+            "there is no home folder to keep a cache in",
+            hint=f"choose one: {VARIABLE}=/path/of/a/folder",
+            code=ExitCode.NOT_RUN,
+        ) from None
