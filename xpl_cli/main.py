@@ -35,7 +35,6 @@ _COMMANDS: Final = {
     "explain": "prove.audit",
     "rules": "prove.audit",
     "status": "agents.status",
-    "metrics": "prove.metrics",
     "hook": "prove.hook",
     "serve": "run.serve",
     "eval": "run.evaluate",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ast
+import io
+import tokenize
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,6 +13,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from benchmarks.skills_bench.cases import Task
 
+_UNSEEN = frozenset(
+    (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
+)
 SUFFIXES = frozenset({".py", ".yml", ".md", ".sh"})
 
 
@@ -24,14 +30,46 @@ def written_lines(task: Task, folder: Path) -> int:
 
 
 def model_lines(folder: Path) -> int | None:
-    """Return the lines of code of all model.py with the files that they import, as `xpl metrics` counts them."""
-    from xpl_cli.audit.metrics import measure
-    from xpl_cli.packages.targets import find_target
+    """Return the lines of code of all model.py with the adapter's own files that they import; None if there are none.
 
-    policies = sorted(path.parent for path in folder.glob("policy/*/model.py"))
-    counted = [measure.measure(find_target(path)).reached for path in policies]
-    known = [lines for lines in counted if lines is not None]
-    return sum(known) if known else None
+    Files that are no Python are left out.
+    """
+    from xpl_cli.audit.static.source import Source
+
+    sources = [Source(path.parent) for path in sorted(folder.glob("policy/*/model.py"))]
+    counted = [
+        code_lines(source.text(name))
+        for source in sources
+        for name in source.reached("model.py")
+        if source.parses(name)
+    ]
+    return sum(counted) if counted else None
+
+
+def code_lines(text: str) -> int:
+    """Return how many lines of Python hold code: no blank lines, no comments, no docstrings.
+
+    A statement over three lines counts three; other strings count as code, their blank lines do not.
+    """
+    documented = [entry for node in ast.walk(ast.parse(text)) if (entry := _docstring(node)) is not None]
+    written = text.split("\n")
+    counted: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        first, last = token.start[0], token.end[0]
+        is_docstring = token.type == tokenize.STRING and any(
+            entry.lineno <= first and last <= (entry.end_lineno or first) for entry in documented
+        )
+        if token.type not in _UNSEEN and not is_docstring:
+            counted.update(line for line in range(first, last + 1) if written[line - 1].strip())
+    return len(counted)
+
+
+def _docstring(node: ast.AST) -> ast.stmt | None:
+    if not isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) or not node.body:
+        return None
+    first = node.body[0]
+    is_text = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
+    return first if is_text and isinstance(first.value.value, str) else None
 
 
 def _is_package(folder: Path) -> bool:

@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -288,3 +289,35 @@ def test_an_agent_has_a_name_and_a_command(text: str) -> None:
     with pytest.raises(ValueError, match="NAME=COMMAND"):
         Agent.read(text)
     assert Agent.read("a=agent --print").words == ("agent", "--print", agents.PROMPT)
+
+
+def test_blank_lines_comments_and_docstrings_do_not_count() -> None:
+    """What remains are the lines that hold code."""
+    model = '''
+        """Of the module,
+        over lines."""
+        # a comment
+
+        import os  # counts
+
+        class Model:
+            """Of the class."""
+
+            def reset(self):
+                """Of the method,
+
+                # with what looks like a comment
+                """
+                self.text = """counts
+
+                counts"""
+                return (
+                    1,  # a statement over lines counts each of them
+                )
+    '''
+    assert effort.code_lines(textwrap.dedent(model)) == 8
+
+
+def test_code_beside_a_docstring_counts() -> None:
+    """A docstring does not hide its line."""
+    assert effort.code_lines('def f(): "doc"\nclass A: "doc"; x = 1\n"not a docstring"\n') == 3

@@ -35,7 +35,6 @@ USUAL: dict[str, list[str] | None] = {
     "explain": ["XPL101"],
     "rules": [],
     "status": ["policy/Foo"],
-    "metrics": ["policy/Foo"],
     "hook": [],
     "serve": ["policy/Foo"],
     "eval": ["policy/Foo", "--env", "mujoco"],
@@ -180,7 +179,6 @@ def test_all_values_that_are_of_no_use_are_one_sentence(name: str, place: Path) 
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["metrics", "policy/Foo", "--plot", ""], 2, "expected a path"),
         (["report", "run", "--out", "x\0y"], 2, "which holds NUL"),
         (["report", "run", "--out", "y" * 300], 2, "no path is as long"),
         (["report", "run", "--out", "loop"], 2, "leads back to itself"),

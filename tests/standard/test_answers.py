@@ -169,7 +169,6 @@ def _answer(*words: str) -> dict[str, Any]:
         ["explain", "XPL101"],
         ["explain", "XPL101", "batch-order"],
         ["rules"],
-        ["metrics", "--all"],
         ["env", "list"],
         ["env", "list", "mujoco"],
         ["spec", "show"],

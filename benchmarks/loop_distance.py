@@ -1,0 +1,252 @@
+"""How far evaluation loops are from the reference loop: edit distance of normalised syntax trees.
+
+Compares `eval_one_episode` and `eval_one_episode_batch` of each deploy.py with those of the nearest reference: 0 is the
+same loop, 1 shares nothing, and a function that is missing has distance 1. Names, comments, docstrings, annotations and
+layout do not count, nor whether an operation is asked for by `call(func_name="reset")` or `reset()`, nor a name that
+only hands a value to the next statement. Order and nesting do, and functions of deploy.py that a loop calls are part of
+it. Files are parsed, never executed. The distance tells how much is written differently; whether that is a fault, the
+audit tells.
+
+    python benchmarks/loop_distance.py policy/*/deploy.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import statistics
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+REFERENCES = (ROOT / "policy/demo_policy/deploy.py", *ROOT.glob("templates/loop/**/deploy.py"))
+"""The loop that `xpl new-policy` writes, and the contract's in plain words."""
+LOOPS = ("eval_one_episode", "eval_one_episode_batch")
+ARGUMENTS = ("<environment>", "<client>")
+"""What a loop is given, in this order."""
+
+_SIMPLE = (ast.Expr, ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Return)
+_COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", type=Path, metavar="DEPLOY.PY", help="by default those of policy/")
+    parser.add_argument(
+        "--reference", action="append", type=Path, metavar="FILE", help="may be repeated; the nearest counts"
+    )
+    asked = parser.parse_args()
+    references = [functions(file) for file in asked.reference or REFERENCES]
+    found: list[float] = []
+    for file in asked.files or sorted(ROOT.glob("policy/*/deploy.py")):
+        written = functions(file)
+        found.append(distance(written, references))
+        print(f"{found[-1]:.2f}  {file}")
+    print(f"median {statistics.median(found):.2f}, largest {max(found):.2f}, of {len(found)} files")
+
+
+def functions(file: Path) -> dict[str, ast.FunctionDef]:
+    """Return the functions of a Python file by their names."""
+    tree = ast.parse(file.read_bytes())
+    return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def distance(written: Mapping[str, ast.FunctionDef], references: Sequence[Mapping[str, ast.FunctionDef]]) -> float:
+    """Return the share of the nodes of both loops, and of the reference's nearest ones, that have no counterpart."""
+    differ = size = 0
+    for name in LOOPS:
+        two = nodes(name, written) if name in written else []
+        each = [(unmatched(one, two), len(one) + len(two)) for one in (nodes(name, known) for known in references)]
+        nearest = min(each, key=lambda pair: pair[0] / pair[1])
+        differ, size = differ + nearest[0], size + nearest[1]
+    return differ / size
+
+
+def unmatched(one: Sequence[str], other: Sequence[str]) -> int:
+    """Return how many elements must be removed from the two sequences until they are equal.
+
+    Twice the longest common subsequence is what stays; its length comes from one row of the table kept as the bits of
+    an integer (Hyyrö, "Bit-parallel LCS-length computation revisited", 2004).
+    """
+    places: dict[str, int] = {}
+    for place, element in enumerate(one):
+        places[element] = places.get(element, 0) | 1 << place
+    every = row = (1 << len(one)) - 1
+    for element in other:
+        hits = row & places.get(element, 0)
+        row = ((row + hits) | (row - hits)) & every
+    return len(other) - len(one) + 2 * row.bit_count()
+
+
+def nodes(name: str, known: Mapping[str, ast.FunctionDef]) -> list[str]:
+    """Return the nodes of a function, and of those among `known` that it calls, each once."""
+    written: list[str] = []
+    waiting = [(name, list(ARGUMENTS))]
+    for number, (called, given) in enumerate(waiting):  # grows while it is read
+        if called not in [before for before, _ in waiting[:number]]:
+            writer = _Writer(known[called], given, known)
+            written += writer.block(writer.function.body)
+            waiting += writer.called
+    return written
+
+
+class _Writer:
+    """Writes a function as a sequence of nodes, with brackets around children.
+
+    Args:
+        function: the function; it is not changed.
+        given: labels of its first arguments.
+        known: functions that are followed.
+
+    Attributes:
+        function: a copy, without names that only hand a value to the next statement.
+        called: functions among `known` that it calls, with the labels of their arguments.
+    """
+
+    def __init__(self, function: ast.FunctionDef, given: Sequence[str], known: Mapping[str, ast.FunctionDef]) -> None:
+        self.function = inlined(function)
+        self.called: list[tuple[str, list[str]]] = []
+        self._known = known
+        names = [argument.arg for argument in (*function.args.posonlyargs, *function.args.args)]
+        self._labels = dict.fromkeys(names, "<parameter>") | dict(zip(names, given, strict=False))
+        for node in ast.walk(self.function):
+            if isinstance(node, (ast.For, ast.comprehension)):
+                self._name(node.target, f"item of {self._origin(node.iter)}")
+            elif isinstance(node, ast.Assign):
+                for target in node.targets:
+                    self._name(target, self._origin(node.value))
+            elif isinstance(node, (ast.AnnAssign, ast.NamedExpr)) and node.value is not None:
+                self._name(node.target, self._origin(node.value))
+
+    def block(self, body: Sequence[ast.stmt]) -> list[str]:
+        """Return the nodes of statements, without texts and `pass`."""
+        kept = [one for one in body if not isinstance(one, ast.Pass) and not _is_text(one)]
+        return ["{", *(part for one in kept for part in self._node(one)), "}"]
+
+    def _name(self, target: ast.expr, origin: str) -> None:
+        """Label a local name by what it was first given."""
+        if isinstance(target, ast.Name):
+            self._labels.setdefault(target.id, f"<{origin}>")
+        elif isinstance(target, (ast.Tuple, ast.List)):
+            for place, entry in enumerate(target.elts):
+                self._name(entry, f"{place} in {origin}")
+
+    def _origin(self, value: ast.expr) -> str:
+        """Return in a word where a value comes from."""
+        if isinstance(value, ast.Call):
+            operation = self._operation(value)
+            called = value.func.attr if isinstance(value.func, ast.Attribute) else self._origin(value.func)
+            return called if operation is None else operation[0]
+        if isinstance(value, ast.Name):
+            return self._labels.get(value.id, value.id).strip("<>")
+        return type(value).__name__
+
+    def _operation(self, call: ast.Call) -> tuple[str, list[tuple[str, ast.expr]]] | None:
+        """Return what a call asks of the policy, and the arguments by name; None if it is another call."""
+        asked = call.func
+        if not isinstance(asked, ast.Attribute) or not isinstance(asked.value, ast.Name):
+            return None
+        if self._labels.get(asked.value.id) != ARGUMENTS[1]:
+            return None
+        names = ["func_name", "obs"] if asked.attr == "call" else ["obs"]
+        given = [*zip(names, call.args, strict=False), *((str(one.arg), one.value) for one in call.keywords)]
+        if asked.attr != "call":
+            return asked.attr, given
+        name = dict(given).get("func_name")
+        if not isinstance(name, ast.Constant):
+            return None
+        return str(name.value), [(key, value) for key, value in given if key != "func_name"]
+
+    def _node(self, node: ast.AST) -> list[str]:
+        match node:
+            case ast.Name():
+                written = [self._labels.get(node.id, node.id)]
+            case ast.Constant():
+                written = [repr(node.value)]
+            case ast.Attribute():
+                written = [*self._node(node.value), f".{node.attr}"]
+            case ast.keyword():
+                written = [f"{node.arg}=", *self._node(node.value)]
+            case ast.AnnAssign():
+                written = ["Assign(", *self._node(node.target), *self._field(node.value), ")"]
+            case ast.Call():
+                written = self._call(node)
+            case _:
+                children = [part for _, value in ast.iter_fields(node) for part in self._field(value)]
+                name = type(node).__name__
+                written = [f"{name}(", *children, ")"] if children else [name]
+        return written
+
+    def _field(self, value: object) -> list[str]:
+        if value is None or isinstance(value, (ast.expr_context, ast.arguments)):
+            return []
+        if isinstance(value, ast.AST):
+            return self._node(value)
+        if isinstance(value, list):
+            is_block = bool(value) and isinstance(value[0], ast.stmt)
+            return self.block(value) if is_block else [part for entry in value for part in self._field(entry)]
+        return [str(value)]
+
+    def _call(self, call: ast.Call) -> list[str]:
+        operation = self._operation(call)
+        if operation is not None:
+            given = [part for name, value in operation[1] for part in (f"{name}=", *self._node(value))]
+            return [f"ask {operation[0]}(", *given, ")"]
+        if isinstance(call.func, ast.Name) and call.func.id in self._known:
+            self.called.append((call.func.id, [self._node(value)[0] for value in call.args]))
+        return [*self._node(call.func), "(", *self._field(call.args), *self._field(call.keywords), ")"]
+
+
+class _Put(ast.NodeTransformer):
+    """Puts a value in the place of a name."""
+
+    def __init__(self, name: str, value: ast.expr) -> None:
+        self.name, self.value = name, value
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        """Replace the name where it is read."""
+        return self.value if node.id == self.name and isinstance(node.ctx, ast.Load) else node
+
+
+def inlined(function: ast.FunctionDef) -> ast.FunctionDef:
+    """Return a copy in which no name is left that only hands a value to the next statement."""
+    function = copy.deepcopy(function)
+    fields = [getattr(node, name, None) for node in ast.walk(function) for name in ("body", "orelse", "finalbody")]
+    blocks = [field for field in fields if isinstance(field, list)]
+    handed = Counter(_handed(*pair) for block in blocks for pair in pairwise(block))
+    for block in blocks:
+        for first, second in list(pairwise(block)):
+            name = _handed(first, second)
+            if name and handed[name] == _reads(function, name):
+                _Put(name, first.value).visit(second)
+                block.remove(first)
+                handed[name] -= 1
+    return function
+
+
+def _handed(first: ast.stmt, second: ast.stmt) -> str:
+    """Return the name by which a statement hands a value to the next one, which reads it once; "" if it does not."""
+    if not isinstance(first, ast.Assign) or not isinstance(second, _SIMPLE):
+        return ""
+    if len(first.targets) != 1 or not isinstance(first.targets[0], ast.Name):
+        return ""
+    name = first.targets[0].id
+    repeated = any(isinstance(node, _COMPREHENSIONS) and _reads(node, name) for node in ast.walk(second))
+    return name if _reads(second, name) == 1 and not repeated else ""
+
+
+def _reads(node: ast.AST, name: str) -> int:
+    read = [one for one in ast.walk(node) if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Load)]
+    return sum(one.id == name for one in read)
+
+
+def _is_text(statement: ast.stmt) -> bool:
+    return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+"""`benchmarks/loop_distance.py`: how far evaluation loops are from the reference."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.loop_distance import REFERENCES, distance, functions, unmatched
+from tests.support.places import ROOT
+
+LOOP = (ROOT / "policy/demo_policy/deploy.py").read_text(encoding="utf-8")
+
+
+def _distance(folder: Path, deploy: str) -> float:
+    """Return the distance of a deploy.py with this text."""
+    folder.mkdir(exist_ok=True)
+    (folder / "deploy.py").write_text(textwrap.dedent(deploy), encoding="utf-8")
+    return distance(functions(folder / "deploy.py"), [functions(file) for file in REFERENCES])
+
+
+def test_the_scaffolds_loop_has_no_distance(tmp_path: Path) -> None:
+    """It is the reference."""
+    assert _distance(tmp_path, LOOP) == 0
+
+
+def test_the_contracts_loop_has_no_distance(tmp_path: Path) -> None:
+    """It is the other form of the reference."""
+    (text,) = [file.read_text(encoding="utf-8") for file in REFERENCES[1:]]
+    assert _distance(tmp_path, text) == 0
+
+
+def test_how_a_loop_is_written_does_not_count(tmp_path: Path) -> None:
+    """Names, comments, docstrings, layout, positions of arguments and names for a single use are gone."""
+    deploy = """
+        def eval_one_episode(env, policy):
+            policy.reset()
+            first = env.get_obs()  # named for the next line alone
+            policy.update_obs(first)
+            while not env.is_episode_end():
+                '''Text is no statement.'''
+                for step in policy.call("get_action"):
+                    env.take_action(step)
+                    if env.is_episode_end():
+                        break
+                    seen: dict = env.get_obs()
+                    policy.call("update_obs", seen)
+                    pass
+    """
+    deploy = textwrap.dedent(deploy).replace("seen: dict", "seen")
+    both = _distance(tmp_path, deploy + LOOP[LOOP.index("def eval_one_episode_batch") :])
+    assert both == 0
+    assert 0 < _distance(tmp_path, deploy) < 1, "the batched function is missing"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("            if TASK_ENV.is_episode_end():  # it may end anywhere in a chunk\n                break\n", ""),
+        ('    model_client.call(func_name="reset")\n', ""),
+        ('call(func_name="get_action_batch", obs=running)', 'call(func_name="get_action_batch", obs=chunks)'),
+        ("take_action(action)", "take_action(action); import time; time.sleep(1)"),
+        ("chunks[env][step] for env", "chunks[env][0] for env"),
+    ],
+)
+def test_what_a_loop_does_counts(tmp_path: Path, old: str, new: str) -> None:
+    """A difference that changes what happens is a distance, and a small one."""
+    assert old in LOOP
+    assert 0 < _distance(tmp_path, LOOP.replace(old, new)) < 0.2
+
+
+def test_moving_a_statement_out_of_a_block_counts(tmp_path: Path) -> None:
+    """The same statements in the same order, nested in another way."""
+    last = '            model_client.call(func_name="update_obs", obs=TASK_ENV.get_obs())\n'
+    assert last in LOOP
+    assert _distance(tmp_path, LOOP.replace(last, last.removeprefix("    "))) > 0
+
+
+def test_functions_that_a_loop_calls_are_part_of_it(tmp_path: Path) -> None:
+    """Code does not get nearer to the reference by moving it into a helper."""
+    helper = (
+        "\ndef _see(env):\n    while True:\n        seen = env.get_obs()\n        if seen:\n            return seen\n"
+    )
+    called = LOOP.replace("TASK_ENV.get_obs()", "_see(TASK_ENV)")
+    assert _distance(tmp_path / "a", called + helper) > _distance(tmp_path / "b", called) > 0
+
+
+def test_a_loop_that_only_hands_on_is_measured_where_it_is(tmp_path: Path) -> None:
+    """The environment and the client are known by what the helper is given."""
+    body = (
+        LOOP.replace("def eval_one_episode(", "def _run(").replace("TASK_ENV", "world").replace("model_client", "brain")
+    )
+    handed = _distance(tmp_path, body + "\ndef eval_one_episode(a, b):\n    return _run(a, b)\n")
+    assert 0 < handed < 0.1
+
+
+@given(st.lists(st.sampled_from("abc")), st.lists(st.sampled_from("abc")))
+def test_unmatched_is_the_edit_distance_without_replacement(one: list[str], other: list[str]) -> None:
+    """The bits give what the table gives."""
+    row = list(range(len(other) + 1))
+    for i, left in enumerate(one, start=1):
+        before, row = row, [i]
+        for j, right in enumerate(other, start=1):
+            row.append(before[j - 1] if left == right else 1 + min(before[j], row[j - 1]))
+    assert unmatched(one, other) == row[-1]
+
+
+def test_files_are_listed_with_their_distance(tmp_path: Path) -> None:
+    """Nothing of them is executed."""
+    mark = tmp_path / "executed"
+    (tmp_path / "deploy.py").write_text(f"open({str(mark)!r}, 'w')\n{LOOP}", encoding="utf-8")
+    command = [sys.executable, "benchmarks/loop_distance.py", str(tmp_path / "deploy.py")]
+    done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines()[0] == f"0.00  {tmp_path / 'deploy.py'}"
+    assert not mark.exists()

@@ -1,1 +1,0 @@
-"""What the standard claims of adapters, measured and drawn."""
