@@ -91,8 +91,8 @@ def main() -> None:
     from xpl_cli.packages import package
 
     found = package.load(asked.policy)
-    handed = {"manifest": dict(found.manifest), "config": found.config(package.parse_overrides(asked.set))}
-    python = asked.python or interpreter.resolve(found.path, found.manifest)
+    handed = {"manifest": dict(found.manifest.data), "config": found.config(package.parse_overrides(asked.set))}
+    python = asked.python or interpreter.resolve(found.path, found.manifest.environment)
     command = [python, __file__, "--policy", str(found.path), "--rounds", str(asked.rounds)]
     environment = {**os.environ, INSIDE: json.dumps(handed), "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=False)

@@ -74,8 +74,8 @@ def _row(name: str, rounds: int, *, is_drawn: bool) -> dict[str, Any]:
     folder = ROOT / "envs" / name
     facts = environments.manifest(folder)
     try:
-        python = interpreter.resolve(folder, facts)
-        words = (facts["embodiments"][0], "cameras" if is_drawn else "none", STEPS[name][is_drawn], rounds)
+        python = interpreter.resolve(folder, facts.environment)
+        words = (facts.embodiments[0], "cameras" if is_drawn else "none", STEPS[name][is_drawn], rounds)
         row.update(_told([python, str(PROGRAM), name, *map(str, words)]))
     except UserError as error:
         row["not_run"] = str(error)

@@ -10,12 +10,15 @@ import difflib
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl import robots
+
+if TYPE_CHECKING:
+    from xpl.manifest import Manifest
 
 
 class UnknownEmbodimentError(LookupError):
@@ -109,7 +112,7 @@ def get_embodiment(name: str) -> Embodiment:
     raise UnknownEmbodimentError(f"unknown embodiment {name!r}: known are {', '.join(embodiment_names())}{hint}")
 
 
-def undeclared(manifest: Mapping[str, Any], embodiment: str, action_type: str) -> str | None:
+def undeclared(manifest: Manifest, embodiment: str, action_type: str) -> str | None:
     """Return why a manifest does not speak for a robot and a kind of action, None if it does or is silent about them.
 
     Args:
@@ -117,18 +120,18 @@ def undeclared(manifest: Mapping[str, Any], embodiment: str, action_type: str) -
         embodiment: a robot, maybe by an alias.
         action_type: "joint" or "ee".
     """
-    robots = manifest.get("embodiments")
-    if robots and _canonical(embodiment) not in map(_canonical, robots):
-        named = f"the embodiments {', '.join(map(str, robots))}"
+    declared = manifest.embodiments
+    if declared and _canonical(embodiment) not in map(_canonical, declared):
+        named = f"the embodiments {', '.join(declared)}"
         return f"policy.yml declares {named}, got {spec.Deploy.ENV_CFG_TYPE}: {embodiment}"
-    kinds = manifest.get("action_types")
+    kinds = manifest.action_types
     if kinds and action_type not in kinds:
-        named = f"the action types {', '.join(map(str, kinds))}"
+        named = f"the action types {', '.join(kinds)}"
         return f"policy.yml declares {named}, got {spec.Deploy.ACTION_TYPE}: {action_type}"
     return None
 
 
-def _canonical(name: Any) -> Any:
+def _canonical(name: str) -> str:
     return robots.canonical(name) or name
 
 

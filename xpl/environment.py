@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 from xpl import _spec as spec
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl.episode import Episode, Referee, Setup, Simulated
+from xpl.manifest import EnvManifest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -123,7 +124,7 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
     `reset` comes first. An environment whose episode has ended leaves the running list; an action for it is ignored.
 
     Args:
-        manifest: env.yml as a map (`read_manifest`).
+        manifest: env.yml (`read_manifest`).
         config: task, embodiment, action_type, num_envs (1), max_steps (the task's), cameras (true, false or
             [height, width]), privileged (false), seed (0, of the first environment where `reset` is given none),
             setting (the first of env.yml).
@@ -135,13 +136,13 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
     guarded = True
     """The limits of the robot are kept: places have to see to that."""
 
-    def __init__(self, manifest: Mapping[str, Any], config: Mapping[str, Any]) -> None:
+    def __init__(self, manifest: EnvManifest, config: Mapping[str, Any]) -> None:
         self._manifest = manifest
         known = _known(config, tuple(_Config.__dataclass_fields__), "configuration key")
-        known.setdefault(spec.Deploy.ACTION_TYPE, manifest["action_types"][0])
+        known.setdefault(spec.Deploy.ACTION_TYPE, manifest.action_types[0])
         missing = [name for name in ("task", "embodiment") if not known.get(name)]
         if missing:
-            offered = ", ".join(manifest["tasks"])
+            offered = ", ".join(manifest.tasks)
             raise ValueError(f"the configuration lacks {' and '.join(missing)}; tasks are {offered}")
         self._config = _Config(**known)
         self._setup = _checked(self._config, manifest)
@@ -274,16 +275,14 @@ class Environment(EnvironmentBase[Referee]):
 
     Args:
         episode: makes the simulator of one environment, for example a subclass of `Episode`.
-        manifest: env.yml as a map.
+        manifest: env.yml.
         config: see `EnvironmentBase`.
 
     Raises:
         ValueError: a value is missing, unknown or not offered.
     """
 
-    def __init__(
-        self, episode: Callable[[Setup], Episode], manifest: Mapping[str, Any], config: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, episode: Callable[[Setup], Episode], manifest: EnvManifest, config: Mapping[str, Any]) -> None:
         self._make = episode
         super().__init__(manifest, config)
 
@@ -326,8 +325,8 @@ def require(module: str, folder: str | Path) -> None:
         )
 
 
-def read_manifest(folder: str | Path) -> dict[str, Any]:
-    """Return env.yml of an environment package as a map; needs PyYAML.
+def read_manifest(folder: str | Path) -> EnvManifest:
+    """Return env.yml of an environment package; needs PyYAML.
 
     Args:
         folder: the package's folder, or a file in it, such as ``__file__`` of its client.
@@ -342,31 +341,29 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
         raise RuntimeError("reading env.yml takes PyYAML: pip install PyYAML in the environment's Python") from None
     text = ((path if path.is_dir() else path.parent) / "env.yml").read_text(encoding="utf-8")
     # libyaml's loader, where PyYAML was built with it, takes a tenth of the time.
-    manifest: dict[str, Any] = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506
-    return manifest
+    return EnvManifest.parse(yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)))  # noqa: S506
 
 
-def _checked(config: _Config, manifest: Mapping[str, Any]) -> Setup:
+def _checked(config: _Config, manifest: EnvManifest) -> Setup:
     """Return what a configuration asks for, if that is offered.
 
     Raises:
         ValueError: it is not.
     """
-    one_of("task", config.task, manifest["tasks"])
+    one_of("task", config.task, manifest.tasks)
     try:
         robot = get_embodiment(config.embodiment)
     except UnknownEmbodimentError as error:
         raise ValueError(str(error)) from None
-    facts = manifest["tasks"][config.task]
-    settings = manifest.get("settings", ("clean",))
-    setting = settings[0] if config.setting is None else config.setting
-    one_of("embodiment", robot.name, [get_embodiment(name).name for name in manifest["embodiments"]])
-    one_of(spec.Deploy.ACTION_TYPE, config.action_type, manifest["action_types"])
-    one_of("setting", setting, settings)
-    arms = facts.get("arms", (len(robot.arms),))
-    if len(robot.arms) not in arms:
-        raise ValueError(f"task {config.task} is for {arms} arms; {robot.name} has {len(robot.arms)}")
-    reason = facts.get("unsupported", {}).get(robot.name)
+    task = manifest.tasks[config.task]
+    setting = manifest.settings[0] if config.setting is None else config.setting
+    one_of("embodiment", robot.name, [get_embodiment(name).name for name in manifest.embodiments])
+    one_of(spec.Deploy.ACTION_TYPE, config.action_type, manifest.action_types)
+    one_of("setting", setting, manifest.settings)
+    if task.arms and len(robot.arms) not in task.arms:
+        wanted = " or ".join(map(str, task.arms))
+        raise ValueError(f"task {config.task} is for {wanted} arms; {robot.name} has {len(robot.arms)}")
+    reason = task.unsupported.get(robot.name)
     if reason is not None:
         raise ValueError(f"task {config.task} is not offered with {robot.name}: {reason}")
     if config.num_envs < 1:
@@ -377,7 +374,7 @@ def _checked(config: _Config, manifest: Mapping[str, Any]) -> Setup:
         task=config.task,
         embodiment=robot,
         action_type=config.action_type,
-        max_steps=config.max_steps or int(facts["max_steps"]),
+        max_steps=config.max_steps or task.max_steps,
         cameras=_cameras(config.cameras),
         privileged=config.privileged,
         setting=setting,

@@ -19,6 +19,7 @@ from xpl.safety import NON_FINITE, Supervisor, Verdict
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
+    from xpl.manifest import EnvManifest
 
 SUCCESS, MAX_STEPS, NON_FINITE_STATE = "success", "max_steps", "non_finite_state"
 SUCCESS_SCORE = 1.0
@@ -45,7 +46,7 @@ class Setup:
         cameras: True for pictures of the environment's own size, False for none, or (height, width).
         privileged: whether observations show the simulator's truth.
         setting: a setting of env.yml.
-        manifest: env.yml, as a map.
+        manifest: env.yml.
     """
 
     task: str
@@ -55,18 +56,17 @@ class Setup:
     cameras: bool | tuple[int, int]
     privileged: bool
     setting: str
-    manifest: Mapping[str, Any]
+    manifest: EnvManifest
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """The task's entry of env.yml."""
-        facts: Mapping[str, Any] = self.manifest["tasks"][self.task]
-        return facts
+        """The task's entry of env.yml as it is written, with what only this environment reads."""
+        return self.manifest.tasks[self.task].data
 
     @property
     def frequency(self) -> float:
         """Control steps per second: the task's own, or that of the environment."""
-        return float(self.facts.get("control_frequency", self.manifest["control_frequency"]))
+        return self.manifest.frequency(self.task)
 
 
 @dataclass(frozen=True)

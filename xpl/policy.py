@@ -22,6 +22,7 @@ from xpl import checkpoint
 from xpl.action import ActionError, check_chunk, pack
 from xpl.decoding import decode_rows, ensemble, quaternion_columns
 from xpl.embodiment import get_embodiment, undeclared
+from xpl.manifest import Manifest
 from xpl.memory import Memory
 from xpl.observation import env_index, env_indices
 from xpl.wire.arrays import as_array
@@ -98,12 +99,11 @@ class Policy:
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        manifest = config.get("manifest") or {}
-        temporal = manifest.get("temporal") or {}
+        manifest = Manifest.parse(config.get("manifest"))
         self.config = {key: value for key, value in config.items() if key != "manifest"}
-        self.chunk: int | None = temporal.get("chunk")
-        self.history: int = temporal.get("history") or 1
-        self._ensembling: float | None = temporal.get("ensembling")
+        self.chunk = manifest.temporal.chunk
+        self.history = manifest.temporal.history
+        self._ensembling = manifest.temporal.ensembling
         self.action_type: str = self.setting(spec.Deploy.ACTION_TYPE, spec.DEPLOY_DEFAULTS[spec.Deploy.ACTION_TYPE])
         if self.action_type not in spec.ACTION_TYPES:
             raise ConfigError(f"action_type must be one of {', '.join(spec.ACTION_TYPES)}, got {self.action_type!r}")
@@ -116,7 +116,7 @@ class Policy:
         self.seed: int = self.setting(spec.Deploy.SEED, spec.DEPLOY_DEFAULTS[spec.Deploy.SEED])
         file = getattr(sys.modules.get(type(self).__module__), "__file__", None)
         self.policy_dir = Path(file).resolve().parent if file else Path.cwd()
-        self.interface = self._compiled(manifest.get("native"))
+        self.interface = self._compiled(manifest.native)
         self._environments: dict[int, _Environment] = {}
         self._order: list[int] | None = None
         # By client: where several share a model, each has `limits.client_envs` environment numbers of its own.

@@ -22,7 +22,7 @@ SEED = 0
 
 def tasks() -> list[str]:
     """Return the names of all tasks that two arms can play."""
-    facts = load_module(room("envs") / "mujoco" / "manifest.py").manifest()
+    facts = load_module(room("envs") / "mujoco" / "manifest.py").manifest().data
     return [name for name, entry in facts["tasks"].items() if 2 in entry["arms"]]
 
 

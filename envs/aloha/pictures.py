@@ -39,8 +39,8 @@ class Pictures:
     """
 
     def __init__(self, physics: Any, setup: Setup, words: Sequence[str]) -> None:
-        self._drawn: Mapping[str, str] = setup.manifest["drawn"][setup.setting]
-        self._cameras = setup.manifest["cameras"]
+        self._drawn: Mapping[str, str] = setup.manifest.data["drawn"][setup.setting]
+        self._cameras = setup.manifest.cameras
         self._size = setup.cameras if isinstance(setup.cameras, tuple) else None
         self._physics = physics
         visual = physics.model.vis

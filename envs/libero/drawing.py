@@ -43,7 +43,7 @@ class Pictures:
     """
 
     def __init__(self, setup: Setup, words: Sequence[str]) -> None:
-        self._cameras, self._are_wanted = setup.manifest["cameras"], bool(setup.cameras)
+        self._cameras, self._are_wanted = setup.manifest.cameras, bool(setup.cameras)
         first = next(iter(self._cameras.values()))
         self._size = setup.cameras if isinstance(setup.cameras, tuple) else (first["height"], first["width"])
         self._form = next((word for word in words if word in (_RAW, _ROTATED)), None)

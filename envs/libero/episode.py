@@ -59,7 +59,7 @@ class LiberoEpisode(Episode):
         self._env.seed(_SEED)
         self._env.reset()
         obs = self._env.set_init_state(self._states[seed % len(self._states)])
-        for _ in range(self.setup.manifest["waiting_steps"]):
+        for _ in range(self.setup.manifest.data["waiting_steps"]):
             obs, _, _, _ = self._env.step(_STILL)
         sim, robot = self._env.sim, self._env.robots[0]
         self._link = sim.model.body_name2id(robot.robot_model.naming_prefix + "link7")

@@ -23,7 +23,7 @@ class Pictures:
     """
 
     def __init__(self, setup: Setup, words: Sequence[str]) -> None:
-        self._cameras = setup.manifest["cameras"]
+        self._cameras = setup.manifest.cameras
         self._size = setup.cameras if isinstance(setup.cameras, tuple) else None
         self._shows_goal = _GOAL in words
 

@@ -31,7 +31,7 @@ class Pictures:
     """
 
     def __init__(self, model: Any, setup: Setup, *, is_fast: bool) -> None:
-        self._model, self._cameras = model, setup.manifest["cameras"]
+        self._model, self._cameras = model, setup.manifest.cameras
         self._size = setup.cameras if isinstance(setup.cameras, tuple) else None
         self._renderers: dict[tuple[int, int], Any] = {}
         if is_fast:

@@ -39,8 +39,8 @@ class MujocoEnv(EnvironmentBase["_Place"]):
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         facts, rest = manifest(), dict(config)
-        self._renderer = rest.pop(_RENDERER, facts["renderers"][0])
-        one_of(_RENDERER, self._renderer, facts["renderers"])
+        self._renderer = rest.pop(_RENDERER, facts.renderers[0])
+        one_of(_RENDERER, self._renderer, facts.renderers)
         super().__init__(facts, rest)
 
     @property

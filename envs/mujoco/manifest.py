@@ -6,17 +6,18 @@ from functools import cache
 from typing import Any
 
 from xpl.environment import read_manifest
+from xpl.manifest import EnvManifest
 
 
 @cache
-def manifest() -> dict[str, Any]:
-    """Return `env.yml` as a map; callers do not change it."""
+def manifest() -> EnvManifest:
+    """Return `env.yml`."""
     return read_manifest(__file__)
 
 
 def manifest_for(arms: int) -> dict[str, Any]:
-    """Return the manifest as it applies to robots of so many arms: one arm is seen from elsewhere than two."""
-    facts = manifest()
+    """Return the manifest as a map for robots of so many arms: one arm is seen from elsewhere than two."""
+    facts = manifest().data
     cameras = {name: dict(entry) for name, entry in facts["cameras"].items()}
     for entry in cameras.values():
         alone = entry.pop("one_arm", {})

@@ -15,6 +15,7 @@ from xpl import _spec as spec
 from xpl.action import ActionError
 from xpl.embodiment import get_embodiment
 from xpl.environment import one_of
+from xpl.manifest import EnvManifest
 
 from . import actions
 from .scene import Scene
@@ -48,12 +49,12 @@ class RoboDojoEnv:
 
     guarded = True  # nothing moves here
 
-    def __init__(self, manifest: Mapping[str, Any], config: Mapping[str, Any]) -> None:
+    def __init__(self, manifest: EnvManifest, config: Mapping[str, Any]) -> None:
         for key in config:
             one_of("configuration key", key, _KEYS)
-        self._manifest, self._config = manifest, {"task": next(iter(manifest["tasks"])), **config}
-        one_of("embodiment", self._config.get("embodiment"), manifest["embodiments"])
-        one_of(spec.Deploy.ACTION_TYPE, config.get(spec.Deploy.ACTION_TYPE, actions.JOINT), manifest["action_types"])
+        self._manifest, self._config = manifest, {"task": next(iter(manifest.tasks)), **config}
+        one_of("embodiment", self._config.get("embodiment"), manifest.embodiments)
+        one_of(spec.Deploy.ACTION_TYPE, config.get(spec.Deploy.ACTION_TYPE, actions.JOINT), manifest.action_types)
         self._robot = get_embodiment(self._config["embodiment"])
         self.num_envs = int(config.get("num_envs") or 1)
         if self.num_envs < 1:
@@ -206,17 +207,16 @@ class RoboDojoEnv:
         for key in options:
             one_of("reset option", key, _OPTIONS)
         config = {**self._config, **options}
-        one_of("task", config["task"], self._manifest["tasks"])
-        facts = self._manifest["tasks"][config["task"]]
-        settings = self._manifest["settings"]
+        one_of("task", config["task"], self._manifest.tasks)
+        task, settings = self._manifest.tasks[config["task"]], self._manifest.settings
         self._setting = config.get("setting") or settings[0]
         one_of("setting", self._setting, settings)
-        self.step_lim = int(config.get("max_steps") or facts["max_steps"])
+        self.step_lim = int(config.get("max_steps") or task.max_steps)
         if self.step_lim < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.step_lim}")
-        self._instruction: str = facts[spec.Obs.INSTRUCTION]
-        self._frequency = self._manifest["control_frequency"]
-        self._size = _size(config.get("cameras", True), self._manifest["cameras"])
+        self._instruction: str = task.instruction
+        self._frequency = self._manifest.control_frequency
+        self._size = _size(config.get("cameras", True), self._manifest.cameras)
         self._config = config
 
     def _indices(self, asked: Sequence[int] | None) -> list[int]:

@@ -38,7 +38,7 @@ class Pictures:
     """
 
     def __init__(self, setup: Setup) -> None:
-        arms, cameras = len(setup.embodiment.prefixes), setup.manifest["cameras"]
+        arms, cameras = len(setup.embodiment.prefixes), setup.manifest.cameras
         self._cameras = {name: facts for name, facts in cameras.items() if arms in facts["arms"]}
         self._are_wanted = bool(setup.cameras)
         first = next(iter(self._cameras.values()))

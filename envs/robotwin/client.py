@@ -19,7 +19,7 @@ def make(config: Mapping[str, Any]) -> Environment:
         ValueError: a value is missing, unknown or not offered.
     """
     manifest = read_manifest(__file__)
-    if config.get("setting") in manifest["stand_ins"]:
+    if config.get("setting") in manifest.data["stand_ins"]:
         require("robotwin", __file__)
     else:
         check()

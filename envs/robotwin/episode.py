@@ -36,7 +36,7 @@ class RoboTwinEpisode(Episode):
 
     def __init__(self, setup: Setup, source: Source | None = None) -> None:
         super().__init__(setup)
-        stand_in = setup.manifest["stand_ins"].get(setup.setting)
+        stand_in = setup.manifest.data["stand_ins"].get(setup.setting)
         if stand_in is not None and setup.task not in stand_in["tasks"]:
             raise ValueError(
                 f"{setup.task} needs objects that only RoboTwin's assets have; {setup.setting} plays "
@@ -89,7 +89,7 @@ class RoboTwinEpisode(Episode):
 
     def vision(self) -> dict[str, dict[str, Any]]:
         """Return what RoboTwin's cameras see."""
-        return convert.vision(self._observed(), self.setup.manifest["cameras"])
+        return convert.vision(self._observed(), self.setup.manifest.cameras)
 
     def simulated(self) -> Simulated:
         """Return RoboTwin's own observation, and the flat vector that it was told last."""

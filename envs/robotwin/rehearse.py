@@ -34,8 +34,8 @@ def main(words: list[str]) -> int:
     wishes = loop.Wishes(given.task_name, action_type=given.action_type, seed=given.seed, test_num=given.test_num)
     trial, case = f"{given.task_name}-{given.seed}", f"{given.task_name}-case"
     with Client(f"ws://{given.host}:{given.port}", trial_id=trial, action_case_id=case) as client:
-        robot = get_embodiment(facts["embodiments"][0])
-        played = loop.evaluate(stand_in.StandInSource(), client, wishes, robot, facts["cameras"])
+        robot = get_embodiment(facts.embodiments[0])
+        played = loop.evaluate(stand_in.StandInSource(), client, wishes, robot, facts.cameras)
     told = [{**one, "success": None} for one in played.episodes]
     print(json.dumps({"stand_in": True, "episodes": told, "skipped": played.skipped}))  # noqa: T201 - its answer
     return 1 if any(one["error"] for one in told) else 0

@@ -35,6 +35,7 @@ from xpl.arms.episode import ArmEpisode
 from xpl.arms.lerobot import LeRobotDriver, Words, make
 from xpl.arms.simulated import SimulatedRobot
 from xpl.guard import GuardedEnv
+from xpl.manifest import EnvManifest
 from xpl.safety import Supervisor
 from xpl.vector import VectorEnv
 from xpl_cli.basics.errors import ExitCode
@@ -71,7 +72,7 @@ def _env(robot: SimulatedRobot, **care: Any) -> ArmEnvironment:
         def make_driver(self) -> Driver:
             return LeRobotDriver(robot, self.setup.embodiment)
 
-    env = ArmEnvironment(Cell, _manifest(**care), {"task": "touch", "embodiment": "so101"})
+    env = ArmEnvironment(Cell, EnvManifest.parse(_manifest(**care)), {"task": "touch", "embodiment": "so101"})
     env.reset([0])
     return env
 
@@ -320,7 +321,9 @@ def test_the_plan_of_trials_follows_from_the_seed() -> None:
     assert env.results()[0]["layout"] == {"trial": 1, "layout": "left", "repeat": 1}
     env.close()
     with pytest.raises(ValueError, match="there is one robot"):
-        ArmEnvironment(ArmEpisode, _manifest(), {"task": "touch", "embodiment": "so101", "num_envs": 2})
+        ArmEnvironment(
+            ArmEpisode, EnvManifest.parse(_manifest()), {"task": "touch", "embodiment": "so101", "num_envs": 2}
+        )
     with pytest.raises(ValueError, match=r"robot of env\.yml has no speed"):
         _env(SimulatedRobot(ARM), speed=1)
 
@@ -489,6 +492,7 @@ from xpl.arms.environment import ArmEnvironment
 from xpl.arms.episode import ArmEpisode
 from xpl.arms.lerobot import LeRobotDriver
 from xpl.arms.simulated import SimulatedRobot
+from xpl.manifest import EnvManifest
 
 class Cell(ArmEpisode):
     def make_driver(self):
@@ -496,7 +500,7 @@ class Cell(ArmEpisode):
         return LeRobotDriver(robot, self.setup.embodiment)
 
 def make(config):
-    return ArmEnvironment(Cell, {manifest}, config)
+    return ArmEnvironment(Cell, EnvManifest.parse({manifest}), config)
 """
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from xpl.client.agreement import differences, needs, sentence
+from xpl.manifest import Manifest
 
 POLICY = {
     "name": "Subject",
@@ -137,7 +138,7 @@ def test_needs_are_read_from_manifest_and_configuration() -> None:
         "cameras": {"cam_head": {"width": 64, "height": 48}},
     }
     config = {"policy_name": "Subject", "env_cfg_type": "dual_x5", "action_type": "joint", "seed": 0}
-    assert needs(manifest, config) == {
+    assert needs(Manifest.parse(manifest), config) == {
         "name": "Subject", "embodiments": ["arx_x5"], "embodiment": "arx_x5", "action_types": ["joint"],
         "action_type": "joint", "control_frequency": 20, "inputs": ["state"],
         "cameras": {"cam_head": {"width": 64, "height": 48}},

@@ -14,7 +14,7 @@ from xpl_cli.basics.content import load_module, room
 mujoco = pytest.importorskip("mujoco")
 
 FOLDER = room("envs") / "mujoco"
-FACTS = load_module(FOLDER / "manifest.py").manifest()
+FACTS = load_module(FOLDER / "manifest.py").manifest().data
 make = load_module(FOLDER / "client.py").make
 camera_module = load_module(FOLDER / "camera.py")
 renderers = load_module(FOLDER / "renderers.py")

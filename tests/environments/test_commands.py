@@ -10,6 +10,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from tests.support.peer import xpl
+from xpl.manifest import Task
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.environments import check, play
@@ -18,7 +19,7 @@ from xpl_cli.packages import environments
 
 pytest.importorskip("mujoco")
 
-FACTS = environments.manifest(room("envs") / "mujoco")
+FACTS = environments.manifest(room("envs") / "mujoco").data
 LIFT = ("--task", "lift_cube", "--embodiment", "franka_single", "--setting", "clean")
 
 
@@ -38,7 +39,7 @@ def test_list_shows_what_is_offered() -> None:
     assert listed["schema"] == "xpl.env-list/1"
     tasks = next(entry for entry in listed["environments"] if entry["name"] == "mujoco")["tasks"]
     for task, entry in FACTS["tasks"].items():
-        why = {robot: play.unsupported(entry, robot) for robot in FACTS["embodiments"]}
+        why = {robot: play.unsupported(Task.parse(entry), robot) for robot in FACTS["embodiments"]}
         assert tasks[task]["embodiments"] == [robot for robot, reason in why.items() if reason is None]
         assert tasks[task]["unsupported"] == {robot: reason for robot, reason in why.items() if reason is not None}
         assert tasks[task]["stages"] == entry["stages"]

@@ -12,6 +12,7 @@ import pytest
 from xpl import _spec as spec
 from xpl import get_embodiment
 from xpl.action import ActionError, pack
+from xpl.manifest import Task
 from xpl.observation import ObservationError
 from xpl.poses import transform
 from xpl_cli.basics.content import load_module, room
@@ -22,13 +23,13 @@ pytest.importorskip("mujoco")
 from benchmarks.environments_bench import ours
 
 FOLDER = room("envs") / "mujoco"
-FACTS = load_module(FOLDER / "manifest.py").manifest()
+FACTS = load_module(FOLDER / "manifest.py").manifest().data
 TASKS = sorted(FACTS["tasks"])
 PAIRS = [
     (task, robot)
     for task in TASKS
     for robot in FACTS["embodiments"]
-    if check.unsupported(FACTS["tasks"][task], robot) is None
+    if check.unsupported(Task.parse(FACTS["tasks"][task]), robot) is None
 ]
 Expert = load_module(room("policy") / "scripted_expert" / "model.py").Model
 make = load_module(FOLDER / "client.py").make

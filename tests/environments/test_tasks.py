@@ -10,6 +10,7 @@ import pytest
 
 from xpl import _spec as spec
 from xpl import get_embodiment
+from xpl.manifest import Task
 from xpl_cli.basics.content import load_module, room
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.basics.progress import Progress
@@ -19,7 +20,7 @@ from xpl_cli.environments.play import Scenario
 pytest.importorskip("mujoco")
 
 FOLDER = room("envs") / "mujoco"
-FACTS = load_module(FOLDER / "manifest.py").manifest()
+FACTS = load_module(FOLDER / "manifest.py").manifest().data
 TASKS = list(FACTS["tasks"])
 SETTINGS = FACTS["settings"]
 BACKDROP = re.compile(r"table|floor|ceiling|wall_")
@@ -28,7 +29,7 @@ PAIRS = [
     (task, robot)
     for task, entry in FACTS["tasks"].items()
     for robot in FACTS["embodiments"]
-    if check.unsupported(entry, robot) is None
+    if check.unsupported(Task.parse(entry), robot) is None
 ]
 
 

@@ -20,6 +20,7 @@ from tests.support.outside.wheels import numpy_wheel, pinned, wheel
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 from xpl import Client
+from xpl.manifest import PythonEnvironment
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.lifecycle.python_env import installers, place, pythons
@@ -99,7 +100,7 @@ def subject(folder: Path, text: str | None = None, **environment: Any) -> Path:
 def planned(folder: Path, **environment: Any) -> Plan:
     """Return the plan of an adapter, which has one."""
     adapter = package.load(subject(folder, **environment))
-    plan = plan_of(adapter.path, adapter.manifest)
+    plan = plan_of(adapter.path, adapter.manifest.environment)
     assert plan is not None
     return plan
 
@@ -266,7 +267,7 @@ def test_conda_gets_its_lock(conda: Path, tmp_path: Path) -> None:
     folder = subject(tmp_path, "dependencies: [numpy]\n", manager="conda", lock="environment.yml")
     place.install(planned(tmp_path, manager="conda", lock="environment.yml"))
     assert conda.read_text().startswith(f"env create --quiet --prefix {folder}/.conda-")
-    assert interpreter.resolve(folder, package.load(folder).manifest).startswith(f"{folder}/.conda-")
+    assert interpreter.resolve(folder, package.load(folder).manifest.environment).startswith(f"{folder}/.conda-")
     conda.unlink()
     subject(tmp_path, "@EXPLICIT\nnumpy\n", manager="conda", lock="conda.txt")
     place.install(planned(tmp_path, manager="conda", lock="conda.txt"))
@@ -287,8 +288,8 @@ def test_a_change_is_noticed_and_replaces(conda: Path, tmp_path: Path, capfd: py
 
     changed = declare("numpy 2")
     assert place.condition(changed) == "outdated"
-    interpreter.resolve(changed.base, package.load(changed.base).manifest)
-    interpreter.resolve(changed.base, package.load(changed.base).manifest)
+    interpreter.resolve(changed.base, package.load(changed.base).manifest.environment)
+    interpreter.resolve(changed.base, package.load(changed.base).manifest.environment)
     assert capfd.readouterr().err.count("is not the declared one") == 1
     second = place.install(changed)
     assert (second.state, second.folder != first.folder, first.folder.exists()) == ("replaced", True, False)
@@ -387,7 +388,7 @@ def _conda_plan(folder: Path, lock: str) -> Plan:
 def test_what_cannot_be_meant_is_refused(tmp_path: Path, environment: dict[str, Any], message: str) -> None:
     """Above all, an environment never takes the place of the tool's own."""
     with pytest.raises(UserError, match=message):
-        plan_of(tmp_path, {"environment": environment})
+        plan_of(tmp_path, PythonEnvironment.parse(environment))
 
 
 def test_what_others_made_is_not_touched(tmp_path: Path) -> None:
@@ -432,7 +433,7 @@ def test_an_interpreter_may_be_named_as_in_a_shell(tmp_path: Path, monkeypatch: 
     (tmp_path / "bin").mkdir()
     named = tmp_path / "bin" / "python-of-mine"
     named.symlink_to(sys.executable)
-    declared: dict[str, Any] = {"environment": {"manager": "path", "python": named.name}}
+    declared = PythonEnvironment(manager="path", python=named.name)
     for said in ({"python": named.name}, {}):
         with pytest.raises(UserError, match=f"there is no interpreter at {named.name}"):
             interpreter.resolve(tmp_path, declared, **said)
@@ -444,14 +445,14 @@ def test_an_interpreter_may_be_named_as_in_a_shell(tmp_path: Path, monkeypatch: 
 def test_the_command_line_comes_before_the_manifest(tmp_path: Path) -> None:
     """`--python`, then `--env`, then policy.yml; an argument of a launch script that says nothing is none."""
     folder = subject(tmp_path, manager="path", python=sys.executable)
-    manifest: dict[str, Any] = {"environment": {"manager": "path", "python": "/nowhere/python"}}
-    assert interpreter.resolve(folder, manifest, python=sys.executable, env="uv:nowhere") == sys.executable
-    assert interpreter.resolve(folder, manifest, env="none") == sys.executable
+    declared = PythonEnvironment(manager="path", python="/nowhere/python")
+    assert interpreter.resolve(folder, declared, python=sys.executable, env="uv:nowhere") == sys.executable
+    assert interpreter.resolve(folder, declared, env="none") == sys.executable
     for env in (None, "", "-", "null"):
         with pytest.raises(UserError, match="/nowhere/python"):
-            interpreter.resolve(folder, manifest, env=env)
+            interpreter.resolve(folder, declared, env=env)
     with pytest.raises(UserError, match="uv-env") as caught:
-        interpreter.resolve(folder, manifest, env="uv:uv-env")
+        interpreter.resolve(folder, declared, env="uv:uv-env")
     assert caught.value.hint == f"`xpl install {folder}`"
 
 

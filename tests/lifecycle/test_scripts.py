@@ -20,6 +20,7 @@ import yaml
 from tests.docs.test_audit import blocks, commands
 from tests.support.peer import xpl
 from tests.support.places import ROOT
+from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.commands.run import checkpoint as command
 from xpl_cli.lifecycle.checkpoints.specification import declared, digest_of
@@ -231,7 +232,7 @@ def test_the_manifests_of_the_page_are_valid(tmp_path: Path) -> None:
         (key,) = part
         assert validate(part[key], f"policy#/properties/{key}", "v1.1") == []
         if key == "checkpoints":
-            assert list(declared(package.Package(tmp_path, {}, part))) == ["base", "small"]
+            assert list(declared(package.Package(tmp_path, {}, Manifest.parse(part)))) == ["base", "small"]
 
 
 def test_the_page_has_the_digest_of_a_folder_and_every_option() -> None:

@@ -13,6 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from tests.support.outside.openpi import OpenpiPeer, pack, unpack
 from tests.support.peer import DEADLINE_S, Peer, wait_until, xpl
 from xpl import Client
+from xpl.manifest import Manifest
 from xpl_cli.basics.errors import UserError
 from xpl_cli.serving.launch import RunningServer, serving
 from xpl_cli.serving.wires import entrances
@@ -194,13 +195,13 @@ LIBERO = {"env_cfg_type": "franka_single", "action_type": "joint", "openpi": {"s
 def test_other_wires_are_refused(also: list[str], told: str) -> None:
     """With what the option takes."""
     with pytest.raises(UserError, match=told):
-        entrances(also, LIBERO, {}, {})
+        entrances(also, LIBERO, Manifest(), {})
 
 
 def test_an_entrance_has_the_port_that_was_asked_for() -> None:
     """The system chooses one where none was."""
     found = [
-        {name: one.port for name, one in entrances(also, LIBERO, {}, {}).items()}
+        {name: one.port for name, one in entrances(also, LIBERO, Manifest(), {}).items()}
         for also in ([], ["openpi"], ["openpi:8001"])
     ]
     assert found == [{}, {"openpi": 0}, {"openpi": 8001}]
@@ -209,4 +210,4 @@ def test_an_entrance_has_the_port_that_was_asked_for() -> None:
 def test_names_that_lead_nowhere_are_refused() -> None:
     """Before anybody is served, with the key of deploy.yml."""
     with pytest.raises(UserError, match=r"--also openpi: .*images.cam_left_wrist must stand for"):
-        entrances(["openpi"], {**LIBERO, "openpi": {"style": "aloha"}}, {}, {})
+        entrances(["openpi"], {**LIBERO, "openpi": {"style": "aloha"}}, Manifest(), {})

@@ -10,6 +10,7 @@ import pytest
 from xpl import Policy
 from xpl.bridge import Bridge, BridgeError, Simulated, Verdict
 from xpl.environment import Environment, Episode
+from xpl.manifest import EnvManifest
 from xpl.rollout import run_episode
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def crossed(
     episode: type[Episode], adapter: type[Policy] = Adapter, client: Callable[..., Any] | None = None
 ) -> Bridge:
     """Play two episodes and return the bridge."""
-    bridge = Bridge(Environment(episode, MANIFEST, CONFIG), client or Client())
+    bridge = Bridge(Environment(episode, EnvManifest.parse(MANIFEST), CONFIG), client or Client())
     policy = adapter({"env_cfg_type": "franka_single", "action_type": "ee", "manifest": {"temporal": {"chunk": 3}}})
     for seed in (3, 4):
         bridge.reset([seed])

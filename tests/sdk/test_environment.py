@@ -12,6 +12,7 @@ import pytest
 from xpl import _spec as spec
 from xpl.action import ActionError
 from xpl.environment import Environment, Episode, read_manifest
+from xpl.manifest import EnvManifest
 
 HOME = np.zeros(7)
 MANIFEST: dict[str, Any] = {
@@ -64,7 +65,7 @@ class _Counter(Episode):
 
 
 def _env(**config: Any) -> Environment:
-    return Environment(_Counter, MANIFEST, {**CONFIG, **config})
+    return Environment(_Counter, EnvManifest.parse(MANIFEST), {**CONFIG, **config})
 
 
 def test_an_episode_ends_with_success_or_with_its_step_limit() -> None:
@@ -213,7 +214,7 @@ def test_a_manifest_without_a_reader_of_yaml_says_what_to_install(
 ) -> None:
     """Simulators' own Pythons may lack PyYAML."""
     (tmp_path / "env.yml").write_text("name: Foo", encoding="utf-8")
-    assert read_manifest(tmp_path / "client.py") == {"name": "Foo"}
+    assert read_manifest(tmp_path / "client.py").name == "Foo"
     original = builtins.__import__
 
     def without(name: str, *args: Any, **kwargs: Any) -> Any:

@@ -31,7 +31,7 @@ def test_forward_kinematics_agrees_with_mujoco(name: str) -> None:
     """Flange and tcp, in the world, are where the simulated arm has its sites, and point the same way."""
     mujoco = pytest.importorskip("mujoco")
     folder = room("envs") / "mujoco"
-    facts = load_module(folder / "manifest.py").manifest()
+    facts = load_module(folder / "manifest.py").manifest().data
     embodiment = get_embodiment(name)
     scene = load_module(folder / "scene.py").build_scene(embodiment, facts)
     physics = load_module(folder / "physics.py").Physics(scene)

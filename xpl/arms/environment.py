@@ -12,6 +12,7 @@ from xpl.episode import Referee
 if TYPE_CHECKING:
     from xpl.arms.episode import ArmEpisode
     from xpl.episode import Setup
+    from xpl.manifest import EnvManifest
 
 
 class ArmEnvironment(Environment):
@@ -19,7 +20,7 @@ class ArmEnvironment(Environment):
 
     Args:
         episode: makes what plays it, for example a subclass of `xpl.arms.episode.ArmEpisode`.
-        manifest: env.yml as a map.
+        manifest: env.yml.
         config: see `xpl.environment.EnvironmentBase`; `num_envs` is 1.
 
     Raises:
@@ -30,7 +31,7 @@ class ArmEnvironment(Environment):
     _episodes: list[ArmEpisode]
 
     def __init__(
-        self, episode: Callable[[Setup], ArmEpisode], manifest: Mapping[str, Any], config: Mapping[str, Any]
+        self, episode: Callable[[Setup], ArmEpisode], manifest: EnvManifest, config: Mapping[str, Any]
     ) -> None:
         if int(config.get("num_envs") or 1) != 1:
             raise ValueError(f"there is one robot, and num_envs is {config['num_envs']}: ask for 1")

@@ -78,7 +78,7 @@ class ArmEpisode(Episode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        told = setup.manifest.get("robot") or {}
+        told = setup.manifest.robot or {}
         unknown = set(told) - set(Care.__dataclass_fields__)
         if unknown:
             raise ValueError(

@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Iterator, Mapping
-from typing import Any, Callable
+from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import _spec as spec
 from xpl import robots
+
+if TYPE_CHECKING:
+    from xpl.manifest import Manifest
 
 _EMBODIMENT, _EMBODIMENTS, _ACTION_TYPES, _INPUTS = "embodiment", "embodiments", "action_types", "inputs"
 _ACTION_TYPE, _FREQUENCY, _CAMERAS = spec.Deploy.ACTION_TYPE, "control_frequency", "cameras"
@@ -34,23 +37,22 @@ class AnnouncementError(ValueError):
         self.field = field
 
 
-def needs(manifest: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
+def needs(manifest: Manifest, config: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a policy announces.
 
     Args:
-        manifest: its policy.yml, or nothing.
+        manifest: its policy.yml.
         config: the configuration it runs with.
     """
-    inputs = manifest.get(_INPUTS) or {}
     return {
         "name": config.get(spec.Deploy.POLICY_NAME),
-        _EMBODIMENTS: _all_canonical(manifest.get(_EMBODIMENTS)),
+        _EMBODIMENTS: _all_canonical(list(manifest.embodiments) or None),
         _EMBODIMENT: _canonical(config.get(spec.Deploy.ENV_CFG_TYPE)),
-        _ACTION_TYPES: manifest.get(_ACTION_TYPES),
+        _ACTION_TYPES: list(manifest.action_types) or None,
         _ACTION_TYPE: config.get(spec.Deploy.ACTION_TYPE),
-        _FREQUENCY: manifest.get(_FREQUENCY),
-        _INPUTS: inputs.get("required"),
-        _CAMERAS: manifest.get(_CAMERAS),
+        _FREQUENCY: manifest.control_frequency,
+        _INPUTS: None if manifest.inputs is None else list(manifest.inputs.required),
+        _CAMERAS: manifest.data.get(_CAMERAS),
     }
 
 

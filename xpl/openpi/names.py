@@ -17,6 +17,7 @@ from xpl import _spec as spec
 from xpl.action import ActionError, action_dim, pack, unpack
 from xpl.decoding import decode_rows
 from xpl.embodiment import Embodiment, get_embodiment
+from xpl.manifest import Manifest
 from xpl.observation import ObservationError, get_image, get_instruction, offered_inputs, pack_state
 from xpl.openpi.settings import KEY, LAYOUTS, gripper_ends, read
 from xpl.policy import ConfigError
@@ -58,7 +59,7 @@ class Names:
             UnknownEmbodimentError: if `env_cfg_type` names no embodiment.
         """
         told = read(config.get(KEY))
-        manifest = config.get("manifest") or {}
+        manifest = Manifest.parse(config.get("manifest"))
         robot = config.get(spec.Deploy.ENV_CFG_TYPE)
         if not isinstance(robot, str):
             raise ConfigError(f"{spec.Deploy.ENV_CFG_TYPE} must name an embodiment, got {robot!r}")
@@ -67,8 +68,8 @@ class Names:
             names=told["names"],
             embodiment=get_embodiment(robot),
             action_type=action_type,
-            required=tuple((manifest.get("inputs") or {}).get("required") or ()) if manifest else None,
-            chunk=(manifest.get("temporal") or {}).get("chunk"),
+            required=None if manifest.inputs is None else manifest.required,
+            chunk=manifest.temporal.chunk,
             gripper=gripper_ends(told.get("gripper")),
             images=told.get("images", LAYOUTS[0]),
         )

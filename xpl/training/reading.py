@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
+from xpl.manifest import Manifest
 from xpl.policy import Policy
 from xpl.training.adapters import TrainingError, manifest_of, without_model
 from xpl.training.windows import Pixels, Values, Windows
@@ -77,8 +78,8 @@ class Shown:
 
 def is_told_secrets(folder: str | os.PathLike[str], config: Mapping[str, Any]) -> bool:
     """Tell whether an adapter's manifest asks for what only a simulator knows; else it is not served with it."""
-    inputs = manifest_of(folder, config).get("inputs") or {}
-    return spec.Obs.PRIVILEGED in (*(inputs.get("required") or ()), *(inputs.get("optional") or ()))
+    inputs = Manifest.parse(manifest_of(folder, config)).inputs
+    return inputs is not None and spec.Obs.PRIVILEGED in (*inputs.required, *inputs.optional)
 
 
 def read_all(asked: Shown, horizon: int | None, first: int, pixels: Mapping[str, Pixels] | None = None) -> Windows:

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 
 from xpl import _spec as spec
+from xpl.manifest import Manifest
 from xpl.process import child
 from xpl.wire import packed, telling
 from xpl.worker.loading import check_shareable, load_model_class
@@ -105,20 +106,19 @@ class Worker:
         else:
             model_class = load_model_class(policy_dir)
         config = self._config = dict(message["config"])
-        manifest = message.get("manifest") or {}
+        manifest = Manifest.parse(message.get("manifest"))
         if issubclass(model_class, Policy):
-            config["manifest"] = manifest
-        if (manifest.get("serving") or {}).get("shared"):
-            check_shareable(model_class, (*spec.HOOKS, *(manifest.get("methods") or ())))
+            config["manifest"] = manifest.data
+        if manifest.serving.shared:
+            check_shareable(model_class, (*spec.HOOKS, *manifest.methods))
         self._model = model_class(config)
         return self._offer(manifest)
 
-    def _offer(self, manifest: Mapping[str, Any]) -> dict[str, Any]:
+    def _offer(self, manifest: Manifest) -> dict[str, Any]:
         """Tell what the model offers, and settle in for serving it."""
         model_class = type(self._model)
-        declared = tuple(manifest.get("methods") or ())
-        shared = bool((manifest.get("serving") or {}).get("shared"))
-        offered = (*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER, *declared)
+        shared = manifest.serving.shared
+        offered = (*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER, *manifest.methods)
         self._methods = frozenset(
             name for name in offered if not name.startswith("_") and callable(getattr(self._model, name, None))
         )

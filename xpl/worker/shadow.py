@@ -19,6 +19,7 @@ from xpl import _spec as spec
 from xpl import checkpoint
 from xpl.action import action_dim
 from xpl.decoding import decode_rows
+from xpl.manifest import Manifest
 from xpl.policy import Observation, Policy
 from xpl.worker.answers import Answers
 from xpl.worker.lacking import ShadowError
@@ -80,17 +81,19 @@ class _Shadow(Policy):
     """What stands before the adapter's class in the order of resolution."""
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        manifest = config.get("manifest") or {}
-        declared = manifest.get("shadow") or {}
-        if not self._encodes and manifest.get("native") is None:
+        manifest = Manifest.parse(config.get("manifest"))
+        declared = manifest.shadow
+        if not self._encodes and manifest.native is None:
             name = type(self).__name__
             raise UndividedError(f"shadow mode needs an adapter with encode, or a block native; {name} has neither")
         super().__init__(config)
         width = action_dim(self.embodiment, self.action_type)
         steps = self.chunk if self.interface is None else self.interface.action.steps
-        shape: tuple[int, int] = tuple(declared.get("shape") or (steps or _STEPS, width))
-        self._shadow_converts = "shape" not in declared
-        self._shadow_answers = Answers(shape, *_ranges(self, shape[1], declared.get("range")))
+        shape = (steps or _STEPS, width)
+        if declared.shape:
+            shape = (declared.shape[0], declared.shape[1])
+        self._shadow_converts = not declared.shape
+        self._shadow_answers = Answers(shape, *_ranges(self, shape[1], declared.range or None))
 
     def load(self, config: Mapping[str, Any]) -> None:
         """Load nothing."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from xpl.manifest import EnvManifest
     from xpl_cli.basics.progress import Progress
 
     _Job = tuple[Scenario, Sequence[int]]
@@ -52,7 +53,7 @@ class Choice:
     action_type: str | None = None
 
 
-def seeds(folder: Path, task: str, setting: str, facts: Mapping[str, Any] | None = None) -> list[int]:
+def seeds(folder: Path, task: str, setting: str, facts: EnvManifest | None = None) -> list[int]:
     """Return the frozen evaluation seeds of a task in a setting: of its file, or those that env.yml gives all tasks.
 
     Args:
@@ -64,9 +65,9 @@ def seeds(folder: Path, task: str, setting: str, facts: Mapping[str, Any] | None
     Raises:
         NotFoundError: there are none.
     """
-    common = (environments.manifest(folder) if facts is None else facts).get(_COMMON)
+    common = (environments.manifest(folder) if facts is None else facts).evaluation_seeds
     if common is not None:
-        return list(range(common["first"], common["first"] + common["count"]))
+        return list(range(common.first, common.first + common.count))
     file = folder / SEEDS / f"{task}.json"
     if not file.is_file():
         raise NotFoundError(f"task {task} has no frozen seeds: {file} is missing")
@@ -79,7 +80,7 @@ def seeds(folder: Path, task: str, setting: str, facts: Mapping[str, Any] | None
 
 def has_seeds(folder: Path) -> bool:
     """Tell whether an environment has frozen evaluation seeds."""
-    return (folder / SEEDS).is_dir() or _COMMON in environments.manifest(folder)
+    return (folder / SEEDS).is_dir() or environments.manifest(folder).evaluation_seeds is not None
 
 
 def check(name: str, choice: Choice, say: Progress, workers: int | None = 1) -> dict[str, Any]:
@@ -98,13 +99,13 @@ def check(name: str, choice: Choice, say: Progress, workers: int | None = 1) -> 
     environments.require_simulation(name)
     folder = environments.find(name)
     facts = environments.manifest(folder)
-    tasks = _chosen("task", play.expanded(facts, choice.tasks), facts["tasks"])
-    robots = _chosen("embodiment", choice.embodiments, facts["embodiments"])
-    settings = _chosen("setting", choice.settings, play.settings(facts))
-    control = play.chosen("kind of control", choice.action_type, facts["action_types"])
+    tasks = _chosen("task", play.expanded(facts, choice.tasks), facts.tasks)
+    robots = _chosen("embodiment", choice.embodiments, facts.embodiments)
+    settings = _chosen("setting", choice.settings, facts.settings)
+    control = play.chosen("kind of control", choice.action_type, facts.action_types)
     rows: list[dict[str, Any]] = []
     for task, robot, setting in product(tasks, robots, settings):
-        reason = play.unsupported(facts["tasks"][task], robot)
+        reason = play.unsupported(facts.tasks[task], robot)
         rows.append({"task": task, "embodiment": robot, "setting": setting, "unsupported": reason})
     played = [row for row in rows if row["unsupported"] is None]
     jobs = [
@@ -121,7 +122,7 @@ def check(name: str, choice: Choice, say: Progress, workers: int | None = 1) -> 
     for row, batches in zip(played, found.values(), strict=True):
         row.update(_rates(batches))
     return {
-        "environment": facts["name"],
+        "environment": facts.name,
         sdk.Deploy.ACTION_TYPE: control,
         "pairs": rows,
         "ok": all(map(_is_sound, rows)),
@@ -164,7 +165,7 @@ def _answers(jobs: Sequence[_Job], workers: int | None) -> Iterator[_Played]:
 def _play(job: _Job) -> _Played:
     """Return the results of the expert, and of random actions, which are joint angles where those are offered."""
     what, numbers = job
-    offered = environments.manifest(environments.find(what.environment))["action_types"]
+    offered = environments.manifest(environments.find(what.environment)).action_types
     with contextlib.closing(play.make(what)) as env:
         solved = [play.play(env, play.expert(what), seed) for seed in numbers]
     guess = replace(what, action_type=play.random_control(offered))

@@ -73,7 +73,7 @@ def film(what: Scenario, player: str, seed: int, camera: str | None, out: Path) 
     what, act = play.player(player, what, seed)
     facts = environments.manifest(environments.find(what.environment))
     with contextlib.closing(play.make(what)) as env, _drawing(what):
-        reel = Reel(environments.frequency(facts, what.task), camera)
+        reel = Reel(facts.frequency(what.task), camera)
         result = play.play(env, act, seed, lambda: reel.look(env))
     reel.save(out)
     return {**shown(what, seed, camera, out), "player": player, "episode": result}
@@ -138,7 +138,7 @@ def shown(what: Scenario, seed: int, camera: str, out: Path) -> dict[str, Any]:
 def camera_of(what: Scenario, wanted: str | None) -> str:
     """Return the name of a camera: the one for people, or the first, where none is wanted."""
     mine, others = sdk.CAMERAS[len(get_embodiment(what.embodiment).arms)], set().union(*sdk.CAMERAS.values())
-    entries = environments.manifest(environments.find(what.environment))["cameras"]
+    entries = environments.manifest(environments.find(what.environment)).cameras
     known = [name for name in entries if name in mine or name not in others]
     usual = next((name for name in sdk.OPTIONAL_CAMERAS if name in known), None)
     return play.chosen("camera", wanted or usual, known)

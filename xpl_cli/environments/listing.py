@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.environments import check
-from xpl_cli.environments.play import settings, unsupported
+from xpl_cli.environments.play import unsupported
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from xpl.manifest import EnvManifest
 
 _SUCCESS = "success_means"  # of env.yml, or of a task there: a sentence
 
@@ -53,36 +54,36 @@ def _offer(folder: Path) -> dict[str, Any]:
     facts = environments.manifest(folder)
     tasks = {
         task: {
-            sdk.Obs.INSTRUCTION: entry[sdk.Obs.INSTRUCTION],
-            "dimension": entry.get("dimension"),
-            "arms": entry.get("arms"),
-            "max_steps": entry["max_steps"],
+            sdk.Obs.INSTRUCTION: entry.instruction,
+            "dimension": entry.dimension,
+            "arms": list(entry.arms) or None,
+            "max_steps": entry.max_steps,
             "seeds": _seeds(folder, task, facts),
-            "success": entry.get(_SUCCESS, facts.get(_SUCCESS)),
-            "stages": entry.get("stages", {}),
-            "embodiments": [robot for robot in facts["embodiments"] if unsupported(entry, robot) is None],
+            "success": entry.success_means or facts.success_means,
+            "stages": dict(entry.stages),
+            "embodiments": [robot for robot in facts.embodiments if unsupported(entry, robot) is None],
             "unsupported": {
-                robot: reason for robot in facts["embodiments"] if (reason := unsupported(entry, robot)) is not None
+                robot: reason for robot in facts.embodiments if (reason := unsupported(entry, robot)) is not None
             },
         }
-        for task, entry in facts["tasks"].items()
+        for task, entry in facts.tasks.items()
     }
     return {
-        "name": facts["name"],
-        "title": facts["title"],
-        "action_types": facts["action_types"],
-        "settings": settings(facts),
-        "embodiments": facts["embodiments"],
-        "cameras": list(facts["cameras"]),
-        "splits": facts.get("splits") or {},
+        "name": facts.name,
+        "title": facts.title,
+        "action_types": list(facts.action_types),
+        "settings": list(facts.settings),
+        "embodiments": list(facts.embodiments),
+        "cameras": list(facts.cameras),
+        "splits": dict(facts.splits),
         "tasks": tasks,
     }
 
 
-def _seeds(folder: Path, task: str, facts: Mapping[str, Any]) -> dict[str, list[int]]:
+def _seeds(folder: Path, task: str, facts: EnvManifest) -> dict[str, list[int]]:
     """Return how many frozen evaluation seeds a task has in each setting, and the first of them; nothing for none."""
     found = {}
-    for kind in settings(facts):
+    for kind in facts.settings:
         with contextlib.suppress(NotFoundError):
             known = check.seeds(folder, task, kind, facts)
             found[kind] = [len(known), known[0]]

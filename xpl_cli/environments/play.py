@@ -19,6 +19,8 @@ from xpl_cli.packages import environments, package
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from xpl.manifest import EnvManifest, Task
+
 _JOINT = sdk.ACTION_TYPES[0]
 _MOVED, _TURNED = 0.05, 0.5  # m and rad, along and about each axis: how far random poses lie from the present one
 _EXPERT = "expert"
@@ -73,16 +75,16 @@ def scenario(name: str, renderer: str | None = None, action_type: str | None = N
         NotFoundError: there is no environment, task, embodiment, setting, kind of control or renderer of that name.
     """
     facts = environments.manifest(environments.find(name))
-    task = chosen("task", wanted.get("task"), facts["tasks"])
-    robots = [robot for robot in facts["embodiments"] if unsupported(facts["tasks"][task], robot) is None]
+    task = chosen("task", wanted.get("task"), facts.tasks)
+    robots = [robot for robot in facts.embodiments if unsupported(facts.tasks[task], robot) is None]
     robot = wanted.get("embodiment")
     return Scenario(
         environment=name,
         task=task,
-        embodiment=chosen("embodiment", robot, facts["embodiments"]) if robot else robots[0],
-        setting=chosen("setting", wanted.get("setting"), settings(facts)),
-        action_type=chosen("kind of control", action_type, facts["action_types"]),
-        renderer=chosen("renderer", renderer, facts.get("renderers", ())) if renderer else None,
+        embodiment=chosen("embodiment", robot, facts.embodiments) if robot else robots[0],
+        setting=chosen("setting", wanted.get("setting"), facts.settings),
+        action_type=chosen("kind of control", action_type, facts.action_types),
+        renderer=chosen("renderer", renderer, facts.renderers) if renderer else None,
     )
 
 
@@ -100,25 +102,17 @@ def chosen(what: str, wanted: str | None, offered: Iterable[str]) -> str:
     raise no_such(f"there is no {what} {wanted!r}", wanted, names, kind=UnknownTargetError)
 
 
-def settings(facts: Mapping[str, Any]) -> list[str]:
-    """Return the names of an environment's settings."""
-    names: list[str] = facts.get("settings", ["clean"])
-    return names
-
-
-def expanded(facts: Mapping[str, Any], wanted: Iterable[str]) -> list[str]:
+def expanded(facts: EnvManifest, wanted: Iterable[str]) -> list[str]:
     """Return names of tasks, each once, with the tasks of a split (`splits` in env.yml) in its name's place."""
-    splits = facts.get("splits") or {}
+    splits = facts.splits
     return list(dict.fromkeys(task for name in wanted for task in splits.get(name, [name])))
 
 
-def unsupported(entry: Mapping[str, Any], embodiment: str) -> str | None:
-    """Return why a task (its entry in the manifest) is not offered with an embodiment; None if it is."""
-    arms, count = entry.get("arms"), len(get_embodiment(embodiment).arms)
-    if arms is not None and count not in arms:
-        return f"for {' or '.join(map(str, arms))} arms"
-    reason: str | None = entry.get("unsupported", {}).get(embodiment)
-    return reason
+def unsupported(task: Task, embodiment: str) -> str | None:
+    """Return why a task is not offered with an embodiment; None if it is."""
+    if task.arms and len(get_embodiment(embodiment).arms) not in task.arms:
+        return f"for {' or '.join(map(str, task.arms))} arms"
+    return task.unsupported.get(embodiment)
 
 
 def make(what: Scenario) -> Any:
@@ -129,7 +123,7 @@ def make(what: Scenario) -> Any:
     """
     environments.require_simulation(what.environment)
     folder = environments.find(what.environment)
-    python = interpreter.resolve(folder, environments.manifest(folder))
+    python = interpreter.resolve(folder, environments.manifest(folder).environment)
     if python != sys.executable:
         return environments.start(what.environment, what.config(), python=python)
     try:
@@ -144,7 +138,7 @@ def expert(what: Scenario) -> Callable[[Mapping[str, Any]], Mapping[str, Any]]:
     Raises:
         NotFoundError: the environment names none.
     """
-    name = environments.manifest(environments.find(what.environment)).get("expert")
+    name = environments.manifest(environments.find(what.environment)).expert
     if name is None:
         raise NotFoundError(f"{what.environment} names no expert", hint="expert: NAME in env.yml, a policy of policy/")
     module = content.load_module(package.find_policy(name) / sdk.File.MODEL_PY)
@@ -194,7 +188,7 @@ def player(name: str, what: Scenario, seed: int) -> tuple[Scenario, Callable[[Ma
     """
     if chosen("player", name, PLAYERS) == _EXPERT:
         return what, expert(what)
-    offered = environments.manifest(environments.find(what.environment))["action_types"]
+    offered = environments.manifest(environments.find(what.environment)).action_types
     what = replace(what, action_type=random_control(offered))
     return what, at_random(what, seed)
 

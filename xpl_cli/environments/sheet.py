@@ -43,7 +43,7 @@ def sheet(what: Scenario, seed: int, camera: str | None, out: Path, chosen: Sequ
     film.check_ending(out, _ENDINGS)
     camera = film.camera_of(what, camera)
     facts = environments.manifest(environments.find(what.environment))
-    entries = facts["tasks"]
+    entries = facts.tasks
     names = [play.chosen("task", task, entries) for task in play.expanded(facts, chosen)] or list(entries)
     tasks = [task for task in names if play.unsupported(entries[task], what.embodiment) is None]
     seen = [picture for picture, _ in film.first_looks(what, tasks, seed, camera)]

@@ -37,16 +37,16 @@ def recipe(package: Package) -> dict[str, str]:
     """
     import jinja2
 
-    plan = plan_of(package.path, package.manifest)
-    environment = package.manifest.get("environment") or {}
-    manager = environment.get("manager", "none")
+    plan = plan_of(package.path, package.manifest.environment)
+    environment = package.manifest.environment
+    manager = environment.manager
     if manager in ("path", CONDA):
         raise UserError(
             f"{package.name} runs in an environment of the kind {manager}, which this recipe cannot make",
             hint="declare one that is made from a lock: manager: uv, lock: requirements.lock.txt",
         )
     locks = [] if plan is None else [path.relative_to(package.path).as_posix() for path in plan.locks()]
-    needed = [] if plan is not None else list(environment.get("requirements") or ())
+    needed = [] if plan is not None else list(environment.requirements)
     hub = any(one.kind == "hub" for one in declared(package).values())
     source = (room("templates") / "container" / "Dockerfile.jinja").read_text(encoding="utf-8")
     jinja = jinja2.Environment(  # noqa: S701 - a Dockerfile is no HTML

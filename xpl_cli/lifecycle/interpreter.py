@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console, content
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -21,8 +21,7 @@ from xpl_cli.lifecycle.python_env.place import condition
 from xpl_cli.lifecycle.python_env.plan import CONDA, MADE_BY_XPL, plan_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from xpl.manifest import PythonEnvironment
     from xpl_cli.lifecycle.python_env.plan import Plan
 
 _warned: set[Path] = set()
@@ -31,12 +30,14 @@ _UNSAID = frozenset(("", "-", "null"))
 """What launchers put where an argument is not given."""
 
 
-def resolve(policy_dir: Path, manifest: Mapping[str, Any], *, python: str | None = None, env: str | None = None) -> str:
+def resolve(
+    policy_dir: Path, environment: PythonEnvironment, *, python: str | None = None, env: str | None = None
+) -> str:
     """Return the interpreter for an adapter.
 
     Args:
         policy_dir: folder of the adapter; relative environment folders start there.
-        manifest: its policy.yml; `environment` is what counts if neither option is given.
+        environment: what its manifest declares; it counts if neither option is given.
         python: path of an interpreter, or the name of one on PATH.
         env: `conda:NAME`, `uv:DIR`, `venv:DIR`, the name of a conda environment, or `none` for the tool's own; `-`,
             `null` and nothing are as good as not given, since the launch scripts have an argument for it.
@@ -51,20 +52,19 @@ def resolve(policy_dir: Path, manifest: Mapping[str, Any], *, python: str | None
     if env is not None and env not in _UNSAID:
         manager, separator, name = env.partition(":")
         return _managed(manager if separator else CONDA, name if separator else env, policy_dir)
-    return _declared(policy_dir, manifest)
+    return _declared(policy_dir, environment)
 
 
-def _declared(policy_dir: Path, manifest: Mapping[str, Any]) -> str:
+def _declared(policy_dir: Path, environment: PythonEnvironment) -> str:
     """Return the interpreter that policy.yml says."""
-    declared = manifest.get("environment") or {}
-    manager = declared.get("manager", "none")
+    manager = environment.manager
     if manager == "none":
         return sys.executable
     if manager == "path":
-        return _executable(_path(str(declared.get("python"))))
-    plan = plan_of(policy_dir, manifest)
+        return _executable(_path(str(environment.python)))
+    plan = plan_of(policy_dir, environment)
     if plan is None:
-        return _managed(manager, declared.get("name") or policy_dir.name, policy_dir)
+        return _managed(manager, environment.name or policy_dir.name, policy_dir)
     _warn_if_outdated(plan)
     return _in_folder(plan.link, policy_dir)
 

@@ -25,6 +25,7 @@ from xpl_cli.lifecycle.python_env.plan import plan_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from xpl.manifest import PythonEnvironment
     from xpl_cli.packages.package import Package
 
 CONFIG_VARIABLE = "XPL_CONFIG"
@@ -51,27 +52,27 @@ class Installation:
     record: Mapping[str, Any]
 
 
-def install(folder: Path, manifest: Mapping[str, Any], *, again: bool = False) -> Installation:
+def install(folder: Path, environment: PythonEnvironment, *, again: bool = False) -> Installation:
     """Make the environment that a manifest declares unless it is there, and return its interpreter.
 
     Args:
         folder: the adapter's or environment's.
-        manifest: its policy.yml or env.yml.
+        environment: what its policy.yml or env.yml declares.
         again: make it anew although it is there.
 
     Raises:
         UserError: if it cannot be made; what was there before stays.
     """
-    plan = plan_of(folder, manifest)
+    plan = plan_of(folder, environment)
     if plan is None:
-        return Installation(interpreter.resolve(folder, manifest), "given", {})
+        return Installation(interpreter.resolve(folder, environment), "given", {})
     made = place.install(plan, again=again)
     return Installation(str(made.python), made.state, made.record)
 
 
-def condition(folder: Path, manifest: Mapping[str, Any]) -> str:
+def condition(folder: Path, environment: PythonEnvironment) -> str:
     """Return how the environment of a package is: "current", "outdated", "missing", "foreign", or "given"."""
-    plan = plan_of(folder, manifest)
+    plan = plan_of(folder, environment)
     return "given" if plan is None else place.condition(plan)
 
 
@@ -89,7 +90,7 @@ def run_script(
         UserError: if the adapter is declared to be for evaluation only, or the script fails; its exit code is in the
             message.
     """
-    if package.manifest.get("evaluation_only"):
+    if package.manifest.evaluation_only:
         raise UserError(
             f"{package.name} is for evaluation only: it offers neither data processing nor training",
             hint=f"set evaluation_only: false in {sdk.File.POLICY_YML} if it is to have {name}",
@@ -102,12 +103,12 @@ def run_script(
         )
     config = package.config(overrides)
     config["run_name"] = checkpoint.run_name(config)
-    handed = {CONFIG_VARIABLE: json.dumps(config), MANIFEST_VARIABLE: json.dumps(dict(package.manifest))}
+    handed = {CONFIG_VARIABLE: json.dumps(config), MANIFEST_VARIABLE: json.dumps(dict(package.manifest.data))}
     environment = {**os.environ, **handed}
     environment.pop("PYTHONHOME", None)  # the tool's own must not lead the policy's interpreter astray
     if gpu is not None:
         environment["CUDA_VISIBLE_DEVICES"] = gpu
-    python = interpreter.resolve(package.path, package.manifest)
+    python = interpreter.resolve(package.path, package.manifest.environment)
     started = time.monotonic()
     output = sys.stderr if aside else None
     with _sdk_alone() as folder:

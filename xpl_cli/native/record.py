@@ -20,6 +20,7 @@ from xpl_cli.native.pairs import Answer, Pairs, Session
 from xpl_cli.packages.conventions import applying
 
 if TYPE_CHECKING:
+    from xpl.manifest import Manifest
     from xpl_cli.native.script import Call
     from xpl_cli.packages.package import Package
 
@@ -126,7 +127,7 @@ def sessions(package: Package, overrides: Mapping[str, Any]) -> Iterator[Session
     """
     manifest, config = package.manifest, package.config(overrides)
     configured = (str(config[sdk.Deploy.ENV_CFG_TYPE]), str(config[sdk.Deploy.ACTION_TYPE]))
-    declared = [(name, kind) for name in manifest.get("embodiments", ()) for kind in manifest.get("action_types", ())]
+    declared = [(name, kind) for name in manifest.embodiments for kind in manifest.action_types]
     samples_freely = is_free(manifest)
     for number, (name, kind) in enumerate(dict.fromkeys((configured, *declared))):
         try:
@@ -139,20 +140,20 @@ def sessions(package: Package, overrides: Mapping[str, Any]) -> Iterator[Session
         yield Session(robot.name, kind, int(config[sdk.Deploy.SEED]), sizes, takes, calls)
 
 
-def is_free(manifest: Mapping[str, Any]) -> bool:
+def is_free(manifest: Manifest) -> bool:
     """Tell whether a model's answers are compared in distribution: it samples, and takes no seed."""
-    native = manifest.get("native")
+    native = manifest.native
     if native is None:
-        return manifest.get("deterministic") is False
+        return manifest.deterministic is False
     return bool(native.get("sampling") == FREE)
 
 
-def span(manifest: Mapping[str, Any]) -> int:
+def span(manifest: Manifest) -> int:
     """Return the control steps that a policy's history reaches over, 1 without one."""
-    history = (manifest.get("native") or {}).get("history") or {}
+    history = (manifest.native or {}).get("history") or {}
     length, stride = (history.get(key, 1) for key in ("length", "stride"))
     known = isinstance(length, int) and isinstance(stride, int)  # either may be open
-    return max((length - 1) * stride + 1 if known else 1, int((manifest.get("temporal") or {}).get("history") or 1))
+    return max((length - 1) * stride + 1 if known else 1, int(manifest.temporal.history))
 
 
 def _asked(package: Package, session: Session, options: Options) -> tuple[list[Session], dict[str, Any]]:
@@ -184,7 +185,7 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
     name = f"{session.embodiment}, {session.action_type}"
     options.progress.step(f"{names.CODE}: {name}, {sum(len(call.ask) for call in asking)} questions")
     place = errand.Place(
-        python=interpreter.resolve(package.path, package.manifest, python=options.python, env=options.env),
+        python=interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env),
         checkout=package.path,
         patience=options.patience,
         limit_s=names.RECORD_S,

@@ -24,10 +24,12 @@ from xpl import poses, rotation
 from xpl.convert import NativeError
 from xpl.convert.frames import mount, tool
 from xpl.kinematics import Chain, KinematicsError
+from xpl.manifest import CameraNeeds
 from xpl_cli.native import pictures
 
 if TYPE_CHECKING:
     from xpl.embodiment import Arm, Embodiment
+    from xpl.manifest import Manifest
 
 VERSION = 1
 """Of what a recipe stands for. Pairs of another version cannot be compared."""
@@ -71,26 +73,24 @@ class Call:
     ask: tuple[int, ...] = ()
 
 
-def cameras(manifest: Mapping[str, Any], embodiment: Embodiment) -> dict[str, tuple[int, int]]:
+def cameras(manifest: Manifest, embodiment: Embodiment) -> dict[str, tuple[int, int]]:
     """Return height and width of the images of each camera that a manifest reads, or that the robot has.
 
     Raises:
         NativeError: if the adapter needs what only a simulator can give.
     """
-    inputs = manifest.get("inputs") or {}
-    wanted = [*(inputs.get("required") or ()), *(inputs.get("optional") or ())]
-    if sdk.Obs.PRIVILEGED in (inputs.get("required") or ()):
+    if sdk.Obs.PRIVILEGED in manifest.required:
         raise NativeError("the adapter needs privileged observations, which only a simulator can give")
-    read = [name.partition(".")[2] for name in wanted if name.startswith(f"{sdk.Obs.VISION}.")]
-    declared = manifest.get("cameras") or {}
-    return {name: _size(declared.get(name) or {}) for name in dict.fromkeys((*embodiment.cameras, *read))}
+    read = [name.partition(".")[2] for name in manifest.read if name.startswith(f"{sdk.Obs.VISION}.")]
+    declared = manifest.cameras
+    return {name: _size(declared.get(name, CameraNeeds())) for name in dict.fromkeys((*embodiment.cameras, *read))}
 
 
-def _size(needs: Mapping[str, Any]) -> tuple[int, int]:
-    height, width = needs.get("height"), needs.get("width")
+def _size(needs: CameraNeeds) -> tuple[int, int]:
+    height, width = needs.height, needs.width
     if not height or not width:
         return _SIZE
-    if needs.get("exact"):
+    if needs.exact:
         return height, width
     factor = max(1, math.ceil(_SIZE[0] / height), math.ceil(_SIZE[1] / width))
     return height * factor, width * factor  # of the same aspect

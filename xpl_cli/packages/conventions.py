@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+
+if TYPE_CHECKING:
+    from xpl.manifest import Manifest
 
 _IMAGES = ("camera", "image_channels", "image_orientation", "image_range", "image_size")
 _OF_PARTS: Mapping[str, tuple[str, ...]] = {
@@ -20,13 +23,13 @@ _TEXT = sdk.Obs.INSTRUCTION
 """The standard's name for it, which the block and the convention share."""
 
 
-def applying(manifest: Mapping[str, Any]) -> list[str]:
+def applying(manifest: Manifest) -> list[str]:
     """Return the conventions that apply to a policy, sorted.
 
     Args:
         manifest: policy.yml. Its native block says what there is to agree on; without one, its inputs and actions do.
     """
-    native = manifest.get("native")
+    native = manifest.native
     found = _of_block(native) if isinstance(native, Mapping) else _of_manifest(manifest)
     return sorted({"action_reference", "chunk", *found})
 
@@ -53,23 +56,21 @@ def _of_block(native: Mapping[str, Any]) -> Iterator[str]:
         yield "recurrent"
 
 
-def _of_manifest(manifest: Mapping[str, Any]) -> Iterator[str]:
-    inputs, temporal = manifest.get("inputs") or {}, manifest.get("temporal") or {}
-    read = [str(name) for group in ("required", "optional") for name in inputs.get(group) or ()]
-    if any(name.startswith(f"{sdk.Obs.VISION}.") for name in read):
+def _of_manifest(manifest: Manifest) -> Iterator[str]:
+    if any(name.startswith(f"{sdk.Obs.VISION}.") for name in manifest.read):
         yield from (*_IMAGES, "image_filter")
-    if _TEXT in read:
+    if _TEXT in manifest.read:
         yield _TEXT
-    for action_type in manifest.get("action_types") or ():
+    for action_type in manifest.action_types:
         yield from _OF_PARTS["joints" if action_type == _JOINT else "rotation"]
-    if manifest.get("gripper"):
+    if manifest.gripper:
         yield "gripper"
     yield "normalization"
-    if (temporal.get("history") or 1) > 1:
+    if manifest.temporal.history > 1:
         yield "history"
-    if temporal.get("kind") == "memory":
+    if manifest.temporal.kind == "memory":
         yield "recurrent"
-    if manifest.get("deterministic") is False:
+    if not manifest.deterministic:
         yield "sampling"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl import robots as sdk_robots
+from xpl.manifest import EnvManifest
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import ExitCode, UnknownTargetError, UserError, no_such
 from xpl_cli.packages import manifests, package, robots
@@ -48,24 +48,14 @@ def _rooms() -> tuple[Path, Path]:
     return Path("envs"), content.room("envs")
 
 
-def manifest(folder: Path) -> dict[str, Any]:
-    """Return the map in an environment's env.yml."""
-    return manifests.read(folder / _MANIFEST, package.ENV)
+def manifest(folder: Path) -> EnvManifest:
+    """Return what an environment's env.yml says."""
+    return EnvManifest.parse(manifests.read(folder / _MANIFEST, package.ENV))
 
 
 def module(name: str, part: str = "client") -> ModuleType:
     """Load one module of an environment package."""
     return content.load_module(find(name) / f"{part}.py")
-
-
-def offers(facts: Mapping[str, Any], robot: str) -> bool:
-    """Tell whether an environment offers a robot, by any of its names, or says that it suits whichever there is."""
-    return bool(facts.get("any_embodiment")) or robot in map(sdk_robots.canonical, facts["embodiments"])
-
-
-def is_real(facts: Mapping[str, Any]) -> bool:
-    """Tell whether a robot may stand behind an environment: it does not say that it waits, or follows a script."""
-    return bool(facts.get("real_time", True)) and not facts.get("scripted", False)
 
 
 def require_simulation(name: str) -> None:
@@ -74,18 +64,12 @@ def require_simulation(name: str) -> None:
     Raises:
         UserError: with what makes a simulation known as one.
     """
-    if is_real(manifest(find(name))):
+    if manifest(find(name)).is_real:
         raise UserError(
             f"{name} does not say `real_time: false`, so a robot may stand behind it, and this would move it",
             hint="say `real_time: false` in env.yml if it is a simulation; `xpl eval` moves robots",
             code=ExitCode.NOT_RUN,
         )
-
-
-def frequency(facts: Mapping[str, Any], task: str | None) -> float:
-    """Return the control rate of a task, Hz: its own, or the environment's."""
-    entry = facts["tasks"].get(task) or {}
-    return float(entry.get("control_frequency", facts["control_frequency"]))
 
 
 def make(name: str, config: Mapping[str, Any]) -> Any:
@@ -118,8 +102,8 @@ def start(name: str, config: Mapping[str, Any], *, workers: int = 1, python: str
             # Where a robot stands, a person puts the scene right: reset waits for that, and is not hung.
             # One that asks for a verdict, too, does so in the last step.
             facts = manifest(folder)
-            asks = {"step_s": _PERSON_S} if facts.get("robot") else {}
-            limits = Limits(start_s=_PERSON_S, **asks) if facts.get("real_time") else None
+            asks = {"step_s": _PERSON_S} if facts.robot else {}
+            limits = Limits(start_s=_PERSON_S, **asks) if facts.real_time else None
             env: Any = VectorEnv(_client(folder), config, workers=workers, python=python, limits=limits)
         else:
             env = content.load_module(_client(folder)).make(config)
@@ -136,18 +120,18 @@ def start(name: str, config: Mapping[str, Any], *, workers: int = 1, python: str
 
 
 def _client(folder: Path) -> Path:
-    return folder / str(manifest(folder).get("client") or "client.py")
+    return folder / manifest(folder).client
 
 
-def _guarded(env: Any, config: Mapping[str, Any], facts: Mapping[str, Any]) -> Any:
+def _guarded(env: Any, config: Mapping[str, Any], facts: EnvManifest) -> Any:
     from xpl import get_embodiment
     from xpl.guard import GuardedEnv
     from xpl.safety import Supervisor
 
     robot, control = get_embodiment(config["embodiment"]), config[sdk.Deploy.ACTION_TYPE]
-    rate = frequency(facts, config.get("task"))
+    rate = facts.frequency(config.get("task"))
     # Unless it is known that the environment waits, it is taken for a robot that does not.
-    clock = time.monotonic if facts.get("real_time", True) else _stopped
+    clock = _stopped if facts.real_time is False else time.monotonic
     return GuardedEnv(env, lambda: Supervisor(robot, control, rate), clock)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl.manifest import Manifest
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.packages import documented, manifests, robots
@@ -31,7 +32,7 @@ class Package:
 
     path: Path
     deploy: Mapping[str, Any]
-    manifest: Mapping[str, Any] = field(default_factory=dict)
+    manifest: Manifest = field(default_factory=Manifest)
 
     @property
     def name(self) -> str:
@@ -55,8 +56,8 @@ class Package:
         config = {**sdk.DEPLOY_DEFAULTS, **given}
         fallbacks = {
             sdk.Deploy.POLICY_NAME: self.name,
-            sdk.Deploy.ENV_CFG_TYPE: next(iter(self.manifest.get("embodiments") or ()), None),
-            sdk.Deploy.ACTION_TYPE: next(iter(self.manifest.get("action_types") or ()), None),
+            sdk.Deploy.ENV_CFG_TYPE: next(iter(self.manifest.embodiments), None),
+            sdk.Deploy.ACTION_TYPE: next(iter(self.manifest.action_types), None),
         }
         for key, fallback in fallbacks.items():
             if given.get(key) is None:
@@ -116,8 +117,8 @@ def load(path: Path | str) -> Package:
         ManifestError: if something in one of them is not what its schema says.
     """
     folder = find_policy(path)
-    manifest = manifests.read(folder / sdk.File.POLICY_YML, POLICY)
-    deploy = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY, spec.declared(manifest))
+    manifest = Manifest.parse(manifests.read(folder / sdk.File.POLICY_YML, POLICY))
+    deploy = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY, spec.declared(manifest.data))
     return Package(path=folder, deploy=deploy, manifest=manifest)
 
 

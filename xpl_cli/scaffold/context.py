@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl.manifest import Manifest
 from xpl_cli.packages.conventions import applying
 from xpl_cli.scaffold import block, kinds
 from xpl_cli.scaffold import template as templates
@@ -88,7 +89,7 @@ def _conventions(
         vector, history = {"parts": native["parts"]}, {"length": answers.history}
         manifest["native"] = {"images": native["images"], "state": [vector], "history": history, "action": vector}
     words = spec.schema("native", version)["$defs"]["convention"]["oneOf"]
-    return {word["const"]: word["description"] for word in words if word["const"] in applying(manifest)}
+    return {word["const"]: word["description"] for word in words if word["const"] in applying(Manifest.parse(manifest))}
 
 
 def _has_gripper(answers: Answers, version: str) -> bool:

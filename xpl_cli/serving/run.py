@@ -10,6 +10,7 @@ import os
 import shlex
 import signal
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -36,8 +37,6 @@ from xpl_cli.serving.workers.pool import LoadError
 from xpl_cli.serving.workers.worker import WorkerProcess
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from xpl_cli.isolation.sandbox import Isolation, MemoryLimit
     from xpl_cli.packages.package import Package
     from xpl_cli.serving.server import Entrance
@@ -119,7 +118,7 @@ def run_server(package: Package, overrides: Mapping[str, Any], options: Options)
     settings = _settings(package, config, options)
     others = entrances(options.also, config, package.manifest, settings.policy)
     try:
-        python = interpreter.resolve(package.path, package.manifest, python=options.python, env=options.env)
+        python = interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env)
     except UserError as error:
         _failed(package, str(error), {"kind": "environment", "name": "; ".join(filter(None, (str(error), error.hint)))})
         raise

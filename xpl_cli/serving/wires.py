@@ -26,20 +26,21 @@ if TYPE_CHECKING:
     from picows import WSTransport
 
     from xpl.client.codec import Codec, Message
+    from xpl.manifest import Manifest
     from xpl_cli.serving.connection import Owner, Timing
 
 _TRY_AGAIN, _REFUSED = 1013, 1008  # WebSocket close codes: RFC 6455, and its registry
 
 
 def entrances(
-    also: Sequence[str], config: Mapping[str, Any], manifest: Mapping[str, Any], policy: Mapping[str, Any]
+    also: Sequence[str], config: Mapping[str, Any], manifest: Manifest, policy: Mapping[str, Any]
 ) -> dict[str, Entrance]:
     """Return the entrances that `--also` asks for, by the names of their wires.
 
     Args:
         also: what was asked for: `NAME`, or `NAME:PORT`.
         config: values of deploy.yml.
-        manifest: the parsed policy.yml.
+        manifest: the policy.yml.
         policy: what clients are told of the policy.
 
     Raises:
@@ -52,7 +53,7 @@ def entrances(
             raise UserError(f"--also takes the name of a wire, or NAME:PORT; got {one!r}")
         if name in found:
             raise UserError(f"--also was given twice for {name}: a wire has one port")
-        found[name] = _entrance(name, int(number or 0), {**config, "manifest": manifest}, policy)
+        found[name] = _entrance(name, int(number or 0), {**config, "manifest": manifest.data}, policy)
     return found
 
 

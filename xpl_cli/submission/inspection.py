@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +15,6 @@ from xpl_cli.packages import environments, package, robots
 from xpl_cli.submission import audited, bundle, claims, consistency
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.records.records import Run
@@ -122,7 +120,7 @@ def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the weights that were loaded are not those that are specified."""
     told = found.read(bundle.CHECKPOINTS)
     adapter = package.load(found.adapter)
-    if told["declared"] != list(adapter.manifest.get("checkpoints") or ()):
+    if told["declared"] != [entry.data for entry in adapter.manifest.checkpoints]:
         yield f"{bundle.CHECKPOINTS} does not declare what the adapter's policy.yml declares"
     known = specification.declared(adapter)
     if told["loaded"] is not None and (told["name"] not in known or known[told["name"]].digest != told["loaded"]):
@@ -161,7 +159,7 @@ def _plan(_: Bundle, runs: Sequence[Run]) -> Iterator[str]:
 
 def _unlike(folder: Path, run: Run) -> Iterator[str]:
     """Yield where a plan has tasks or frozen seeds that its environment has not."""
-    tasks = environments.manifest(folder)["tasks"]
+    tasks = environments.manifest(folder).tasks
     for cell in run.plan["cells"]:
         if cell["task"] not in tasks:
             yield f"{folder.name} has no task {cell['task']}"

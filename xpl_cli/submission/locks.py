@@ -13,26 +13,26 @@ from xpl_cli.lifecycle import interpreter
 from xpl_cli.lifecycle.python_env import installers
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from xpl.manifest import PythonEnvironment
 
 _LIMIT_S = 100.0
 
 
-def lock_of(folder: Path, manifest: Mapping[str, Any], *, python: str | None = None, env: str | None = None) -> Any:
+def lock_of(folder: Path, environment: PythonEnvironment, *, python: str | None = None, env: str | None = None) -> Any:
     """Return what runs a package: `submission#/$defs/interpreter`.
 
     Args:
         folder: the adapter's or environment's.
-        manifest: its policy.yml or env.yml.
+        environment: what its manifest declares.
         python: its interpreter, as `interpreter.resolve` takes it.
         env: the environment of its interpreter, likewise.
 
     Raises:
         UserError: if there is no such interpreter, or it does not run.
     """
-    found = interpreter.resolve(folder, manifest, python=python, env=env)
-    declared = (manifest.get("environment") or {}).get("lock")
-    lock = None if declared is None else {"path": str(declared), "sha256": _sha256(folder / str(declared))}
+    found = interpreter.resolve(folder, environment, python=python, env=env)
+    declared = environment.lock
+    lock = None if declared is None else {"path": declared, "sha256": _sha256(folder / declared)}
     return {**_installed(found), "lock": lock}
 
 

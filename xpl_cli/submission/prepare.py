@@ -6,6 +6,7 @@ Nothing is written unless everything is in order: a bundle is one that `xpl veri
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,8 +22,6 @@ from xpl_cli.submission import archive, bundle, claims, consistency
 from xpl_cli.submission.locks import lock_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.packages.package import Package
@@ -220,16 +219,16 @@ def _checkpoints(package: Package, run: Run) -> dict[str, Any]:
     known = specification.declared(package)
     loaded = _loaded(run)
     name = next((name for name, one in known.items() if loaded is not None and one.digest == loaded), None)
-    return {"loaded": loaded, "name": name, "declared": list(package.manifest.get("checkpoints") or ())}
+    return {"loaded": loaded, "name": name, "declared": [dict(entry.data) for entry in package.manifest.checkpoints]}
 
 
 def _environments(request: Request, runs: Sequence[Run]) -> dict[str, Any]:
     package = request.package
     places = {run.plan["environment"]["name"]: claims.environment(run) for run in runs}
     return {
-        "policy": lock_of(package.path, package.manifest, python=request.python, env=request.env),
+        "policy": lock_of(package.path, package.manifest.environment, python=request.python, env=request.env),
         "environments": {
-            name: lock_of(folder, environments.manifest(folder), env=request.eval_env)
+            name: lock_of(folder, environments.manifest(folder).environment, env=request.eval_env)
             for name, folder in sorted(places.items())
         },
     }

@@ -62,7 +62,7 @@ class Player:
     @property
     def is_deterministic(self) -> bool:
         """Whether the policy says that it repeats itself."""
-        return bool(self._package.manifest.get("deterministic"))
+        return bool(self._package.manifest.deterministic)
 
     def play(self, run: Run, indices: Sequence[int]) -> list[Pair]:
         """Play some episodes of a run as its plan says.
@@ -112,7 +112,7 @@ class Player:
         self._find_weights(config, plan["policy"]["checkpoint"])
         folder = claims.environment(run)
         facts = environments.manifest(folder)
-        if environments.is_real(facts):
+        if facts.is_real:
             raise UserError(f"{folder.name} does not wait for the policy: no episode repeats", code=ExitCode.NOT_RUN)
         if fingerprints.package_digest(folder) != plan["environment"]["digest"]:
             raise UserError(f"{folder.name} here is another version than the run's", code=ExitCode.NOT_RUN)

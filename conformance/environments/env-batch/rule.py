@@ -40,7 +40,7 @@ def env_batch(stage: Stage) -> Iterator[Finding]:
 
 
 def _alike(stage: Stage, offer: Offer) -> Iterator[Finding]:
-    if stage.manifest.get("scripted"):  # where the index of an environment may be what makes it another one
+    if stage.manifest.scripted:  # where the index of an environment may be what makes it another one
         with stage.play(offer, num_envs=2) as play:
             play.reset(*SEEDS)
             indices = [obs.get(sdk.Obs.ENV_IDX) for obs in play.observe()]

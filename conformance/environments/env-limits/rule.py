@@ -39,7 +39,7 @@ def env_limits(stage: Stage) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    if stage.manifest.get("scripted"):
+    if stage.manifest.scripted:
         raise NotApplicable("env.yml declares that observations follow a script: no robot is there to be protected")
     for offer in _of_each_kind(stage):
         yield from stage.told(_bounded(stage, offer), f"{offer} bears wrong commands")

@@ -43,7 +43,7 @@ def _shown(stage: Stage, offer: Offer) -> Iterator[Finding]:
                 got=f"{sdk.Obs.PRIVILEGED} in the observation",
                 advice="add it where the configuration asks for it only",
             )
-    if not stage.manifest.get(sdk.Obs.PRIVILEGED):
+    if not stage.manifest.privileged:
         return
     with stage.play(offer, **{sdk.Obs.PRIVILEGED: True}) as play:
         play.reset(0)

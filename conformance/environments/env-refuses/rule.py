@@ -44,7 +44,7 @@ def env_refuses(stage: Stage) -> Iterator[Finding]:
     offer = stage.offers[0]
     expected = "an error that says what is offered"
     unknown = {"task": "no_such_task", "embodiment": "no_such_robot", sdk.Deploy.ACTION_TYPE: "telepathy"}
-    if stage.manifest.get("scripted"):
+    if stage.manifest.scripted:
         del unknown["task"]  # a script is the same for any task
     for key, value in unknown.items():
         got = _made(stage, replace(offer, **{key: value}))

@@ -33,7 +33,7 @@ def env_seeds_differ(stage: Stage) -> Iterator[Finding]:
     No automatic fix.
     """
     stage.require_repeats()
-    if stage.manifest.get("scripted"):
+    if stage.manifest.scripted:
         raise NotApplicable("env.yml declares that observations follow a script")
     for offer in stage.tasks:
         yield from stage.told(_varied(stage, offer), f"{offer} can be played")

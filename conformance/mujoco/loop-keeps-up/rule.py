@@ -35,7 +35,7 @@ def loop_keeps_up(simulation: Simulation) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    rate = simulation.probe.package.manifest.get(_RATE) or simulation.frequency
+    rate = simulation.probe.package.manifest.control_frequency or simulation.frequency
     times = [(played, found) for played in simulation.sound_rollouts() if (found := _middle(played)) is not None]
     if not times:
         raise NotApplicable("no chunk was executed to its end besides the first")

@@ -29,7 +29,7 @@ def acts_anywhere(configurations: Configurations) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    if not configurations.probe.package.manifest.get("deterministic", True):
+    if not configurations.probe.package.manifest.deterministic:
         usual, there = configurations.usual, configurations.from_elsewhere()
         found = there.refusal if usual.refusal is None else None
     else:

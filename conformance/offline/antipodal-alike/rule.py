@@ -71,7 +71,7 @@ def _require_a_sign(package: Package) -> None:
     Raises:
         NotApplicable: if the block does not, or leaves poses to code.
     """
-    native = package.manifest.get("native")
+    native = package.manifest.native
     if not native and (package.path / names.PAIRS).is_file():
         raise NotApplicable("native-parity compares the answers to both signs with the model's own")
     if not native:

@@ -77,4 +77,4 @@ def ask_twice(probe: Probe) -> Iterator[Finding]:
 
 
 def _remembers(probe: Probe) -> bool:
-    return bool((probe.package.manifest.get("temporal") or {}).get("kind") == "memory")
+    return bool(probe.package.manifest.temporal.kind == "memory")

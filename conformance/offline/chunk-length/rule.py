@@ -31,7 +31,7 @@ def chunk_length(probe: Probe, motions: Motions) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    declared = (probe.package.manifest.get("temporal") or {}).get("chunk")
+    declared = probe.package.manifest.temporal.chunk
     if declared is None:
         raise NotApplicable("no manifest declares the length of a chunk")
     for motion in motions.all:

@@ -39,14 +39,14 @@ def declared_history(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    temporal = probe.package.manifest.get("temporal")
-    if not temporal:
+    manifest = probe.package.manifest
+    if not manifest:
         raise NotApplicable("no manifest declares a history")
-    if temporal.get("ensembling") is not None:
+    if manifest.temporal.ensembling is not None:
         raise NotApplicable("the manifest declares that earlier observations count for the whole chunk")
     probe.ready()
-    history = reach(probe.package.manifest)
-    if temporal.get("kind") == "memory":
+    history = reach(manifest)
+    if manifest.temporal.kind == "memory":
         yield from _nothing_kept(probe, history)
     else:
         yield from _too_much(probe, history)

@@ -29,7 +29,7 @@ def declared_random(configurations: Configurations) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    if configurations.probe.package.manifest.get("deterministic", True):
+    if configurations.probe.package.manifest.deterministic:
         raise NotApplicable("the policy is declared deterministic")
     seeds = (0, 7)
     first, second = (configurations.with_seed(seed) for seed in seeds)

@@ -38,7 +38,8 @@ def gripper_between(probe: Probe, motions: Motions) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    if (probe.package.manifest.get("gripper") or {}).get("command") != "binary":
+    gripper = probe.package.manifest.gripper
+    if gripper is None or gripper.command != "binary":
         raise NotApplicable("the manifest does not declare that only closed and open are meant")
     arms = [(motion, arm) for motion in motions.sound for arm in motion.embodiment.arms if arm.gripper != _HAND]
     if not arms:

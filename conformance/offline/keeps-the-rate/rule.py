@@ -32,7 +32,7 @@ def keeps_the_rate(probe: Probe, service: Service) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    rate = probe.package.manifest.get(_RATE)
+    rate = probe.package.manifest.control_frequency
     if rate is None:
         raise NotApplicable("the manifest declares no control frequency")
     usual, lasts = service.usual, service.steps / rate

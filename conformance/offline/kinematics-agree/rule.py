@@ -37,7 +37,7 @@ def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
     """
     package = probe.package
     try:
-        found = declared.verdicts(package.manifest, spec.declared(package.manifest), [package.path])
+        found = declared.verdicts(package.manifest, spec.declared(package.manifest.data), [package.path])
     except declared.NoWitnessError as error:
         raise NotApplicable(str(error)) from None
     except NativeError as error:

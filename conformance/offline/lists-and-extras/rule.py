@@ -40,8 +40,7 @@ def lists_and_extras(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     obs = probe.observation()
     forms = _forms(obs)
     if probe.required:
-        listed = (*probe.required, *probe.package.manifest["inputs"].get("optional", ()))
-        forms["only what the manifest lists"] = only(obs, listed)
+        forms["only what the manifest lists"] = only(obs, probe.package.manifest.read)
     answers = semantics.compare([((obs,), (form,)) for form in forms.values()])
     for what, pair in zip(forms, answers, strict=True):
         found = semantics.disagreement(*pair)

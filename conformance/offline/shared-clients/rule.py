@@ -60,7 +60,7 @@ def shared_clients(probe: Probe) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    if not (probe.package.manifest.get("serving") or {}).get("shared"):
+    if not probe.package.manifest.serving.shared:
         raise NotApplicable("the manifest does not declare serving.shared: a model has one client at a time")
     probe.require_deterministic()
     alone = []

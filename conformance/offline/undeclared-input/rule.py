@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as spec
+from xpl.manifest import Inputs
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe
@@ -32,12 +33,12 @@ def undeclared_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     No automatic fix.
     """
     required = probe.named_inputs()
-    declared = probe.package.manifest["inputs"]
+    declared = probe.package.manifest.inputs or Inputs()
     for change, found in semantics.effects:
         name = change.input
-        if change.kind != "input" or found is None or name in required or name in declared.get("optional", ()):
+        if change.kind != "input" or found is None or name in required or name in declared.optional:
             continue
-        told = "declares it unused" if name in declared.get("unused", ()) else "does not name it"
+        told = "declares it unused" if name in declared.unused else "does not name it"
         yield Finding(
             message=f"the action depends on {name}, but the manifest {told}: comparisons take it for a policy without",
             path=spec.File.POLICY_YML,

@@ -101,4 +101,4 @@ def test_with_move_it_does_what_it_said(tmp_path: Path) -> None:
 def test_our_own_environments_say_what_they_are() -> None:
     """A simulation that forgot to say so would not be audited."""
     for path in tracked("envs/*/env.yml"):
-        assert not environments.is_real(environments.manifest(path.parent)), path
+        assert not environments.manifest(path.parent).is_real, path

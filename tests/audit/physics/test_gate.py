@@ -88,9 +88,9 @@ def test_every_declared_pair_that_the_environment_offers_is_driven(package: Call
     found = courses(package(edits))
     pairs = list(dict.fromkeys((course.embodiment, course.action_type) for course in found))
     assert pairs == [(robot, kind) for robot in ("arx_x5", "franka_single") for kind in ("joint", "ee")]
-    tasks = environments.manifest(environments.find("mujoco"))["tasks"]
+    tasks = environments.manifest(environments.find("mujoco")).tasks
     several = [course.task for course in found if (course.embodiment, course.action_type) == pairs[0]]
-    assert sorted(tasks[task]["dimension"] for task in several) == sorted({t["dimension"] for t in tasks.values()})
+    assert sorted(str(tasks[task].dimension) for task in several) == sorted({str(t.dimension) for t in tasks.values()})
     assert len(found) == len(several) + len(pairs) - 1
 
 
@@ -223,7 +223,7 @@ def test_our_own_policies_are_green(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", environments.manifest(environments.find("mujoco"))["embodiments"])
+@pytest.mark.parametrize("robot", environments.manifest(environments.find("mujoco")).embodiments)
 @pytest.mark.parametrize("action_type", sdk.ACTION_TYPES)
 def test_a_fresh_scaffold_is_green_in_physics(robot: str, action_type: str, package: Callable[..., Path]) -> None:
     """For every robot of the environment and both kinds of action."""

@@ -238,7 +238,7 @@ def _every_task() -> dict[str, str]:
     """Return why a task that is offered without assets cannot be played a step of; "" where it can."""
     from xpl.environment import read_manifest
 
-    manifest = read_manifest(looking.ROOT / "envs" / "maniskill")
+    manifest = read_manifest(looking.ROOT / "envs" / "maniskill").data
     found = {}
     for task, facts in manifest["tasks"].items():
         robots = [robot for robot in manifest["embodiments"] if robot not in facts["unsupported"]]

@@ -195,7 +195,7 @@ def _tasks() -> dict[str, Any]:
     from xpl.environment import read_manifest
 
     found: dict[str, Any] = {}
-    for task in read_manifest(FOLDER)["stand_ins"][SETTING]["tasks"]:
+    for task in read_manifest(FOLDER).data["stand_ins"][SETTING]["tasks"]:
         env, begun = _env(task), []
         for seed in (SEED, SEED + 1, SEED):
             began = time.perf_counter()
@@ -258,7 +258,7 @@ def _loop() -> dict[str, Any]:
         return task
 
     source.make = made
-    robot, cameras = get_embodiment("aloha_agilex"), read_manifest(FOLDER)["cameras"]
+    robot, cameras = get_embodiment("aloha_agilex"), read_manifest(FOLDER).data["cameras"]
     played = loop.evaluate(source, client, loop.Wishes("stack_blocks_two", test_num=1), robot, cameras)
     return {"episodes": played.episodes, "skipped": played.skipped, "rate": played.rate, "names": client.names}
 

@@ -19,7 +19,7 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages import environments
 
 ENV = build.ROOT / "envs" / "aloha"
-MANIFEST = environments.manifest(ENV)
+MANIFEST = environments.manifest(ENV).data
 ROBOT = MANIFEST["embodiments"][0]
 PYTHON = build.interpreter("aloha", locks=ENV)
 

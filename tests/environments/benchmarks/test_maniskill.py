@@ -17,13 +17,14 @@ from tests.support.peer import xpl
 from xpl import get_embodiment, rotation
 from xpl.environment import Environment
 from xpl.kinematics import Chain
+from xpl.manifest import EnvManifest
 from xpl.poses import compose
 from xpl.process.modules import load_module
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages import environments
 
 ENV = build.ROOT / "envs" / "maniskill"
-MANIFEST = environments.manifest(ENV)
+MANIFEST = environments.manifest(ENV).data
 PANDA, STICK, SO100, PAIR = MANIFEST["embodiments"]
 PYTHON = build.interpreter("maniskill", locks=ENV)
 _ASKED = """
@@ -116,7 +117,7 @@ def test_a_task_is_refused_for_another_robot_with_the_reason(robot: str, task: s
     """Before any simulator is made."""
     wrong = next(other for other in MANIFEST["embodiments"] if other != robot)
     with pytest.raises(ValueError, match="the task is for"):
-        Environment(lambda _: None, MANIFEST, {"task": task, "embodiment": wrong})  # type: ignore[arg-type,return-value]
+        Environment(lambda _: None, EnvManifest.parse(MANIFEST), {"task": task, "embodiment": wrong})  # type: ignore[arg-type,return-value]
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages import environments
 
 ENV = build.ROOT / "envs" / "robosuite"
-MANIFEST = environments.manifest(ENV)
+MANIFEST = environments.manifest(ENV).data
 PYTHON = build.interpreter("robosuite", locks=ENV)
 ROBOTS = MANIFEST["embodiments"]
 

@@ -25,7 +25,7 @@ from xpl_cli.packages import environments
 pytestmark = [pytest.mark.slow, peers.patient]
 
 ENV = build.ROOT / "envs" / "robotwin"
-MANIFEST = environments.manifest(ENV)
+MANIFEST = environments.manifest(ENV).data
 PYTHON = build.interpreter("robotwin", locks=ENV)
 ROBOT = get_embodiment("aloha_agilex")
 SETTING = "stand_in_robot"

@@ -97,7 +97,7 @@ def test_an_observation_is_nobody_elses() -> None:
 
 def test_every_convention_names_its_source() -> None:
     """One place, env.yml, says what RoboDojo's numbers mean and which file says so."""
-    told = environments.manifest(ENV)["conventions"]
+    told = environments.manifest(ENV).data["conventions"]
     assert {"cameras", "extrinsic_matrix", "gripper", "pose"} <= set(told)
     for convention in told.values():
         assert set(convention) == {"theirs", "ours", "source"}

@@ -35,7 +35,8 @@ from xpl_cli.serving.launch import serving
 ENV = ROOT / "envs" / "robotwin"
 POLICY = ROOT / "policy" / "demo_policy"
 ROBOT = get_embodiment("aloha_agilex")
-FACTS = environments.manifest(ENV)
+MANIFEST = environments.manifest(ENV)
+FACTS = MANIFEST.data
 CAMERAS = FACTS["cameras"]
 CONVERT, LOOP, OWN = (load_module(ENV / f"{name}.py") for name in ("convert", "loop", "own"))
 STAND_IN, EPISODE = (load_module(ENV / f"{name}.py") for name in ("stand_in", "episode"))
@@ -310,7 +311,7 @@ def test_the_robot_that_stands_in_is_what_robotwin_reads(tmp_path: Path) -> None
 def test_tasks_with_objects_are_refused_where_a_robot_stands_in() -> None:
     """Which only RoboTwin's assets have."""
     config = {"task": "stack_bowls_two", "embodiment": "aloha_agilex", "setting": "stand_in_robot"}
-    env = Environment(lambda setup: EPISODE.RoboTwinEpisode(setup, source()), FACTS, config)
+    env = Environment(lambda setup: EPISODE.RoboTwinEpisode(setup, source()), MANIFEST, config)
     with pytest.raises(ValueError, match=r"only RoboTwin's assets have; stand_in_robot plays blocks_ranking_rgb"):
         env.reset([100000])
 
@@ -417,7 +418,7 @@ def test_it_plays_as_an_environment_of_the_standard() -> None:
     for action_type in ("joint", "ee"):
         config = {"task": "stack_blocks_two", "embodiment": "aloha_agilex", "action_type": action_type}
         env = Environment(
-            lambda setup: EPISODE.RoboTwinEpisode(setup, source(step_lim=800, succeeds_at=3)), FACTS, config
+            lambda setup: EPISODE.RoboTwinEpisode(setup, source(step_lim=800, succeeds_at=3)), MANIFEST, config
         )
         env.reset([100000])
         obs = env.get_obs()
@@ -435,7 +436,7 @@ def test_it_plays_as_an_environment_of_the_standard() -> None:
 def test_a_seed_that_robotwin_skips_is_no_failure_of_the_policy(seed: int, said: str) -> None:
     """The environment raises, which is the infrastructure's."""
     config = {"task": "stack_blocks_two", "embodiment": "aloha_agilex", "action_type": "joint"}
-    env = Environment(lambda setup: EPISODE.RoboTwinEpisode(setup, source()), FACTS, config)
+    env = Environment(lambda setup: EPISODE.RoboTwinEpisode(setup, source()), MANIFEST, config)
     with pytest.raises(RuntimeError, match=said):
         env.reset([seed])
 
@@ -533,7 +534,7 @@ def test_robotwins_own_task_plays() -> None:
     config = {"task": "stack_blocks_two", "embodiment": "aloha_agilex", "action_type": "joint", "max_steps": 10}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(Path.cwd())  # RoboTwin works in its own folder
-        env = Environment(EPISODE.RoboTwinEpisode, FACTS, config)
+        env = Environment(EPISODE.RoboTwinEpisode, MANIFEST, config)
         env.reset([100000])
         before = env.get_obs()
         for _ in range(10):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -219,7 +220,7 @@ def test_what_is_no_rate_is_refused(tmp_path: Path, text: str) -> None:
 def test_a_launcher_is_data_and_held_to_its_names() -> None:
     """Unknown names, forms and keys are told; a value is never replaced again, and no shell reads it."""
     facts = environments.manifest(ROOT / "envs" / "robodojo")
-    told = facts["hand_over"]
+    told = dict(facts.hand_over or {})
     Launcher.read(facts)
     changes: list[dict[str, Any]] = [
         {"command": ["bash", "{nothing}"]},
@@ -231,7 +232,7 @@ def test_a_launcher_is_data_and_held_to_its_names() -> None:
     ]
     for change in changes:
         with pytest.raises(LauncherError):
-            Launcher.read({**facts, "hand_over": {**told, **change}})
+            Launcher.read(replace(facts, hand_over={**told, **change}))
     assert filled("{a} {b}", {"a": "{b}", "b": "$(x)"}) == "{b} $(x)"
     with pytest.raises(LauncherError, match="hands nothing over"):
         Launcher.read(environments.manifest(ROOT / "envs" / "mujoco"))
@@ -268,7 +269,7 @@ def test_robotwins_rate_is_read_where_only_robotwin_knows_the_folder(tmp_path: P
     """The one that is new; a rate does not say which episodes succeeded, so that --out is refused."""
     place = tmp_path / "RoboTwin"
     facts = environments.manifest(ROOT / "envs" / "robotwin")
-    for name in facts["hand_over"]["workspace"]["files"]:
+    for name in (facts.hand_over or {})["workspace"]["files"]:
         path = place / name.replace("{task_name}", "click_bell")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()

@@ -61,7 +61,7 @@ def _recorded(folder: Path) -> records.Run:
     plan, *others = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     adapter = package.load(ADAPTER)
     plan["policy"] |= {"digest": fingerprints.package_digest(ADAPTER), "checkpoint": None}
-    plan["policy"]["spec"] = adapter.manifest["spec"]
+    plan["policy"]["spec"] = adapter.manifest.spec
     lines = [records.named(plan), *others]
     file.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
     return records.read(folder)

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl_cli import __version__
@@ -22,6 +22,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from xpl.manifest import PythonEnvironment
     from xpl_cli.agents.status.memory import Found, Remembered
     from xpl_cli.audit.static.source import Source
     from xpl_cli.packages.package import Package
@@ -90,13 +91,13 @@ def steps(target: Target, source: Source, remembered: Mapping[str, Remembered]) 
     shown = command((target.shown,))
     try:
         yield _update(target.path, shown)
-        loaded, manifest = _read(target)
+        loaded, declared = _read(target)
     except UserError as error:
         yield _broken(error, shown)
     else:
         yield _manifest(target, source, shown)
         yield _placeholders(source)
-        yield _environment(target.path, manifest, shown)
+        yield _environment(target.path, declared, shown)
         if loaded is not None:
             yield _checkpoint(loaded, shown)
     for gate in GATES[target.kind]:
@@ -104,14 +105,14 @@ def steps(target: Target, source: Source, remembered: Mapping[str, Remembered]) 
         yield _gate(gate, remembered.get(gate.value), now, shown)
 
 
-def _read(target: Target) -> tuple[Package | None, Mapping[str, Any]]:
+def _read(target: Target) -> tuple[Package | None, PythonEnvironment]:
     """Return what the manifests of a package say; there is no `Package` of an environment."""
     if target.kind == package.ENV:
         from xpl_cli.packages import environments
 
-        return None, environments.manifest(target.path)
+        return None, environments.manifest(target.path).environment
     loaded = package.load(target.path)
-    return loaded, loaded.manifest
+    return loaded, loaded.manifest.environment
 
 
 def _update(folder: Path, shown: str) -> Step:
@@ -148,11 +149,11 @@ def _placeholders(source: Source) -> Step:
     return Step(PLACEHOLDERS, State.OPEN, f"fill in {', '.join(found[:_MOST_PLACES])}{more}")
 
 
-def _environment(folder: Path, manifest: Mapping[str, Any], shown: str) -> Step:
+def _environment(folder: Path, declared: PythonEnvironment, shown: str) -> Step:
     from xpl_cli.lifecycle import scripts
 
     try:
-        condition = scripts.condition(folder, manifest)
+        condition = scripts.condition(folder, declared)
     except UserError as error:
         return Step("environment", State.FAILED, str(error))
     told = {"given": "an interpreter that exists already", "current": "as declared"}
@@ -165,7 +166,7 @@ def _checkpoint(loaded: Package, shown: str) -> Step:
     from xpl_cli.lifecycle.checkpoints import fetch, specification
     from xpl_cli.lifecycle.checkpoints.store import Store
 
-    if not loaded.manifest.get("checkpoints"):
+    if not loaded.manifest.checkpoints:
         return Step("checkpoint", State.NOT_APPLICABLE, f"{sdk.File.POLICY_YML} names none")
     folder = os.environ.get("XPL_CHECKPOINTS")
     try:

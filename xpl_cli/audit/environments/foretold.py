@@ -63,7 +63,7 @@ def withheld(path: Path, entries: Sequence[Entry], options: Options) -> str | No
         entries: the rules that were chosen.
         options: how it is audited.
     """
-    if options.move or not environments.is_real(environments.manifest(path)):
+    if options.move or not environments.manifest(path).is_real:
         return None
     stage = _Foreseen(path, options)
     for entry in entries:
@@ -107,7 +107,7 @@ class _Foreseen(Stage):
             raise EnvRaisedError(type(error).__name__, str(error)) from None
         self.motions.robots.add(offer.embodiment)
         self.motions.tasks.add(offer.task)
-        yield _Counted(env, self.motions, 1.0 / environments.frequency(self.manifest, offer.task))
+        yield _Counted(env, self.motions, 1.0 / self.manifest.frequency(offer.task))
 
 
 class _Counted(Play):
@@ -162,7 +162,7 @@ class _StandIn(Episode):
         """Return pictures that show nothing, of the size that env.yml declares."""
         sizes = {
             name: ((told or {}).get("height") or 8, (told or {}).get("width") or 8)
-            for name, told in self.setup.manifest["cameras"].items()
+            for name, told in self.setup.manifest.cameras.items()
         }
         return {
             name: {sdk.Camera.COLOR: np.zeros((*size, sdk.COLOR_CHANNELS), np.uint8)} for name, size in sizes.items()

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -47,7 +46,7 @@ def _labels(stage: Stage, offer: Offer, obs: Mapping[str, Any]) -> Iterator[str]
     if not obs.get(sdk.Obs.INSTRUCTION) and not obs.get(sdk.Obs.INSTRUCTIONS):
         yield f"there is no {sdk.Obs.INSTRUCTION}: a policy that follows language does not know what to do"
     told = (obs.get(sdk.Obs.ADDITIONAL_INFO) or {}).get(sdk.Obs.FREQUENCY)
-    declared = environments.frequency(stage.manifest, offer.task)
+    declared = stage.manifest.frequency(offer.task)
     if told is not None and abs(float(told) - declared) > 1e-6 * declared:
         yield f"{sdk.Obs.FREQUENCY} is {told:g} Hz, and env.yml declares {declared:g} Hz"
 
@@ -96,7 +95,7 @@ def _poses(prefix: str, state: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _vision(stage: Stage, vision: Mapping[str, Any]) -> Iterator[str]:
-    declared = stage.manifest["cameras"]
+    declared = stage.manifest.cameras
     for name, camera in vision.items():
         if name not in declared:
             yield f"env.yml does not declare the camera {name}"

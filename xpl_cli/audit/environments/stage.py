@@ -165,17 +165,17 @@ class Stage:
             NotApplicable: there is none.
             NotRun: env.yml does not say what is offered; the static gate reports why.
         """
-        problems = validate(self.manifest, "env")
-        unknown = [] if problems else [name for name in self.manifest["embodiments"] if name not in robots()]
+        problems = validate(self.manifest.data, "env")
+        unknown = [] if problems else [name for name in self.manifest.embodiments if name not in robots()]
         if problems or unknown:
             raise NotRun(f"env.yml is not understood: {problems[0].message if problems else f'no robot {unknown[0]}'}")
         asked = self._options.overrides
         found = tuple(
             Offer(task, robot, action_type)
-            for task, facts in self.manifest["tasks"].items()
-            for robot in (get_embodiment(name).name for name in self.manifest["embodiments"])
-            for action_type in self.manifest["action_types"]
-            if unsupported(facts, robot) is None
+            for task, entry in self.manifest.tasks.items()
+            for robot in (get_embodiment(name).name for name in self.manifest.embodiments)
+            for action_type in self.manifest.action_types
+            if unsupported(entry, robot) is None
             and asked.get("task") in (None, task)
             and asked.get("embodiment") in (None, robot)
             and asked.get(sdk.Deploy.ACTION_TYPE) in (None, action_type)
@@ -187,7 +187,7 @@ class Stage:
     @property
     def is_real(self) -> bool:
         """Whether a robot may stand behind it: there is one of it, and it repeats nothing to the last bit."""
-        return environments.is_real(self.manifest)
+        return self.manifest.is_real
 
     @property
     def give(self) -> float:
@@ -223,7 +223,7 @@ class Stage:
     @property
     def truth(self) -> dict[str, bool]:
         """Configuration that shows the simulator's truth, where env.yml says that it can be shown."""
-        return {sdk.Obs.PRIVILEGED: True} if self.manifest.get(sdk.Obs.PRIVILEGED) else {}
+        return {sdk.Obs.PRIVILEGED: True} if self.manifest.privileged else {}
 
     @contextlib.contextmanager
     def play(self, offer: Offer, *, fresh: bool = False, **config: Any) -> Iterator[Play]:
@@ -268,7 +268,7 @@ class Stage:
 
     def finding(self, text: str, *, expected: str, got: str, advice: str) -> Finding:
         """Return a finding on the client file."""
-        file = str(self.manifest.get("client") or "client.py")
+        file = self.manifest.client
         return Finding(text, path=file, line=1, column=1, expected=expected, got=got, fix=Fix("advice", advice))
 
     def told(self, findings: Iterator[Finding], expected: str) -> Iterator[Finding]:
@@ -287,7 +287,7 @@ class Stage:
     def _python(self) -> str:
         options = self._options
         try:
-            return interpreter.resolve(self.path, self.manifest, python=options.python, env=options.env)
+            return interpreter.resolve(self.path, self.manifest.environment, python=options.python, env=options.env)
         except UserError as error:
             hint = f" ({error.hint})" if error.hint else ""
             raise NotRun(f"{error}{hint}") from None
@@ -303,7 +303,7 @@ class Stage:
         return {} if kept is None else {"prefix": kept.prefix, "environment": kept.environment(os.environ)}
 
     def _client(self) -> Path:
-        return self.path / str(self.manifest.get("client") or "client.py")
+        return self.path / self.manifest.client
 
     def _shared(self) -> EnvProcess:
         if self._process is None:

@@ -52,7 +52,7 @@ def loading(probe: Probe) -> dict[str, Any]:
     return {
         "policy_dir": str(package.path),
         "config": probe.config,
-        "manifest": package.manifest,
+        "manifest": package.manifest.data,
         "shadow": probe.choice.is_shadow,
     }
 
@@ -62,7 +62,7 @@ def place(probe: Probe, limit_s: float = LIMIT_S) -> errand.Place:
     package, options = probe.package, probe.options
     env = options.env or probe.choice.env
     return errand.Place(
-        python=interpreter.resolve(package.path, package.manifest, python=options.python, env=env),
+        python=interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=env),
         checkout=package.path,
         bounds=options.bounds,
         patience=options.patience,

@@ -69,7 +69,7 @@ def long_episode(probe: Probe) -> LongEpisode | None:
 
 def _stretched(probe: Probe, policy: Client, pid: int) -> LongEpisode:
     """Play stretches of one episode until one of them adds nothing."""
-    history = (probe.package.manifest.get("temporal") or {}).get("history") or 1
+    history = probe.package.manifest.temporal.history
     size = _size(_enlarged(probe.observation()))
     stretches: list[tuple[int, int]] = []
     policy.reset()

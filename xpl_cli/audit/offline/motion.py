@@ -96,7 +96,7 @@ class Motions:
     @property
     def frequency(self) -> float:
         """The control rate that chunks are meant for, Hz: the manifest's, or else that of the observations."""
-        declared = self._probe.package.manifest.get("control_frequency")
+        declared = self._probe.package.manifest.control_frequency
         return float(declared or self._scenario.FREQUENCY)
 
     @cached_property

@@ -54,7 +54,7 @@ class Semantics:
 
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
-        self._steady = bool(probe.package.manifest.get("deterministic", True))
+        self._steady = bool(probe.package.manifest.deterministic)
 
     def ignored(self, *kinds: Kind) -> list[Change]:
         """Return the changes of some kinds that change no action.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from xpl import _spec as sdk
 from xpl_cli.audit.rules.figures import ENVIRONMENT, Course, Figure
 
 if TYPE_CHECKING:
@@ -37,16 +36,16 @@ def claims(simulation: Simulation) -> list[Claim]:
     return [
         Claim(
             Course(
-                entry["task"],
-                entry.get("embodiment", first.embodiment),
-                entry.get(sdk.Deploy.ACTION_TYPE, first.action_type),
-                entry.get("setting"),
+                entry.task,
+                entry.embodiment or first.embodiment,
+                entry.action_type or first.action_type,
+                entry.setting,
             ),
-            float(entry["success_rate"]),
-            asked or entry.get("episodes") or CLAIMED_EPISODES,
+            entry.success_rate,
+            asked or entry.episodes or CLAIMED_EPISODES,
         )
-        for entry in simulation.probe.package.manifest.get("claims") or ()
-        if entry["environment"] == ENVIRONMENT
+        for entry in simulation.probe.package.manifest.claims
+        if entry.environment == ENVIRONMENT
     ]
 
 

@@ -50,7 +50,7 @@ class Simulation:
         self._rollouts: dict[tuple[object, ...], Rollout] = {}
         self._folder = environments.find(ENVIRONMENT)
         self._manifest = environments.manifest(self._folder)
-        self.frequency = float(self._manifest["control_frequency"])
+        self.frequency = self._manifest.control_frequency
 
     def record(self) -> str:
         """Return the digests of all trajectories."""
@@ -73,12 +73,12 @@ class Simulation:
             raise NotApplicable(f"the {ENVIRONMENT} environment does not observe with {', '.join(unseen)}")
         found: list[Course] = []
         for robot, action_type in self.probe.combinations():
-            if robot in self._manifest["embodiments"] and action_type in self._manifest["action_types"]:
+            if robot in self._manifest.embodiments and action_type in self._manifest.action_types:
                 tasks = self._tasks(robot)[: 1 if found else None]
                 found += [Course(task, robot, action_type) for task in tasks]
         if not found:
             robots = ", ".join(dict.fromkeys(robot for robot, _ in self.probe.combinations()))
-            offered = ", ".join(self._manifest["embodiments"])
+            offered = ", ".join(self._manifest.embodiments)
             why = f"for {robots} {ENVIRONMENT} has none of the tasks" if self._offers_one() else f"no {robots}"
             raise NotApplicable(f"the {ENVIRONMENT} environment has {why}; it has {offered}")
         return tuple(found)
@@ -90,26 +90,24 @@ class Simulation:
 
     def _tasks(self, robot: str) -> list[str]:
         """Return the tasks in which a robot is driven, the most telling first."""
-        offered = {
-            name: task for name, task in self._manifest["tasks"].items() if check.unsupported(task, robot) is None
-        }
-        claimed = self.probe.package.manifest.get("claims") or ()
-        chosen = self.probe.options.tasks or [claim["task"] for claim in claimed if claim["environment"] == ENVIRONMENT]
+        offered = {name: task for name, task in self._manifest.tasks.items() if check.unsupported(task, robot) is None}
+        claimed = self.probe.package.manifest.claims
+        chosen = self.probe.options.tasks or [claim.task for claim in claimed if claim.environment == ENVIRONMENT]
         if chosen:
             return [name for name in dict.fromkeys(chosen) if name in offered]
         configured = str(self.probe.config.get(sdk.Deploy.TASK_NAME))
         by_dimension: dict[str, str] = {}
         for name, task in offered.items():
-            by_dimension.setdefault(task.get("dimension", name), name)
+            by_dimension.setdefault(task.dimension or name, name)
         return list(dict.fromkeys([*([configured] if configured in offered else []), *by_dimension.values()]))
 
     def _unseen(self) -> list[str]:
         """Return needed cameras that the standard leaves to environments: this one has them for films only."""
-        needed = (self.probe.package.manifest.get("inputs") or {}).get("required") or ()
+        needed = self.probe.package.manifest.required
         return [name for name in sdk.OPTIONAL_CAMERAS if f"{sdk.Obs.VISION}.{name}" in needed]
 
     def _offers_one(self) -> bool:
-        return any(robot in self._manifest["embodiments"] for robot, _ in self.probe.combinations())
+        return any(robot in self._manifest.embodiments for robot, _ in self.probe.combinations())
 
     # -- loops ---------------------------------------------------------------------------------------------------------
 
@@ -162,10 +160,9 @@ class Simulation:
     @property
     def cameras(self) -> list[str]:
         """The cameras that the policy reads and the environment has."""
-        needs = self.probe.package.manifest.get("inputs") or {}
-        read = [*(needs.get("required") or ()), *(needs.get("optional") or ())]
+        read = self.probe.package.manifest.read
         names = [name.partition(".")[2] for name in read if name.startswith(sdk.Obs.VISION)]
-        return [name for name in names if name in self._manifest["cameras"]]
+        return [name for name in names if name in self._manifest.cameras]
 
     def afresh(self, seeds: Sequence[int], *, run: int) -> Rollout:
         """Drive the first course by a server of its own, so that nothing was drawn or remembered before.
@@ -285,7 +282,7 @@ class Simulation:
             NotRun: if it has none.
         """
         try:
-            return check.seeds(self._folder, course.task, course.setting or self._manifest["settings"][0])[:count]
+            return check.seeds(self._folder, course.task, course.setting or self._manifest.settings[0])[:count]
         except NotFoundError as error:
             raise NotRun(str(error)) from None
 
@@ -338,7 +335,7 @@ class Simulation:
     @property
     def _chunk(self) -> int:
         """Action steps of a chunk, as far as the manifest says."""
-        return int((self.probe.package.manifest.get("temporal") or {}).get("chunk") or 1)
+        return self.probe.package.manifest.temporal.chunk or 1
 
     @property
     def _steps(self) -> int:
@@ -378,7 +375,7 @@ def check_tasks(names: Sequence[str]) -> None:
     Raises:
         NotFoundError: if the environment has no such task.
     """
-    known = environments.manifest(environments.find(ENVIRONMENT))["tasks"]
+    known = environments.manifest(environments.find(ENVIRONMENT)).tasks
     for name in names:
         if name not in known:
             raise NotFoundError(f"{ENVIRONMENT} has no task {name!r}; it has {', '.join(known)}")

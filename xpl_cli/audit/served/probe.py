@@ -11,6 +11,7 @@ Rules describe what they do in terms of this class, so that each reads as the ex
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -26,8 +27,7 @@ from xpl_cli.audit.served.servers import PATIENCE, Servers
 from xpl_cli.packages import environments, package
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
+    from xpl.manifest import Manifest
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.served.session import Session
 
@@ -35,7 +35,7 @@ _NO_ROBOT = f"{sdk.Deploy.ENV_CFG_TYPE} is open: neither deploy.yml nor a docume
 _UNSTEADY = "the policy acts differently each time, and nothing can be compared: seed-repeats says how"
 
 
-def image_sizes(manifest: Mapping[str, Any], usual: tuple[int, int]) -> dict[str, tuple[int, int]]:
+def image_sizes(manifest: Manifest, usual: tuple[int, int]) -> dict[str, tuple[int, int]]:
     """Return height and width of the images that a manifest asks for, of cameras for which the usual ones will not do.
 
     Args:
@@ -43,9 +43,9 @@ def image_sizes(manifest: Mapping[str, Any], usual: tuple[int, int]) -> dict[str
         usual: height and width where nothing is declared.
     """
     sizes = {}
-    for camera, needs in (manifest.get("cameras") or {}).items():
-        least = (needs.get("height") or 1, needs.get("width") or 1)
-        exact = needs.get("exact") and needs.get("height") and needs.get("width")
+    for camera, needs in manifest.cameras.items():
+        least = (needs.height or 1, needs.width or 1)
+        exact = needs.exact and needs.height and needs.width
         size = least if exact else (max(least[0], usual[0]), max(least[1], usual[1]))
         if size != usual:
             sizes[camera] = size
@@ -81,7 +81,7 @@ class Probe(Servers):
     @property
     def required(self) -> tuple[str, ...]:
         """Inputs that the manifest requires, as dotted names; empty for an adapter without a manifest."""
-        return tuple((self.package.manifest.get("inputs") or {}).get("required") or ())
+        return self.package.manifest.required
 
     def named_inputs(self) -> tuple[str, ...]:
         """Return the inputs that the manifest requires, for rules that try them one by one.
@@ -124,7 +124,7 @@ class Probe(Servers):
         Raises:
             NotApplicable: if the policy is declared not deterministic.
         """
-        if not self.package.manifest.get("deterministic", True):
+        if not self.package.manifest.deterministic:
             raise NotApplicable("the manifest declares the policy not deterministic")
 
     def require_repeatable(self) -> None:
@@ -242,9 +242,7 @@ class Probe(Servers):
         """Return every embodiment and action type that the manifest declares, the configured pair first."""
         manifest = self.package.manifest
         configured = (self.embodiment.name, self.action_type)
-        declared = [
-            (name, kind) for name in manifest.get("embodiments", ()) for kind in manifest.get("action_types", ())
-        ]
+        declared = [(name, kind) for name in manifest.embodiments for kind in manifest.action_types]
         return list(dict.fromkeys((configured, *declared)))
 
     @contextlib.contextmanager

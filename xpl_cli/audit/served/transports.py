@@ -58,11 +58,10 @@ def error_of(obs: dict[str, Any], other: dict[str, Any]) -> int:
 
 def sees_pictures(probe: Probe) -> bool:
     """Tell whether an adapter may look at a camera: its manifest says so, or it has none that could."""
-    inputs = probe.package.manifest.get("inputs")
+    inputs = probe.package.manifest.inputs
     if inputs is None:
         return True
-    names = (*(inputs.get("required") or ()), *(inputs.get("optional") or ()))
-    return any(name.partition(".")[0] == sdk.Obs.VISION for name in names)
+    return any(name.partition(".")[0] == sdk.Obs.VISION for name in inputs.read)
 
 
 def _each_picture(obs: dict[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:

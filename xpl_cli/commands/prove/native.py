@@ -177,7 +177,7 @@ def kinematics(
 
     adapter = packages.load(policy)
     try:
-        found = declared.verdicts(adapter.manifest, spec.declared(adapter.manifest), [adapter.path])
+        found = declared.verdicts(adapter.manifest, spec.declared(adapter.manifest.data), [adapter.path])
     except (declared.NoWitnessError, NativeError) as error:
         raise UserError(f"{adapter.path}: {error}", code=ExitCode.NOT_RUN) from None
     if as_json:

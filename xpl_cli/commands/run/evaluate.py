@@ -242,7 +242,7 @@ def desk(environment: str | None) -> contextlib.AbstractContextManager[object]:
     """Return a desk for questions to people, where the environment may be a robot."""
     from xpl_cli.packages import environments
 
-    if environment is None or not environments.is_real(environments.manifest(environments.find(environment))):
+    if environment is None or not environments.manifest(environments.find(environment)).is_real:
         return contextlib.nullcontext()
     from xpl_cli.environments.desk import desk
 

@@ -133,7 +133,7 @@ def tried(
 
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.evaluation.hand_over.launcher import KEY, Launcher
+    from xpl_cli.evaluation.hand_over.launcher import Launcher
     from xpl_cli.evaluation.runs.settings import benchmark_for
     from xpl_cli.packages import environments, package
 
@@ -142,14 +142,14 @@ def tried(
     if name is None:
         return None, False
     facts = environments.manifest(environments.find(name))
-    if KEY in facts and "stand_in" in facts and os.environ.get(Launcher.read(facts).variable):
+    if facts.hand_over is not None and facts.stand_in is not None and os.environ.get(Launcher.read(facts).variable):
         given = [option for option, value in unfit.items() if value is not None]
         if given:
             raise UserError(f"{name} plays in its own workspace, by its own launcher, which takes no {given[0]}")
         play(as_json=as_json, package=adapter, environment=name, **what)
         return name, True
-    if "stand_in" in facts:
-        console.note(f"{name}: {facts['stand_in']}")
+    if facts.stand_in is not None:
+        console.note(f"{name}: {facts.stand_in}")
     return name, False
 
 

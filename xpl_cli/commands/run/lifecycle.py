@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
+from xpl.manifest import PythonEnvironment
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.run.serve import POLICY, SETTINGS
 
@@ -31,9 +32,9 @@ def install(
     from xpl_cli.basics.errors import ExitCode
     from xpl_cli.lifecycle import scripts
 
-    folder, manifest = _declaring(name)
+    folder, environment = _declaring(name)
     if check:
-        state = scripts.condition(folder, manifest)
+        state = scripts.condition(folder, environment)
         is_ready = state in ("current", "given")
         following = [shlex.join(["xpl", "audit" if is_ready else "install", name])]
         if as_json:
@@ -44,7 +45,7 @@ def install(
         if not is_ready:
             raise typer.Exit(ExitCode.FINDINGS)
         return
-    done = scripts.install(folder, manifest, again=force)
+    done = scripts.install(folder, environment, again=force)
     if as_json:
         told = {"package": folder.name, "state": done.state, "python": done.python}
         following = [shlex.join(["xpl", "audit", name])]
@@ -55,8 +56,8 @@ def install(
     console.data(done.python)
 
 
-def _declaring(name: str) -> tuple[Path, dict[str, Any]]:
-    """Return the folder of an adapter or environment, and its manifest."""
+def _declaring(name: str) -> tuple[Path, PythonEnvironment]:
+    """Return the folder of an adapter or environment, and the Python environment that its manifest declares."""
     from pathlib import Path
 
     from xpl_cli.packages import environments, package
@@ -64,8 +65,8 @@ def _declaring(name: str) -> tuple[Path, dict[str, Any]]:
 
     target = find_target(Path(name))
     if target.kind == package.ENV:
-        return target.path, environments.manifest(target.path)
-    return target.path, dict(package.load(target.path).manifest)
+        return target.path, environments.manifest(target.path).environment
+    return target.path, package.load(target.path).manifest.environment
 
 
 def prepare(policy: str = POLICY, settings: list[str] = SETTINGS, as_json: bool = _JSON) -> None:

@@ -19,6 +19,8 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from xpl.manifest import EnvManifest
+
 KEY = "hand_over"
 MORE = {
     "workspace": "folder of the benchmark",
@@ -67,14 +69,14 @@ class Launcher:
     randomized: str | None = None
 
     @classmethod
-    def read(cls, facts: Mapping[str, Any]) -> Launcher:
+    def read(cls, facts: EnvManifest) -> Launcher:
         """Return the launcher that an env.yml declares.
 
         Raises:
             LauncherError: there is none, or it is not of the right form.
         """
-        told = facts.get(KEY)
-        name = facts.get("name", "this environment")
+        told = facts.hand_over
+        name = facts.name
         if told is None:
             raise LauncherError(f"{name} hands nothing over: its env.yml has no {KEY}", hint="see docs/hand-over.md")
         try:

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 import xpl
 from xpl import _spec as sdk
 from xpl import get_embodiment
+from xpl.manifest import PythonEnvironment
 from xpl_cli.basics import atomic, files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.environments.play import chosen
@@ -31,6 +32,7 @@ from xpl_cli.packages import environments
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from xpl.manifest import EnvManifest
     from xpl_cli.packages.package import Package
 
 KEPT = "hand_over.json"
@@ -94,7 +96,7 @@ class Plan:
     """
 
     folder: Path
-    facts: Mapping[str, Any]
+    facts: EnvManifest
     launcher: Launcher
     config: Mapping[str, Any]
     values: Mapping[str, str]
@@ -117,11 +119,11 @@ def plan(request: Request) -> Plan:
     launcher = Launcher.read(facts)
     overrides = {sdk.Deploy.BENCH_NAME: launcher.bench_name, **request.overrides}
     config = request.package.config(overrides)
-    asked = request.task or config.get(sdk.Deploy.TASK_NAME) or next(iter(facts["tasks"]))
-    config = {**config, sdk.Deploy.TASK_NAME: chosen("task", asked, list(facts["tasks"]))}
+    asked = request.task or config.get(sdk.Deploy.TASK_NAME) or next(iter(facts.tasks))
+    config = {**config, sdk.Deploy.TASK_NAME: chosen("task", asked, list(facts.tasks))}
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
-    chosen("embodiment", robot, facts["embodiments"])
-    chosen("action type", config[sdk.Deploy.ACTION_TYPE], facts["action_types"])
+    chosen("embodiment", robot, facts.embodiments)
+    chosen("action type", config[sdk.Deploy.ACTION_TYPE], facts.action_types)
     request.package.require_declared(config)
     checkpoint = str(config.get(sdk.Deploy.CKPT_NAME) or _UNSAID)
     values = {
@@ -183,7 +185,7 @@ def hand_over(request: Request) -> dict[str, Any]:
         again = "; what it had played it may go on from with --resume" if request.out is not None else ""
         raise UserError(f"the launcher ended with exit code {code}{again}", code=ExitCode.NOT_RUN)
     answer = {
-        "environment": planned.facts["name"],
+        "environment": planned.facts.name,
         sdk.Deploy.BENCH_NAME: planned.launcher.bench_name,
         "policy": request.package.name,
         "task": planned.config[sdk.Deploy.TASK_NAME],
@@ -269,7 +271,7 @@ def _variables(request: Request, planned: Plan) -> dict[str, str]:
     if request.eval_env not in _UNSAID_ENVIRONMENTS:
         from xpl_cli.lifecycle import interpreter
 
-        folder = Path(interpreter.resolve(planned.folder, {}, env=request.eval_env)).parent
+        folder = Path(interpreter.resolve(planned.folder, PythonEnvironment(), env=request.eval_env)).parent
         found["PATH"] = os.pathsep.join(filter(None, (str(folder), found.get("PATH"))))
     return {**found, **planned.launcher.environment(planned.values)}
 

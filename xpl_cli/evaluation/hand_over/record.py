@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from xpl.manifest import EnvManifest
     from xpl_cli.evaluation.hand_over.results import Layout
     from xpl_cli.evaluation.records.records import Line
     from xpl_cli.packages.package import Package
@@ -42,7 +43,7 @@ class Played:
     package: Package
     config: Mapping[str, Any]
     environment: Path
-    facts: Mapping[str, Any]
+    facts: EnvManifest
     started: str
     seconds: float
     launcher: Mapping[str, str]
@@ -62,13 +63,13 @@ def write(folder: Path, played: Played, layouts: Sequence[Layout]) -> None:
     package, config, facts = played.package, played.config, played.facts
     if not layouts:
         raise UserError("the benchmark tells of no episode: nothing can be recorded")
-    task, setting = place(str(config[sdk.Deploy.TASK_NAME]), facts["hand_over"].get("randomized"))
+    task, setting = place(str(config[sdk.Deploy.TASK_NAME]), (facts.hand_over or {}).get("randomized"))
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
-    entry = facts["tasks"].get(config[sdk.Deploy.TASK_NAME]) or {}
+    entry = facts.tasks.get(config[sdk.Deploy.TASK_NAME])
     cell = {
         "task": task,
         "setting": setting,
-        "dimension": entry.get("dimension"),
+        "dimension": None if entry is None else entry.dimension,
         "seeds": [layout.number for layout in layouts],
         "frozen": True,
     }
@@ -78,14 +79,14 @@ def write(folder: Path, played: Played, layouts: Sequence[Layout]) -> None:
             "schema": records.SCHEMA,
             "policy": {
                 "name": package.name,
-                "spec": spec.declared(package.manifest),
+                "spec": spec.declared(package.manifest.data),
                 "digest": package_digest(package.path),
                 "config": dict(config),
                 "checkpoint": checkpoint_of(package, config),
             },
             "environment": {
-                "name": facts["name"],
-                "spec": spec.declared(facts),
+                "name": facts.name,
+                "spec": spec.declared(facts.data),
                 "digest": package_digest(played.environment),
             },
             "embodiment": robot,

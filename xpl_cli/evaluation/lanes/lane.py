@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,8 +39,6 @@ from xpl_cli.packages import environments
 from xpl_cli.serving.secrets import client_tls_context
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from xpl_cli.evaluation.records.records import Line
 
 
@@ -253,17 +251,17 @@ class Lane:
             return self._scene
         self._leave()
         orders = self._orders
-        python = interpreter.resolve(Path(orders.environment), self._facts, env=orders.eval_env)
+        python = interpreter.resolve(Path(orders.environment), self._facts.environment, env=orders.eval_env)
         config = {**orders.settings, "task": task, "setting": setting, "num_envs": orders.num_envs}
         if orders.demos is not None and orders.demos.privileged:
-            if not self._facts.get(sdk.Obs.PRIVILEGED):
+            if not self._facts.privileged:
                 name = Path(orders.environment).name
                 raise UserError(f"--privileged: {name} tells nobody more than a robot sees (`privileged` in env.yml)")
             config[sdk.Obs.PRIVILEGED] = True
         env = environments.start(orders.environment, config, workers=orders.env_workers, python=python)
-        names = list(self._facts["cameras"])
+        names = list(self._facts.cameras)
         camera = next((name for name in sdk.OPTIONAL_CAMERAS if name in names), next(iter(names), None))
-        self._scene = Scene((task, setting), env, environments.frequency(self._facts, task), camera)
+        self._scene = Scene((task, setting), env, self._facts.frequency(task), camera)
         return self._scene
 
     def _connected(self, scene: Scene, url: str) -> Client:
@@ -282,7 +280,7 @@ class Lane:
             "embodiment": settings["embodiment"],
             sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
             "control_frequency": scene.frequency,
-            **({REAL_TIME: True} if self._facts.get(REAL_TIME) else {}),
+            **({REAL_TIME: True} if self._facts.real_time else {}),
         }
         access, config = self._access, self._orders.config
         try:

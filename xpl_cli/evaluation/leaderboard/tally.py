@@ -90,8 +90,8 @@ def protocol() -> dict[str, Any]:
     form, and `random_suffix` of that; `seeds`; `episodes` of a task, and `halves` of each form.
     """
     facts = environments.manifest(room("envs") / ROBODOJO)
-    counts, suffix = facts["counts"], facts["hand_over"]["randomized"]
-    tasks = {task: entry["dimension"] for task, entry in facts["tasks"].items()}
+    counts, suffix = facts.data["counts"], facts.data["hand_over"]["randomized"]
+    tasks = {task: entry.dimension for task, entry in facts.tasks.items()}
     dimensions = {
         title: [task for task, about in tasks.items() if about == name and not task.endswith(suffix)]
         for name, title in counts["dimensions"].items()

@@ -136,7 +136,7 @@ def _player(request: Request) -> Package:
         NotFoundError: the environment names no expert, and nobody else is named.
     """
     facts = environments.manifest(environments.find(request.environment))
-    name = request.policy or facts.get("expert")
+    name = request.policy or facts.expert
     if name is not None:
         return package.load(name)
     raise NotFoundError(

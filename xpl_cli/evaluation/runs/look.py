@@ -26,7 +26,7 @@ from xpl_cli.evaluation.records.records import Unwritten
 from xpl_cli.evaluation.runs import outcome, runner
 from xpl_cli.evaluation.runs.plan import ALL, ATTEMPTS, tasks_of
 from xpl_cli.evaluation.runs.schedule import Schedule
-from xpl_cli.evaluation.runs.settings import environment_settings, settings_of
+from xpl_cli.evaluation.runs.settings import environment_settings
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     import ssl
     from collections.abc import Mapping, Sequence
 
+    from xpl.manifest import EnvManifest
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.lanes.orders import Demos
     from xpl_cli.evaluation.records.records import Line, Run
@@ -125,7 +126,7 @@ def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
         setting=request.setting,
         num_envs=request.num_envs,
     )
-    setting = request.setting or settings_of(facts)[0]
+    setting = request.setting or facts.settings[0]
     first = int(config[sdk.Deploy.SEED])
     tasks = tasks or [settings["task"]]
     sink = Unwritten(_plan(settings, tasks, setting, range(first, first + request.episodes), request.horizon))
@@ -174,11 +175,11 @@ class _View:
         self._progress.step(outcome.line(list(self._run.finals.values()), self._total))
 
 
-def _several(wanted: str | None, facts: Mapping[str, Any], embodiment: str) -> list[str]:
+def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[str]:
     """Return the tasks where more than one is meant, or a split; nothing where one or none is named."""
-    if wanted is None or wanted in facts["tasks"]:
+    if wanted is None or wanted in facts.tasks:
         return []
-    is_list = wanted == ALL or "," in wanted or wanted in (facts.get("splits") or {})
+    is_list = wanted == ALL or "," in wanted or wanted in facts.splits
     return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +20,7 @@ from xpl_cli.packages import environments, robots
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
+    from xpl.manifest import EnvManifest
     from xpl_cli.evaluation.records.records import Line
     from xpl_cli.packages.package import Package
 
@@ -83,17 +83,17 @@ def make(
     facts = environments.manifest(folder)
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
     tasks, left_out = tasks_of(facts, wishes.tasks or config.get(sdk.Deploy.TASK_NAME), robot)
-    settings = _names("setting", wishes.settings, play.settings(facts))
+    settings = _names("setting", wishes.settings, facts.settings)
     cells = [_cell(folder, facts, task, setting, wishes) for task in tasks for setting in settings]
     line = {
         "kind": "run",
         "schema": records.SCHEMA,
         "policy": {
             "name": package.name,
-            "spec": spec.declared(package.manifest),
+            "spec": spec.declared(package.manifest.data),
             **_served_from(package, {**config, **robots.described(robot)}, manner or Manner()),
         },
-        "environment": {"name": facts["name"], "spec": spec.declared(facts), "digest": package_digest(folder)},
+        "environment": {"name": facts.name, "spec": spec.declared(facts.data), "digest": package_digest(folder)},
         "embodiment": robot,
         sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
         "control": {"horizon": wishes.horizon, "attempts": ATTEMPTS},
@@ -124,7 +124,7 @@ def _served_from(package: Package, config: Mapping[str, Any], manner: Manner) ->
     return {"digest": package_digest(package.path), "config": manner.written_in(config), "checkpoint": checkpoint}
 
 
-def tasks_of(facts: Mapping[str, Any], wanted: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
+def tasks_of(facts: EnvManifest, wanted: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
     """Return the tasks that are played, and those that `all` leaves out, with the reason.
 
     Args:
@@ -136,24 +136,24 @@ def tasks_of(facts: Mapping[str, Any], wanted: str | None, robot: str) -> tuple[
         NotFoundError: there is no such task.
         UserError: the robot cannot play one that was named, or a name comes twice.
     """
-    entries = facts["tasks"]
+    entries = facts.tasks
     reasons = {task: play.unsupported(entry, robot) for task, entry in entries.items()}
     if wanted == ALL:
         left_out = {task: reason for task, reason in reasons.items() if reason is not None}
         playable = [task for task in entries if task not in left_out]
         if not playable:
-            raise UserError(f"{facts['name']} has no task for {robot}")
+            raise UserError(f"{facts.name} has no task for {robot}")
         return playable, left_out
     chosen = _names("task", None if wanted is None else _expanded(facts, wanted), list(entries))
     for task in chosen:
         if reasons[task] is not None:
-            raise UserError(f"{facts['name']} does not offer {task} with {robot}: {reasons[task]}")
+            raise UserError(f"{facts.name} does not offer {task} with {robot}: {reasons[task]}")
     return chosen, {}
 
 
-def _expanded(facts: Mapping[str, Any], wanted: str) -> str:
+def _expanded(facts: EnvManifest, wanted: str) -> str:
     """Return a list with commas in which the tasks of a split stand in its name's place."""
-    names = [wanted] if wanted in facts["tasks"] else [name.strip() for name in wanted.split(",")]
+    names = [wanted] if wanted in facts.tasks else [name.strip() for name in wanted.split(",")]
     _require_once("task", wanted, names)
     return ",".join(play.expanded(facts, names))
 
@@ -174,9 +174,9 @@ def _require_once(what: str, wanted: str, names: Sequence[str]) -> None:
         raise UserError(f"--{what} {wanted} names one of them twice")
 
 
-def _cell(folder: Path, facts: Mapping[str, Any], task: str, setting: str, wishes: Wishes) -> Line:
+def _cell(folder: Path, facts: EnvManifest, task: str, setting: str, wishes: Wishes) -> Line:
     seeds, frozen = _seeds(folder, task, setting, wishes)
-    dimension = facts["tasks"][task].get("dimension")
+    dimension = facts.tasks[task].dimension
     return {"task": task, "setting": setting, "dimension": dimension, "seeds": seeds, "frozen": frozen}
 
 

@@ -10,6 +10,7 @@ from xpl import Client
 from xpl import _spec as sdk
 from xpl.client import ClientError
 from xpl.client.agreement import AnnouncementError, checked
+from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.packages import package
 from xpl_cli.serving.secrets import client_tls_context
@@ -94,4 +95,6 @@ def package_of(name: str, told: Mapping[str, Any] | None, overrides: Mapping[str
     if policy.get("inputs") is not None:
         # What it can do without is not announced: all cameras are shown.
         manifest["inputs"] = {"required": policy["inputs"], "optional": [sdk.Obs.VISION]}
-    return package.Package(Path.cwd() / Path(name).name, {k: v for k, v in deploy.items() if v is not None}, manifest)
+    return package.Package(
+        Path.cwd() / Path(name).name, {k: v for k, v in deploy.items() if v is not None}, Manifest.parse(manifest)
+    )

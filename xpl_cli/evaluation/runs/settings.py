@@ -14,6 +14,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl.manifest import Manifest
     from xpl_cli.packages.package import Package
 
 
@@ -47,8 +48,8 @@ def benchmark_for(config: Mapping[str, Any]) -> str | None:
         return None
     for name in environments.names():
         facts = environments.manifest(environments.find(name))
-        told = (facts.get("hand_over") or {}).get(sdk.Deploy.BENCH_NAME)
-        if told is not None and str(told).lower() == str(bench).lower() and task in facts["tasks"]:
+        told = (facts.hand_over or {}).get(sdk.Deploy.BENCH_NAME)
+        if told is not None and str(told).lower() == str(bench).lower() and task in facts.tasks:
             return name
     return None
 
@@ -61,10 +62,10 @@ def with_robot(package: Package, environment: str, overrides: Mapping[str, Any])
         environment: name of the environment package, or its folder.
         overrides: keys of deploy.yml.
     """
-    key, declared = sdk.Deploy.ENV_CFG_TYPE, package.manifest.get("embodiments") or ()
+    key, declared = sdk.Deploy.ENV_CFG_TYPE, package.manifest.embodiments
     if {overrides.get(key), package.deploy.get(key)} == {None} and declared:
         facts = environments.manifest(environments.find(environment))
-        both = [robot for robot in declared if environments.offers(facts, robots.canonical(robot) or robot)]
+        both = [robot for robot in declared if facts.offers(robots.canonical(robot) or robot)]
         if both and both[0] != declared[0]:
             return {**overrides, key: both[0]}
     return dict(overrides)
@@ -94,35 +95,33 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
         UserError: if it does not have the embodiment or action type, or the adapter's manifest does not.
     """
     manifest = environments.manifest(environments.find(environment))
-    tasks = manifest["tasks"]
+    tasks = manifest.tasks
     task, is_asked_for = task or config.get(sdk.Deploy.TASK_NAME), task is not None
     if task not in tasks and (is_asked_for or environment != "offline"):
         if task is not None:
             raise NotFoundError(f"{environment} has no task {task!r}; it has {', '.join(tasks)}")
         task = next(iter(tasks))
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
-    if not environments.offers(manifest, robot):
-        raise UserError(f"{environment} has no {robot}; it has {', '.join(manifest['embodiments'])}")
+    if not manifest.offers(robot):
+        raise UserError(f"{environment} has no {robot}; it has {', '.join(manifest.embodiments)}")
     package.require_declared(config)
-    offered = settings_of(manifest)
+    offered = manifest.settings
     if setting is not None and setting not in offered:
         raise NotFoundError(f"{environment} has no setting {setting!r}; it has {', '.join(offered)}")
-    inputs = package.manifest.get("inputs")
-    wanted = None if inputs is None else [*(inputs.get("required") or ()), *(inputs.get("optional") or ())]
+    inputs = package.manifest.inputs
+    wanted = None if inputs is None else inputs.read
     return {
         "task": task,
         "embodiment": robot,
         sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
         "num_envs": num_envs,
-        "cameras": _cameras(package.manifest, wanted, manifest["cameras"]),
+        "cameras": _cameras(package.manifest, wanted, manifest.cameras),
         sdk.Obs.PRIVILEGED: wanted is not None and sdk.Obs.PRIVILEGED in wanted,
         **({} if setting is None else {"setting": setting}),
     }
 
 
-def _cameras(
-    policy: Mapping[str, Any], wanted: Sequence[str] | None, offered: Mapping[str, Any]
-) -> bool | tuple[int, int]:
+def _cameras(policy: Manifest, wanted: Sequence[str] | None, offered: Mapping[str, Any]) -> bool | tuple[int, int]:
     """Return what an environment is asked to render: nothing, images of its own size, or (height, width).
 
     Cameras cost most of a step: only who declares them gets them, and who has no manifest. Environments render all
@@ -130,16 +129,11 @@ def _cameras(
     """
     if wanted is not None and not any(name.startswith(sdk.Obs.VISION) for name in wanted):
         return False
-    needs = [entry for name, entry in (policy.get("cameras") or {}).items() if name in offered]
-    height, width = (max((need.get(side) or 0 for need in needs), default=0) for side in ("height", "width"))
-    exact = any(need.get("exact") for need in needs)
+    needs = [entry for name, entry in policy.cameras.items() if name in offered]
+    height = max((need.height or 0 for need in needs), default=0)
+    width = max((need.width or 0 for need in needs), default=0)
+    exact = any(need.exact for need in needs)
     own = [(entry["height"], entry["width"]) for entry in offered.values() if entry]
     if not height or not width or (not exact and all(rows >= height and columns >= width for rows, columns in own)):
         return True
     return height, width
-
-
-def settings_of(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the settings of an environment, by default the schema's."""
-    found: list[str] = manifest.get("settings") or spec.schema("env")["properties"]["settings"]["default"]
-    return found

@@ -100,8 +100,8 @@ def declared(package: Package) -> dict[str, Specification]:
         UserError: if an entry cannot be understood, or names a place outside of the checkpoint.
     """
     found: dict[str, Specification] = {}
-    for entry in package.manifest.get("checkpoints") or ():
-        specification = _parse(package, entry)
+    for entry in package.manifest.checkpoints:
+        specification = _parse(package, entry.data)
         if specification.name in found:
             raise UserError(f"{package.name}/{sdk.File.POLICY_YML} has two checkpoints called {specification.name!r}")
         found[specification.name] = specification

@@ -8,13 +8,14 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from xpl_cli.basics import content, user_cache
 from xpl_cli.basics.errors import NotFoundError, UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from xpl.manifest import PythonEnvironment
+
 
 Kind = Literal["requirements", "uv", "conda"]
 
@@ -100,38 +101,35 @@ class Plan:
         return self.lock is not None and _EXPLICIT in _read(self.lock).decode(errors="replace").splitlines()
 
 
-def plan_of(folder: Path, manifest: Mapping[str, Any]) -> Plan | None:
+def plan_of(folder: Path, declared: PythonEnvironment) -> Plan | None:
     """Return the environment that `xpl install` makes for a package, None if it declares one that exists already.
 
     Args:
         folder: the adapter's or environment's.
-        manifest: its policy.yml or env.yml.
+        declared: `environment` of its policy.yml or env.yml.
 
     Raises:
         UserError: if what is declared cannot be meant.
     """
-    declared = manifest.get("environment") or {}
-    manager = declared.get("manager", "none")
-    lock = declared.get("lock")
+    manager, lock = declared.manager, declared.lock
     where = f"{folder.name}, environment in its manifest"
     if manager not in MADE_BY_XPL and not (manager == CONDA and lock):
         if lock:
             raise UserError(f"{where}: a lock needs the manager uv, venv or conda, got {manager}")
         return None
-    kind = None if lock is None else _kind(str(lock), manager, where)
-    requirements = () if lock else tuple(declared.get("requirements") or _NEEDED)
+    kind = None if lock is None else _kind(lock, manager, where)
+    requirements = () if lock else declared.requirements or _NEEDED
     for requirement in requirements:
         if requirement.startswith("-"):
             raise UserError(f"{where}: {requirement!r} is an option, not a requirement", hint="put it into a lock file")
-    python = declared.get("python")
-    name = declared.get("name") or (".conda" if manager == CONDA else _DEFAULT_NAME)
+    name = declared.name or (".conda" if manager == CONDA else _DEFAULT_NAME)
     plan = Plan(
         folder.name,
         folder,
         manager,
-        None if python is None else str(python),
-        Path(str(name)).expanduser(),
-        folder / str(lock) if lock else None,
+        declared.python,
+        Path(name).expanduser(),
+        folder / lock if lock else None,
         kind,
         requirements,
     )

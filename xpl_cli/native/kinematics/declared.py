@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from xpl import get_embodiment
 from xpl.convert import NativeError
@@ -11,10 +13,8 @@ from xpl_cli.native.kinematics import samples, witness
 from xpl_cli.standard import validate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from xpl import Embodiment
+    from xpl.manifest import Manifest
     from xpl_cli.native.kinematics.witness import Verdict
 
 
@@ -22,7 +22,7 @@ class NoWitnessError(Exception):
     """There is nothing to judge; the text says why."""
 
 
-def verdicts(manifest: Mapping[str, Any], version: str, folders: Sequence[Path]) -> list[Verdict]:
+def verdicts(manifest: Manifest, version: str, folders: Sequence[Path]) -> list[Verdict]:
     """Return what kinematics says of a manifest's samples.
 
     Args:
@@ -34,7 +34,7 @@ def verdicts(manifest: Mapping[str, Any], version: str, folders: Sequence[Path])
         NoWitnessError: if there are no samples, or no kinematics.
         NativeError: if samples cannot be read, or do not fit the block or the robot.
     """
-    native = manifest.get("native")
+    native = manifest.native
     if not native:
         raise NoWitnessError("policy.yml has no native block")
     if validate.validate(native, "native", version):
@@ -58,9 +58,9 @@ def verdicts(manifest: Mapping[str, Any], version: str, folders: Sequence[Path])
     raise failed or AssertionError("a robot fits, or an error says why not")
 
 
-def _robots(manifest: Mapping[str, Any]) -> Iterator[Embodiment]:
+def _robots(manifest: Manifest) -> Iterator[Embodiment]:
     """Yield the declared robots that have kinematics."""
-    for name in manifest.get("embodiments") or ():
+    for name in manifest.embodiments:
         try:
             robot = get_embodiment(name)
         except UnknownEmbodimentError:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from xpl import Embodiment
+    from xpl.manifest import Manifest
 
 _SIZE: Final = (480, 640)
 _PHOTO_BYTES: Final = 64 * 2**20
@@ -42,7 +43,7 @@ class Scene:
     origin: str
 
 
-def scripted(manifest: Mapping[str, Any], robot: Embodiment, cameras: Sequence[str], reach: int) -> Scene:
+def scripted(manifest: Manifest, robot: Embodiment, cameras: Sequence[str], reach: int) -> Scene:
     """Return test cards and a scripted state.
 
     Args:

@@ -246,11 +246,11 @@ def _filled(seen: Seen, what: Subject, inputs: Mapping[str, Any], said: _Said) -
 
 def _witness(what: Subject) -> list[str]:
     """Return what kinematics says of the samples; nothing where there are none."""
-    if not (what.package.manifest.get("native") or {}).get("samples"):
+    if not (what.package.manifest.native or {}).get("samples"):
         return []
     manifest, folder = what.package.manifest, what.package.path
     try:
-        return [verdict.sentence for verdict in declared.verdicts(manifest, spec.declared(manifest), [folder])]
+        return [verdict.sentence for verdict in declared.verdicts(manifest, spec.declared(manifest.data), [folder])]
     except (declared.NoWitnessError, NativeError) as error:
         return [str(error)]
 

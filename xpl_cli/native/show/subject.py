@@ -54,7 +54,7 @@ class Subject:
     @property
     def reach(self) -> int:
         """Observations back to which it looks."""
-        declared = (self.package.manifest.get("temporal") or {}).get("history") or 1
+        declared = self.package.manifest.temporal.history
         return max(declared, self.interface.span if self.interface else 1)
 
 
@@ -69,14 +69,14 @@ def subject(package: Package, overrides: Mapping[str, Any]) -> Subject:
         body = get_embodiment(str(config.get(sdk.Deploy.ENV_CFG_TYPE)))
     except UnknownEmbodimentError as error:
         raise UserError(str(error)) from None
-    told = package.manifest.get("native")
+    told = package.manifest.native
     if not told:
         return Subject(package, config, None, None, body, ())
     made = Subject(package, config, told, None, body, tuple(_holes(package.path, config, told)))
     folders = checkpoint.folders(config, package.path)
     try:
         native = filled(told, body, made.action_type, absent(told, folders)) if made.notes else told
-        chunk = (package.manifest.get("temporal") or {}).get("chunk")
+        chunk = package.manifest.temporal.chunk
         return replace(made, native=native, interface=compile_interface(native, body, made.action_type, folders, chunk))
     except NativeError as error:
         raise UserError(f"{package.path}: {error}", code=ExitCode.NOT_RUN) from None

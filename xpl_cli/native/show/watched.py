@@ -62,10 +62,10 @@ def ask(package: Package, config: Mapping[str, Any], observations: Sequence[Mapp
     order = {
         "policy_dir": str(package.path),
         "config": dict(config),
-        "manifest": dict(package.manifest),
+        "manifest": dict(package.manifest.data),
         "observations": [dict(one) for one in observations],
     }
-    python = interpreter.resolve(package.path, package.manifest, python=place.python, env=place.env)
+    python = interpreter.resolve(package.path, package.manifest.environment, python=place.python, env=place.env)
     done = errand.run(_ERRAND, order, errand.Place(python, package.path, patience=place.patience))
     for answer in done.answers:
         if "error" in answer:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from xpl.manifest import Manifest
     from xpl.wire.arrays import Data
     from xpl_cli.serving.places import Place
     from xpl_cli.serving.workers.line import Job
@@ -98,14 +99,14 @@ class Worker:
         process.died.add_done_callback(lambda died: self.fail(died.result()))
 
     async def load(
-        self, policy_dir: Path, config: Mapping[str, Any], manifest: Mapping[str, Any], *, shadow: bool = False
+        self, policy_dir: Path, config: Mapping[str, Any], manifest: Manifest, *, shadow: bool = False
     ) -> None:
         """Load the adapter; with `shadow` not its model (`xpl.worker.shadow`).
 
         Raises:
             LoadError: with one sentence that says why it could not be loaded.
         """
-        request = {"policy_dir": str(policy_dir), "config": dict(config), "manifest": dict(manifest)}
+        request = {"policy_dir": str(policy_dir), "config": dict(config), "manifest": dict(manifest.data)}
         self._loading = {"op": "load", **request, **({"shadow": True} if shadow else {})}
         self._busy, self._started = True, time.monotonic()
         try:
@@ -118,8 +119,7 @@ class Worker:
             told = f"the model could not be loaded: {raised['type']}: {raised['message']}"
             raise LoadError(told, raised.get("lacks"))
         self._busy = False
-        serving = manifest.get("serving") or {}
-        self.line = Line(shared=bool(answer["ok"]["shared"]), most=serving.get("max_batch"))
+        self.line = Line(shared=bool(answer["ok"]["shared"]), most=manifest.serving.max_batch)
 
     def renew(self) -> None:
         """Build the model anew before the next request."""

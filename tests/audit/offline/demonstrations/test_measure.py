@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from xpl import get_embodiment
+from xpl.manifest import Manifest
 from xpl.trajectory import open_folder
 from xpl_cli.audit.offline.demonstrations import declared, scripted
 from xpl_cli.audit.offline.demonstrations.certainty import LEAST_EPISODES, margin
@@ -188,7 +189,7 @@ def test_a_picture_shows_the_number_that_is_mended(ruler: Ruler) -> None:
 
 def _probe(package: Path, demos: Path | None = None, robot: str = ROBOT) -> Any:
     return SimpleNamespace(
-        package=SimpleNamespace(path=package, manifest={}, name="Foo"),
+        package=SimpleNamespace(path=package, manifest=Manifest(), name="Foo"),
         options=Options(demos=demos),
         embodiment=get_embodiment(robot),
         action_type="joint",

@@ -41,8 +41,8 @@ class Local:
         self.embodiment = get_embodiment(self.config["env_cfg_type"])
         self.action_type = self.config["action_type"]
         self.profile = SimpleNamespace(name=Profile.FULL)
-        self.required = tuple(self.package.manifest["inputs"]["required"])
-        self.model = load_model_class(package)({**self.config, "manifest": self.package.manifest})
+        self.required = self.package.manifest.required
+        self.model = load_model_class(package)({**self.config, "manifest": self.package.manifest.data})
 
     def server(self) -> Any:
         """Return what would be connected to."""

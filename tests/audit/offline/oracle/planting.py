@@ -123,7 +123,7 @@ class Subject:
     @property
     def block(self) -> dict[str, Any]:
         """The native block."""
-        native: dict[str, Any] = self.policy.manifest["native"]
+        native: dict[str, Any] = dict(self.policy.manifest.native or {})
         return native if self.mistake is None else self.mistake.planted(native)
 
     @property
@@ -135,9 +135,9 @@ class Subject:
     def fault(self, folders: list[Path]) -> str | None:
         """Return why the block cannot be compiled, None if it can."""
         manifest = self.policy.manifest
-        robot = get_embodiment(manifest["embodiments"][0])
+        robot = get_embodiment(manifest.embodiments[0])
         try:
-            compile_interface(self.block, robot, manifest["action_types"][0], folders, manifest["temporal"]["chunk"])
+            compile_interface(self.block, robot, manifest.action_types[0], folders, manifest.temporal.chunk)
         except NativeError as error:
             return str(error)
         return None
@@ -154,7 +154,7 @@ class Subject:
         package = place / source.name
         left_out = shutil.ignore_patterns("checkpoints", "__pycache__", ".venv")
         shutil.copytree(source, package, ignore=left_out)
-        manifest = {**self.policy.manifest, "native": self.block}
+        manifest = {**self.policy.manifest.data, "native": self.block}
         if self.mistake is not None and self.mistake.replace is not None:
             change = self.mistake.replace
             text = (package / change["file"]).read_text()

@@ -79,9 +79,9 @@ class Demonstrated:
         if lacking:
             raise NotRun(f"the policy requires {', '.join(lacking)}, which the demonstrations do not have")
         manifest = self.probe.package.manifest
-        temporal, native = manifest.get("temporal") or {}, manifest.get("native") or {}
-        reach = 0 if native.get("recurrent") or temporal.get("kind") == "memory" else span(manifest)
-        horizon = min(_MOST_HORIZON, int(temporal.get("chunk") or 1))
+        temporal, native = manifest.temporal, manifest.native or {}
+        reach = 0 if native.get("recurrent") or temporal.kind == "memory" else span(manifest)
+        horizon = min(_MOST_HORIZON, temporal.chunk or 1)
         seed = int(self.probe.config.get(sdk.Deploy.SEED) or 0)
         made = session(recordings, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)
         size = sum(entry[sdk.Camera.COLOR].nbytes for entry in shown.get(sdk.Obs.VISION, {}).values())

@@ -31,6 +31,7 @@ from xpl_cli.native.alternatives.signals.texts import texts
 from xpl_cli.native.record import span
 
 if TYPE_CHECKING:
+    from xpl.manifest import Manifest
     from xpl_cli.audit.offline.demonstrations.measure import Chunks, Errors, Ruler
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.native.pairs import Chunk
@@ -124,8 +125,8 @@ class Search:
         self, probe: Probe, ruler: Ruler, given: Sequence[Chunk], refused: Collection[int], seconds: float = SEARCH_S
     ) -> None:
         self._probe, self._ruler, self._given, self._refused = probe, ruler, given, frozenset(refused)
-        self._manifest: Mapping[str, Any] = probe.package.manifest
-        self._native: Mapping[str, Any] = self._manifest.get("native") or {}
+        self._manifest: Manifest = probe.package.manifest
+        self._native: Mapping[str, Any] = self._manifest.native or {}
         self._session = ruler.session
         self._course = Asking(self._session)
         self._everything = list(range(len(given)))
@@ -167,7 +168,7 @@ class Search:
         """Return what other words of the block come to; None where the adapter does not convert by it alone."""
         if not self._native:
             return None
-        package, chunk = self._probe.package, (self._manifest.get("temporal") or {}).get("chunk")
+        package, chunk = self._probe.package, self._manifest.temporal.chunk
         settled = package.config(dict(self._probe.options.overrides))
         folders = checkpoint.folders(settled, package.path)
         robot, action_type = self._session.robot, self._session.action_type
@@ -315,8 +316,7 @@ class Search:
 
     @cached_property
     def _inputs(self) -> list[str]:
-        inputs = self._manifest.get("inputs") or {}
-        return [*(inputs.get("required") or ()), *(inputs.get("optional") or ())]
+        return list(self._manifest.read)
 
     @cached_property
     def _cameras(self) -> list[str]:

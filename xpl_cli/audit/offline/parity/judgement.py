@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,16 +16,17 @@ from xpl_cli.native.difference import differences, spreads
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
+    from xpl.manifest import Manifest
     from xpl_cli.native.pairs import Chunk, Question, Session
 
 _ROUNDING = 4 * float(np.finfo(np.float32).eps)
 """Share of a number that its float32 may be off by, on both sides."""
 
 
-def tolerance(manifest: Mapping[str, Any]) -> float:
+def tolerance(manifest: Manifest) -> float:
     """Return the share of the span that answers may be off by: what the native block says, or the default."""
     usual: float = spec.schema("native", spec.NEWEST)["properties"]["tolerance"]["default"]
-    return float((manifest.get("native") or {}).get("tolerance", usual))
+    return float((manifest.native or {}).get("tolerance", usual))
 
 
 @dataclass(frozen=True)

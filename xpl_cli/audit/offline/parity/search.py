@@ -133,7 +133,7 @@ class Search:
         session, package = self._judgement.session, self._probe.package
         if not self._native:
             return None
-        chunk = (self._manifest.get("temporal") or {}).get("chunk")
+        chunk = self._manifest.temporal.chunk
         folders = checkpoint.folders(self._settled, package.path)
         try:
             changes = list(
@@ -233,9 +233,8 @@ class Search:
 
     @property
     def _kind(self) -> Kind:
-        temporal = self._manifest.get("temporal") or {}
         return Kind(
-            keeps_state=bool(self._native.get("recurrent")) or temporal.get("kind") == "memory",
+            keeps_state=bool(self._native.get("recurrent")) or self._manifest.temporal.kind == "memory",
             history=span(self._manifest),
             draws=self._draws or "sampling" in self._named,
         )
@@ -294,8 +293,7 @@ class Search:
     @functools.cached_property
     def _inputs(self) -> _Inputs:
         """What the adapter reads, everything if it does not say that."""
-        inputs = self._manifest.get("inputs") or {}
-        read = [*(inputs.get("required") or ()), *(inputs.get("optional") or ())]
+        read = list(self._manifest.read)
         shown = [self._course.observation(*question.shown[-1]) for question in self._judgement.session.questions]
         texts = sorted({obs[sdk.Obs.INSTRUCTION] for obs in shown})
         if not read:
@@ -324,7 +322,7 @@ class Search:
 
     @property
     def _native(self) -> Mapping[str, Any]:
-        return self._manifest.get("native") or {}
+        return self._manifest.native or {}
 
     @property
     def _repeats(self) -> bool:
@@ -334,7 +332,7 @@ class Search:
     @property
     def _draws(self) -> bool:
         """Whether the adapter says that its model draws."""
-        return not self._manifest.get("deterministic", True) or self._native.get("sampling", "none") != "none"
+        return not self._manifest.deterministic or self._native.get("sampling", "none") != "none"
 
     @property
     def _left(self) -> float:

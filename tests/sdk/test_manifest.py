@@ -1,0 +1,94 @@
+"""The manifest classes hold what `spec/` declares, key by key, with its defaults."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from xpl import manifest
+from xpl.manifest import Document, EnvManifest, Manifest
+from xpl_cli.standard import spec
+
+_POLICY = spec.schema("policy")["properties"]
+_ENV = spec.schema("env")["properties"]
+_DATA = {"data"}
+_NOT_IN_THE_SCHEMA_YET = {"any_embodiment", "expert", "splits", "evaluation_seeds", "hand_over", "robot"} | {
+    "renderers",
+    "stand_in",
+    "success_means",
+}
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+def declared(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of an object schema, through references, alternatives with null, and list items."""
+    if "$ref" in schema:
+        document, _, pointer = schema["$ref"].partition("#/")
+        found: Any = spec.schema(document.rpartition("/")[2] or "policy")
+        for key in pointer.split("/"):
+            found = found[key]
+        return declared(found)
+    for one in schema.get("anyOf", ()):
+        if keys := declared(one):
+            return keys
+    if "items" in schema:
+        return declared(schema["items"])
+    return dict(schema.get("properties", {}))
+
+
+@pytest.mark.parametrize(
+    ("kind", "properties"),
+    [
+        (Manifest, _POLICY),
+        (manifest.Temporal, declared(_POLICY["temporal"])),
+        (manifest.Inputs, declared(_POLICY["inputs"])),
+        (manifest.Checkpoint, declared(_POLICY["checkpoints"])),
+        (manifest.CheckpointFile, declared(declared(_POLICY["checkpoints"])["files"])),
+        (manifest.PythonEnvironment, declared(_POLICY["environment"])),
+        (manifest.Serving, declared(_POLICY["serving"])),
+        (manifest.Shadow, declared(_POLICY["shadow"])),
+        (manifest.Claim, declared(_POLICY["claims"])),
+        (manifest.Waiver, declared(_POLICY["waivers"])),
+        (manifest.CameraNeeds, declared(_POLICY["cameras"]["additionalProperties"])),
+        (manifest.Gripper, declared(_POLICY["gripper"])),
+        (EnvManifest, _ENV),
+        (manifest.Task, declared(_ENV["tasks"]["additionalProperties"])),
+    ],
+)
+def test_fields_are_those_of_the_schema(kind: type[Document], properties: dict[str, Any]) -> None:
+    """A key that the standard gains, loses or gives another default changes the class, too."""
+    known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    assert set(known) - _DATA - _NOT_IN_THE_SCHEMA_YET - {"success_means"} == set(properties)
+    for name, schema in properties.items():
+        default = schema.get("default")
+        if default is None or known[name].default is MISSING or name in {"requirements", "real_time"}:
+            continue
+        assert known[name].default == (tuple(default) if isinstance(default, list) else default), name
+
+
+@given(JSON)
+def test_any_document_is_read(data: object) -> None:
+    """What has another type than is declared counts as missing: the schema check tells about it."""
+    keys = dict.fromkeys([*_POLICY, *_ENV], data)
+    for kind in (Manifest, EnvManifest):
+        found = kind.parse(keys)
+        assert found.data == keys
+        assert kind.parse(data if not isinstance(data, dict) else None) == kind()
+
+
+def test_values_keep_their_types() -> None:
+    """True is no number; a whole number is one; a list of other things is emptied."""
+    found = Manifest.parse({"control_frequency": 25, "temporal": {"chunk": True}, "embodiments": ["arx_x5", 3]})
+    assert found.control_frequency == 25.0
+    assert found.temporal.chunk is None
+    assert found.embodiments == ("arx_x5",)
+    assert Manifest.parse(None) == Manifest()
+    assert not Manifest.parse({})
