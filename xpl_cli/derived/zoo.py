@@ -26,8 +26,9 @@ nobody found it.
 """
 _PROVING: Final = """\
 `xpl zoo prove NAME CHECKOUT` audits the adapter of a policy in a checkout of your own, and writes down how far it came,
-with the date, the version of xpl and the digests of what ran. Nobody types a level. It says what runs, and not that the
-adapter is right: that is what the audit found, which stands beside it.
+with the date, the version of xpl and the digests of what ran. `--python` names the interpreter with its own libraries,
+and its weights may be [tiny and random](shadow.md#an-adapter-without-xplpolicy). Nobody types a level. It says what
+runs, and not that the adapter is right: that is what the audit found, which stands beside it.
 """
 _FACTS: Final = """\
 `spec/zoo/policies/` has a file for each policy. To add one, or a fact, edit it there with its source, check it with

@@ -115,8 +115,6 @@ def _told(policy: Policy) -> Iterator[str]:
         for gate in proof["gates"]:
             counts = ", ".join(f"{number} {outcome}" for outcome, number in gate["counts"].items())
             yield _line(gate["gate"], f"{gate['outcome']}: {counts}; digest {gate['digest'] or UNKNOWN}")
-            if gate["stood_in"]:
-                yield _line("", gate["stood_in"])
     if policy.next is not None:
         yield _line("no further", policy.next)
     yield ""

@@ -10,12 +10,13 @@ import datetime as dt
 import json
 import re
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import xpl_cli
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome, counted
+from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.verdict import PARITY, judged
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics import atomic
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 _SERVES: Final = "XPL201"
 """The rule that says whether an adapter could be served."""
-_STATIC, _STAND_INS, _NATIVE, _WEIGHTS = range(1, 5)
+_STATIC, _SERVED, _NATIVE, _WEIGHTS = range(1, 5)
 _LONGEST: Final = 300
 _ELSEWHERE: Final = re.compile(r"(?<![\w.:/])/(?:[\w.+-]+/)+([\w.+-]+)")
 """An absolute path, and the last name in it; no part of an address or of a relative path."""
@@ -99,7 +100,8 @@ def proof(
 
     Args:
         adapter: what to run.
-        options: of the audit; its gates are carried on with, whatever an earlier one finds.
+        options: of the audit; its gates are carried on with, whatever an earlier one finds, and serve no shadow: a
+            level is of the adapter with its own libraries.
         manifest: what its manifest says, as `{key: {value, source}}`.
         arguments: options of the command, by which it is repeated.
         run: a recorded run of its weights.
@@ -109,6 +111,7 @@ def proof(
     """
     from xpl_cli.audit.engine.engine import audit
 
+    options = replace(options, profile=Profile.FULL)
     report = audit(adapter.path, package.POLICY, options, shown=adapter.folder)
     verdict = judged(report)
     evaluated = None if run is None else _evaluated(adapter, run)
@@ -155,7 +158,7 @@ def _level(report: TargetReport, verdict: Verdict, evaluated: Mapping[str, Any] 
             return level, reason
     parity = next((item for item in verdict.unproven if item.claim is PARITY), None)
     if parity is not None:
-        return _STAND_INS, _short(parity.reason)
+        return _SERVED, _short(parity.reason)
     return (_NATIVE, "no recorded run of its weights was given") if evaluated is None else (_WEIGHTS, None)
 
 
@@ -186,7 +189,6 @@ def _gate(gate: GateReport) -> dict[str, Any]:
         "counts": {str(outcome): number for outcome, number in counted(gate.results).items()},
         "failed": of[Outcome.FAIL],
         "not_run": [*of[Outcome.NOT_RUN], *of[Outcome.ERROR]],
-        "stood_in": _short(gate.stood_in) if gate.stood_in else None,
         "reason": _short(reason) if reason else None,
         "digest": gate.digest,
         "fingerprint": gate.fingerprint,

@@ -27,9 +27,14 @@ _SENTENCES = {
     "server": "the server that the adapter asks cannot be reached: {}",
     "setting": "deploy.yml has no {}, which the adapter's script sets",
 }
+_REAL = (
+    "give it its own libraries (`xpl install`, or their interpreter by --python) and, where deploy.yml names it, a "
+    "checkpoint: a tiny one with random weights will do"
+)
+"""What to do for an adapter that has no shadow."""
 _HELP = {
-    _MODULE: "",
-    _CHECKPOINT: "fetch it, or name it with --set ckpt_name=...",
+    _MODULE: _REAL,
+    _CHECKPOINT: "fetch it, or name it with --set ckpt_name=...; a tiny one with random weights will do, too",
     "env_cfg": "audit it beside its benchmark, or name a robot of the standard with --set env_cfg_type=NAME",
     "upstream": "run the adapter's install.sh",
     "file": "bring it here, or name another with --set",
@@ -37,11 +42,6 @@ _HELP = {
     "setting": "give it with --set",
 }
 """What to do where the real thing is wanted."""
-_REAL = (
-    "give it its own libraries (`xpl install`, or their interpreter by --python) and, where deploy.yml names it, a "
-    "checkpoint: a tiny one with random weights will do"
-)
-"""What to do for an adapter that has no shadow."""
 
 
 def first(options: Options) -> Choice:

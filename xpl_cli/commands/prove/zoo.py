@@ -79,6 +79,9 @@ def prove(
         ..., metavar="CHECKOUT", help="Folder with its adapter: of XPolicyLab, or its own."
     ),
     gate: list[str] = typer.Option([], "--gate", help="Only this gate; may be repeated. static, offline."),
+    python: str | None = typer.Option(
+        None, metavar="PATH", help="Interpreter with its own libraries; by default that of its policy.yml."
+    ),
     run: Path | None = typer.Option(None, metavar="RUN", help="A recorded run of its weights, for the last level."),
     isolate: bool = typer.Option(False, "--isolate", help="Keep it from the network and from writing."),
     time_limit: str = typer.Option("10m", metavar="TIME", help=TIME_HELP),
@@ -90,7 +93,6 @@ def prove(
     from xpl_cli.audit.rules.clock import Clock
     from xpl_cli.audit.rules.gates import Gate
     from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.rules.profiles import Profile
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError, one_of
     from xpl_cli.basics.progress import progress
@@ -108,7 +110,7 @@ def prove(
         options = Options(
             gates=tuple(Gate(each) for each in _GATES if not gate or each in gate),
             keep_going=True,
-            profile=Profile.FULL,
+            python=python,
             memory_limit="80%",
             isolate=isolate,
             clock=Clock.parse(time_limit),
@@ -116,7 +118,9 @@ def prove(
         )
         said = dict(_said(files.stated(adapter.path)))
         arguments = [word for each in gate for word in ("--gate", each)]
-        found = proving.proof(adapter, options, said, [*arguments, *(["--run", "RUN"] if run else [])], run)
+        arguments += ["--python", "PYTHON"] if python else []
+        arguments += ["--run", "RUN"] if run else []
+        found = proving.proof(adapter, options, said, arguments, run)
     path = None if dry_run else proving.write(found)
     if as_json:
         following = [] if dry_run else ["xpl spec compile"]
