@@ -35,7 +35,6 @@ Status = Callable[..., dict[str, Any]]
 def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Work in a folder of its own, whose audits nobody else remembers."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setenv("XPL_CHECKPOINTS", str(tmp_path / "checkpoints"))
     folder = tmp_path / "work"
     folder.mkdir()
     monkeypatch.chdir(folder)

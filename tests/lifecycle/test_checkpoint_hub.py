@@ -53,6 +53,9 @@ def hub() -> Iterator[str]:
             if path == f"/api/models/owner/model/revision/{COMMIT}":
                 content = json.dumps(_told()).encode()
                 headers["Content-Type"] = "application/json"
+            elif path == f"/api/models/owner/model/tree/{COMMIT}":
+                content = json.dumps(_listed()).encode()
+                headers["Content-Type"] = "application/json"
             elif path.startswith(resolved) and path.removeprefix(resolved) in FILES:
                 content = FILES[path.removeprefix(resolved)]
                 headers["ETag"] = f'"{hashlib.sha256(content).hexdigest()}"'
@@ -90,29 +93,62 @@ def _told() -> dict[str, object]:
     return {"id": "owner/model", "modelId": "owner/model", "sha": COMMIT, "siblings": siblings, "tags": []}
 
 
+def _listed() -> list[dict[str, object]]:
+    """Return the same as later clients ask for it."""
+    large = {name for name in FILES if name.endswith(".bin")}
+    return [
+        {
+            "type": "file",
+            "oid": "0" * 40,
+            "size": len(content),
+            "path": name,
+            **({"lfs": {"oid": _sha(content), "size": len(content), "pointerSize": 130}} if name in large else {}),
+        }
+        for name, content in FILES.items()
+    ]
+
+
 def _sha(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def fetch(folder: Path, hub: str, *options: str, **entry: object) -> subprocess.CompletedProcess[str]:
+def fetch(
+    folder: Path, hub: str, *options: str, command: str = "fetch", **entry: object
+) -> subprocess.CompletedProcess[str]:
     """Fetch a checkpoint of the hub."""
     place = folder / "Subject"
     place.mkdir(exist_ok=True)
     specified = {"name": "demo", "source": "hf://owner/model", "revision": COMMIT, "license": "MIT", **entry}
     (place / "policy.yml").write_text(json.dumps({"spec": "v1.1", "checkpoints": [specified]}))
     environment = {**os.environ, "HF_ENDPOINT": hub, "HF_HOME": str(folder / "home"), "HF_HUB_DISABLE_XET": "1"}
-    return forked.run("checkpoint", "fetch", "Subject", "--cache", "store", *options, cwd=folder, env=environment)
+    return forked.run("checkpoint", command, "Subject", *options, cwd=folder, env=environment)
 
 
 def test_a_repository_is_brought_at_its_commit(hub: str, tmp_path: Path) -> None:
-    """All of its files but the hidden ones; the digest is that of any other folder."""
+    """All of its files but the hidden ones count; the digest is that of any other folder, and its name leads to it."""
     wanted = {name: content for name, content in FILES.items() if not name.startswith(".")}
     digest = digest_of(File(name, _sha(content)) for name, content in wanted.items())
     done = fetch(tmp_path, hub, sha256=digest)
     assert done.returncode == 0, done.stderr
     folder = Path(done.stdout.strip())
     found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    assert (folder.name, found) == (digest, wanted)
+    assert {name: content for name, content in found.items() if not name.startswith(".")} == wanted
+    assert folder.name == COMMIT
+    assert (tmp_path / "Subject" / "checkpoints" / "demo").resolve() == folder
+    nobody = "http://127.0.0.1:9"
+    again = fetch(tmp_path, nobody, "--json", sha256=digest)
+    assert json.loads(again.stdout)["checkpoints"][0]["state"] == "there", again.stderr
+    assert fetch(tmp_path, nobody, command="verify", sha256=digest).returncode == 0
+
+
+def test_what_is_not_what_policy_yml_means_is_refused(hub: str, tmp_path: Path) -> None:
+    """Nothing is linked; the error names the file, or the whole."""
+    done = fetch(tmp_path, hub, sha256="0" * 64)
+    assert (done.returncode, "sha256: expected 0000" in done.stderr) == (ExitCode.FINDINGS, True)
+    files = [{"path": "README.md", "sha256": "1" * 64}]
+    done = fetch(tmp_path, hub, files=files)
+    assert (done.returncode, "README.md: sha256: expected 1111" in done.stderr) == (ExitCode.FINDINGS, True)
+    assert not (tmp_path / "Subject" / "checkpoints").exists()
 
 
 def test_a_folder_of_a_repository(hub: str, tmp_path: Path) -> None:
@@ -122,6 +158,8 @@ def test_a_folder_of_a_repository(hub: str, tmp_path: Path) -> None:
     done = fetch(tmp_path, hub, source="hf://owner/model/weights", files=files)
     assert done.returncode == 0, done.stderr
     assert [path.name for path in Path(done.stdout.strip()).iterdir()] == ["model.bin"]
+    other = fetch(tmp_path, hub, source="hf://owner/model/nothing", sha256="0" * 64)
+    assert (other.returncode, "has no files" in other.stderr) == (ExitCode.NOT_FOUND, True)
 
 
 def test_what_the_hub_does_not_have_is_one_sentence(hub: str, tmp_path: Path) -> None:
@@ -130,4 +168,4 @@ def test_what_the_hub_does_not_have_is_one_sentence(hub: str, tmp_path: Path) ->
     assert (done.returncode, "cannot be had from the hub" in done.stderr) == (ExitCode.NOT_RUN, True)
     assert "Traceback" not in done.stderr
     done = fetch(tmp_path, hub, files=[{"path": "missing.bin", "sha256": "0" * 64}])
-    assert (done.returncode, "has no missing.bin" in done.stderr) == (ExitCode.NOT_FOUND, True)
+    assert (done.returncode, "has no files" in done.stderr) == (ExitCode.NOT_FOUND, True)

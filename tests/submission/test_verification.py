@@ -18,11 +18,10 @@ from xpl_cli.audit.engine.engine import audit
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import evaluate
 from xpl_cli.evaluation.runs.plan import Wishes
-from xpl_cli.lifecycle.checkpoints import fetch, sources, specification, store
+from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import package
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
@@ -368,16 +367,14 @@ class TestCheckpoints:
         deploy = (folder / "deploy.yml").read_text(encoding="utf-8").replace("ckpt_name: null", "ckpt_name: base")
         (folder / "deploy.yml").write_text(deploy, encoding="utf-8")
         (one,) = specification.choose(package.load(folder), None)
-        kept = store.Store.at(tmp_path / "cache")
-        order = fetch.Order(limit=100, progress=Progress())
-        store.link(folder, one.name, fetch.fetch(one, kept, lambda: sources.source_of(one), order).path)
+        fetch.link(folder, one.name, fetch.fetch(one).path)
         return folder
 
     @pytest.mark.slow
     def test_a_bundle_finds_the_checkpoint_that_was_fetched(
         self, adapter: Path, report: TargetReport, tmp_path: Path
     ) -> None:
-        """It is linked into the unpacked adapter; where it is not kept, nothing is played."""
+        """It is linked into the unpacked adapter; where it is not here, nothing is played."""
         request = evaluate.Request(package.load(adapter), "offline", tmp_path / "run", Wishes(), films=0)
         run = evaluate.evaluate(request)
         path = tmp_path / "demo.xpl.zip"
@@ -385,10 +382,12 @@ class TestCheckpoints:
         unpacked = tmp_path / "unpacked"
         assert not [name for name in archive.unpack(path, unpacked, limit=10**8) if "weights" in name or "base" in name]
         assert _problems(path).keys() == {"audit"}  # it is of the expert
-        player = Player(unpacked / "policy" / "demo_policy", cache=tmp_path / "empty")
+        weights = tmp_path / "weights.bin"
+        weights.rename(tmp_path / "elsewhere.bin")
         with pytest.raises(UserError, match="checkpoints/base"):
-            player.play(run, [0])
-        (pair,) = Player(unpacked / "policy" / "demo_policy", cache=tmp_path / "cache").play(run, [0])
+            Player(unpacked / "policy" / "demo_policy").play(run, [0])
+        (tmp_path / "elsewhere.bin").rename(weights)
+        (pair,) = Player(unpacked / "policy" / "demo_policy").play(run, [0])
         assert pair.match in {replay.Match.SAME, replay.Match.OUTCOME}
 
     @pytest.mark.slow

@@ -11,7 +11,7 @@ from xpl_cli import __version__
 from xpl_cli.basics import atomic
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UserError
-from xpl_cli.lifecycle.checkpoints.specification import declared
+from xpl_cli.lifecycle.checkpoints.specification import HUB, declared
 from xpl_cli.lifecycle.python_env.plan import CONDA, plan_of
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def recipe(package: Package) -> dict[str, str]:
         )
     locks = [] if plan is None else [path.relative_to(package.path).as_posix() for path in plan.locks()]
     needed = [] if plan is not None else list(environment.requirements)
-    hub = any(one.kind == "hub" for one in declared(package).values())
+    hub = any(one.kind == HUB for one in declared(package).values())
     source = (room("templates") / "container" / "Dockerfile.jinja").read_text(encoding="utf-8")
     jinja = jinja2.Environment(  # noqa: S701 - a Dockerfile is no HTML
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True

@@ -15,7 +15,7 @@ from xpl_cli.evaluation.lanes.local import LocalBackend, shared
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.runs import evaluate, runner
-from xpl_cli.lifecycle.checkpoints import specification, store
+from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import environments, package, robots
 from xpl_cli.submission import claims
 from xpl_cli.submission.replay import Pair
@@ -40,7 +40,6 @@ class Player:
         env: environment of the adapter, as for `xpl serve`.
         gpu: device of the adapter.
         eval_env: interpreter of the environment.
-        cache: where checkpoints are kept; the user's cache by default.
         isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
         progress: where to say what is being done.
     """
@@ -51,7 +50,6 @@ class Player:
     env: str | None = None
     gpu: str | None = None
     eval_env: str | None = None
-    cache: Path | None = None
     isolate: bool = False
     progress: Progress = field(default_factory=Progress)
 
@@ -148,10 +146,9 @@ class Player:
 
     def _link(self, digest: str) -> None:
         """Let the adapter of a bundle find a checkpoint that was fetched."""
-        kept = store.Store.at(self.cache)
         for one in specification.declared(self._package).values():
-            if one.digest == digest and (path := kept.content(digest, one.file_name)) is not None:
-                store.link(self._package.path, one.name, path)
+            if one.digest == digest and (path := fetch.here(one)) is not None:
+                fetch.link(self._package.path, one.name, path)
 
 
 def _job(slot: Slot, attempt: int) -> Job:

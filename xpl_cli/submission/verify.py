@@ -45,7 +45,6 @@ class Request:
         limit: most bytes that are unpacked.
         python, env, gpu: interpreter and device of the adapter.
         eval_env: interpreter of the environment.
-        cache: where checkpoints are kept; the user's cache by default.
         isolate: keep the adapter from the network and from writing while it is played.
         signer: public keys, one of which must have signed the bundle; None to ask for no signature.
         progress: where to say what is being done.
@@ -61,7 +60,6 @@ class Request:
     env: str | None = None
     gpu: str | None = None
     eval_env: str | None = None
-    cache: Path | None = None
     isolate: bool = False
     signer: Path | None = None
     progress: Progress = field(default_factory=Progress)
@@ -175,7 +173,6 @@ def _replayed(request: Request, found: Bundle, report: Report, runs: Sequence[Ru
         env=request.env,
         gpu=request.gpu,
         eval_env=request.eval_env,
-        cache=request.cache,
         isolate=request.isolate,
         progress=request.progress,
     )

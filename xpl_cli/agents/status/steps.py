@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -164,14 +163,12 @@ def _environment(folder: Path, declared: PythonEnvironment, shown: str) -> Step:
 
 def _checkpoint(loaded: Package, shown: str) -> Step:
     from xpl_cli.lifecycle.checkpoints import fetch, specification
-    from xpl_cli.lifecycle.checkpoints.store import Store
 
     if not loaded.manifest.checkpoints:
         return Step("checkpoint", State.NOT_APPLICABLE, f"{sdk.File.POLICY_YML} names none")
-    folder = os.environ.get("XPL_CHECKPOINTS")
     try:
         (wanted,) = specification.choose(loaded, None)
-        path = fetch.located(wanted, Store.seen(Path(folder) if folder else None))
+        path = fetch.located(wanted)
     except UserError as error:
         return Step("checkpoint", State.FAILED, str(error))
     if path is not None:

@@ -10,7 +10,6 @@ import typer
 
 from xpl_cli.basics.endings import ends
 from xpl_cli.basics.strangers import one_line
-from xpl_cli.commands.run.checkpoint import CACHE
 from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY, POLICY_ENV
 
 if TYPE_CHECKING:
@@ -103,7 +102,6 @@ def verify(
     policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
     policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
     eval_env: str | None = _EVAL_ENV,
-    cache: CACHE = None,
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
@@ -130,7 +128,6 @@ def verify(
                 env=policy_env,
                 gpu=policy_gpu,
                 eval_env=eval_env,
-                cache=cache,
                 isolate=isolate,
                 signer=signer,
                 progress=say,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -12,18 +12,12 @@ from xpl_cli.basics.endings import ends
 from xpl_cli.commands.run.serve import POLICY
 
 if TYPE_CHECKING:
-    from xpl_cli.lifecycle.checkpoints.fetch import Order
     from xpl_cli.lifecycle.checkpoints.specification import Specification
-    from xpl_cli.lifecycle.checkpoints.store import Store
 
 app = typer.Typer(help="The checkpoints that policy.yml specifies.", no_args_is_help=True)
 
 _NAME = typer.Argument(None, metavar="[NAME]", help="Checkpoint; ckpt_name of deploy.yml or the only one by default.")
 _ALL = typer.Option(False, "--all", help="All checkpoints of the adapter.")
-CACHE = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", envvar="XPL_CHECKPOINTS", help="Where they are kept; the user's cache by default."),
-]
 _JSON = typer.Option(False, "--json", help="Print a JSON object.")
 
 
@@ -37,28 +31,23 @@ def fetch(
     policy: str = POLICY,
     name: str | None = _NAME,
     every: bool = _ALL,
-    mirror: Path | None = typer.Option(None, metavar="DIR", help="Take them from this folder, and ask nobody else."),
-    cache: CACHE = None,
-    max_size: str = typer.Option("100GB", metavar="SIZE", help="Most bytes of a checkpoint."),
-    force: bool = typer.Option(False, "--force", help="Bring it again although it is there."),
+    force: bool = typer.Option(False, "--force", help="Have the hub's client bring it again although it is there."),
     unverified: bool = typer.Option(False, "--unverified", help="Take what comes where no sha256 is given; prints it."),
     as_json: bool = _JSON,
 ) -> None:
     """Bring a checkpoint, check it, and make it what its name means in this adapter; prints where it is."""
     from xpl_cli.basics import console
     from xpl_cli.basics.progress import progress
-    from xpl_cli.basics.sizes import parse_size
-    from xpl_cli.lifecycle.checkpoints import fetch as fetching
-    from xpl_cli.lifecycle.checkpoints import specification, store
+    from xpl_cli.lifecycle.checkpoints import specification
     from xpl_cli.packages import package
 
     adapter = package.load(policy)
     chosen = specification.choose(adapter, name, every=every)
-    place = store.Store.at(cache)
-    limit = parse_size(max_size, "--max-size")
+    answers = []
     with progress() as say:
-        order = fetching.Order(limit=limit, progress=say, unverified=unverified, again=force)
-        answers = [_fetch(one, place, mirror, order) for one in chosen]
+        for one in chosen:
+            say.step(f"{one.name}: {one.source}")
+            answers.append(_fetch(one, unverified=unverified, again=force))
     if as_json:
         following = [shlex.join(["xpl", "checkpoint", "verify", policy, one.name]) for one in chosen]
         console.answer("xpl.checkpoint-fetch/1", {"policy": adapter.name, "checkpoints": answers}, following)
@@ -69,22 +58,22 @@ def fetch(
 
 @app.command()
 @ends(clean="whole", findings="differs", not_found="not fetched")
-def verify(
-    policy: str = POLICY, name: str | None = _NAME, every: bool = _ALL, cache: CACHE = None, as_json: bool = _JSON
-) -> None:
+def verify(policy: str = POLICY, name: str | None = _NAME, every: bool = _ALL, as_json: bool = _JSON) -> None:
     """Read a fetched checkpoint again and compare it with policy.yml."""
     from xpl_cli.basics import console
-    from xpl_cli.basics.errors import ExitCode
+    from xpl_cli.basics.errors import ExitCode, UserError
     from xpl_cli.lifecycle.checkpoints import fetch as fetching
-    from xpl_cli.lifecycle.checkpoints import specification, store
+    from xpl_cli.lifecycle.checkpoints import specification
     from xpl_cli.packages import package
 
     adapter = package.load(policy)
-    place = store.Store.at(cache)
     answers: list[dict[str, Any]] = []
     for one in specification.choose(adapter, name, every=every):
-        path = _located(one, place, policy)
-        answers.append({"name": one.name, "path": str(path), "differences": fetching.verify(one, path, place)})
+        path = _located(one, policy)
+        if one.digest is None and not one.files:
+            raise UserError(f"checkpoint {one.name!r} has no sha256 in policy.yml: nothing can be compared")
+        differing = fetching.differences(one, *fetching.read(one, path))
+        answers.append({"name": one.name, "path": str(path), "differences": differing})
     damaged = any(answer["differences"] for answer in answers)
     if as_json:
         broken = [shlex.join([policy, answer["name"]]) for answer in answers if answer["differences"]]
@@ -105,15 +94,15 @@ def verify(
 
 @app.command("path")
 @ends(not_found="not fetched")
-def path_of(policy: str = POLICY, name: str | None = _NAME, cache: CACHE = None, as_json: bool = _JSON) -> None:
+def path_of(policy: str = POLICY, name: str | None = _NAME, as_json: bool = _JSON) -> None:
     """Print where a fetched checkpoint is."""
     from xpl_cli.basics import console
-    from xpl_cli.lifecycle.checkpoints import specification, store
+    from xpl_cli.lifecycle.checkpoints import specification
     from xpl_cli.packages import package
 
     adapter = package.load(policy)
     (one,) = specification.choose(adapter, name)
-    path = str(_located(one, store.Store.at(cache), policy))
+    path = str(_located(one, policy))
     if as_json:
         following = [shlex.join(["xpl", "checkpoint", "verify", policy, one.name])]
         told = {"policy": adapter.name, "checkpoints": [{"name": one.name, "path": path}]}
@@ -122,17 +111,16 @@ def path_of(policy: str = POLICY, name: str | None = _NAME, cache: CACHE = None,
         console.data(path)
 
 
-def _fetch(one: Specification, place: Store, mirror: Path | None, order: Order) -> dict[str, Any]:
+def _fetch(one: Specification, *, unverified: bool, again: bool) -> dict[str, Any]:
     """Bring one checkpoint and return what there is to say of it; remarks go to stderr."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
     from xpl_cli.lifecycle.checkpoints import fetch as fetching
-    from xpl_cli.lifecycle.checkpoints import sources, store
 
-    brought = fetching.fetch(one, place, lambda: sources.source_of(one, mirror=mirror), order)
+    brought = fetching.fetch(one, unverified=unverified, again=again)
     linked = None
     try:
-        linked = str(store.link(one.base, one.name, brought.path))
+        linked = str(fetching.link(one.base, one.name, brought.path))
     except UserError as error:
         console.note(f"warning: {error}")
     if one.digest is None:
@@ -150,11 +138,11 @@ def _fetch(one: Specification, place: Store, mirror: Path | None, order: Order) 
     }
 
 
-def _located(one: Specification, place: Store, policy: str) -> Path:
+def _located(one: Specification, policy: str) -> Path:
     from xpl_cli.basics.errors import NotFoundError
     from xpl_cli.lifecycle.checkpoints import fetch as fetching
 
-    path = fetching.located(one, place)
+    path = fetching.located(one)
     if path is None:
         raise NotFoundError(
             f"checkpoint {one.name!r} was not fetched", hint=f"`xpl checkpoint fetch {policy} {one.name}`"

@@ -55,7 +55,7 @@ def checkpoint_of(package: Package, config: Mapping[str, Any]) -> dict[str, str]
     Raises:
         UserError: a name in it cannot be written down.
     """
-    from xpl_cli.lifecycle.checkpoints.store import hashed
+    from xpl_cli.lifecycle.checkpoints.content import hashed
 
     try:
         path = checkpoint.resolve(config, package.path)

@@ -1,273 +1,210 @@
-"""Bringing a checkpoint into the store, finding it there, and checking that it is still what it was."""
+"""A checkpoint brought here, checked, and made what its name means in an adapter.
+
+One of this machine stays where it is. One of the Hugging Face hub is brought by the hub's own client into its own
+cache, which has the user's login, proxies and mirrors, and goes on with what was cut. Nothing is opened, unpacked or
+loaded.
+"""
 
 from __future__ import annotations
 
-import shutil
-import time
-from dataclasses import dataclass, field, replace
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.basics.sizes import told_size
-from xpl_cli.lifecycle.checkpoints import store as stores
-from xpl_cli.lifecycle.checkpoints.specification import digest_of
-from xpl_cli.lifecycle.checkpoints.transfer import Bounds
+from xpl import _spec as sdk
+from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.basics.extras import how_to_install
+from xpl_cli.lifecycle.checkpoints.content import contents, hashed, sha256_of
+from xpl_cli.lifecycle.checkpoints.specification import HUB, File, check_commit, digest_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Sequence
 
-    from xpl_cli.basics.progress import Progress
-    from xpl_cli.lifecycle.checkpoints.sources import Source
-    from xpl_cli.lifecycle.checkpoints.specification import File, Specification
-    from xpl_cli.lifecycle.checkpoints.store import Staging, Store
-
-_SPARE = 64 << 20
-"""Room that is left on the disk."""
-_EVERY_S = 0.2
-_WAITS = "{}: another process fetches it; waiting"
+    from xpl_cli.lifecycle.checkpoints.specification import Specification
 
 
 @dataclass(frozen=True)
 class Fetched:
-    """A checkpoint in the store.
+    """A checkpoint that is here.
 
     Attributes:
         path: its folder, or its one file.
         digest: of its content.
         state: "there" if nothing had to be brought, else "fetched".
-        files: with their digests; empty if nothing had to be brought.
+        files: with their digests.
     """
 
     path: Path
     digest: str
     state: str
-    files: tuple[File, ...] = ()
+    files: tuple[File, ...]
 
 
-@dataclass(frozen=True)
-class Order:
-    """How a checkpoint is to be fetched.
-
-    Attributes:
-        limit: most bytes in all.
-        unverified: take what comes where policy.yml gives no digest, so that its author can write it there.
-        again: bring it although it is there.
-        progress: where to say what is being done.
-    """
-
-    limit: int
-    progress: Progress
-    unverified: bool = False
-    again: bool = False
-
-
-def fetch(specification: Specification, store: Store, source: Callable[[], Source], order: Order) -> Fetched:
-    """Bring a checkpoint into the store unless it is there.
+def fetch(specification: Specification, *, unverified: bool = False, again: bool = False) -> Fetched:
+    """Bring a checkpoint unless it is here, and check it.
 
     Args:
         specification: the checkpoint.
-        store: where it is kept.
-        source: makes the source that it comes from; called only if it is needed.
-        order: how.
+        unverified: take what comes where policy.yml gives no digest, so that its author can write it there.
+        again: have the hub's client bring it although it is here.
 
     Raises:
-        UserError: if it cannot be had, is too large, or is not what the manifest says; nothing is then in the store
-            that was not there before.
+        NotFoundError: if it is not where it should be.
+        UserError: if it cannot be had, or is not what the manifest says.
     """
-    if specification.digest is None and not order.unverified:
+    if specification.digest is None and not unverified:
         raise UserError(
             f"checkpoint {specification.name!r} has no sha256 in policy.yml: what arrives could not be checked",
             hint="--unverified fetches it all the same, once, and prints the sha256 to write there",
         )
-    there = None if order.again else _there(specification, store)
+    there = None if again else here(specification)
     if there is not None:
-        return there
-    with store.staging(_key(specification), lambda: order.progress.step(_WAITS.format(specification.name))) as staging:
-        there = None if order.again else _there(specification, store)  # another process may have brought it meanwhile
-        if there is not None:
-            return there
-        origin = source()
-        listing = _merged(specification.files, origin.listing())
-        _check_room(specification, listing, order.limit, staging, store)
-        files = _Arrival(specification, origin, staging, order).bring(listing)
-        digest = files[0].sha256 or "" if specification.file_name is not None else digest_of(files)
-        if specification.digest not in (None, digest):
-            staging.clear()
-            raise UserError(
-                f"checkpoint {specification.name!r} is not the one that policy.yml means: its sha256 is {digest}, "
-                f"expected {specification.digest}",
-                hint="the source has changed, or policy.yml is wrong; nothing was kept",
-                code=ExitCode.FINDINGS,
-            )
-        store.place(staging, digest)
-    path = store.content(digest, specification.file_name)
+        digest, files = read(specification, there)
+        if not differences(specification, digest, files):
+            return Fetched(there, digest, "there", files)
+    path = _brought(specification, again=again) if specification.kind == HUB else here(specification)
     if path is None:
-        raise UserError(f"{store.folder(digest)} went away while it was fetched", code=ExitCode.NOT_RUN)
-    return Fetched(path, digest, "fetched", tuple(files))
+        raise NotFoundError(f"checkpoint {specification.name!r}: there is no {specification.path}")
+    digest, files = read(specification, path)
+    for item in differences(specification, digest, files):
+        where = path / item["path"] if item["path"] else path
+        raise UserError(
+            f"checkpoint {specification.name!r} is not the one that policy.yml means: {where}: {item['what']}: "
+            f"expected {item['expected']}, got {item['got']}",
+            hint="the source has changed, or policy.yml is wrong; --force brings it again",
+            code=ExitCode.FINDINGS,
+        )
+    return Fetched(path, digest, "fetched", files)
 
 
-def located(specification: Specification, store: Store) -> Path | None:
-    """Return where a checkpoint lies in the store, None if it was not fetched.
+def here(specification: Specification) -> Path | None:
+    """Return where a checkpoint lies on this machine, or a part of it, unchecked; None if it is not here.
 
-    One whose digest is not declared is known by the link that an adapter has to it.
+    Raises:
+        UserError: if it is the hub's, and not pinned to a commit.
     """
-    if specification.digest is not None:
-        return store.content(specification.digest, specification.file_name)
-    place = stores.linked(specification.base, specification.name)
-    inside = place.is_symlink() and place.exists() and place.resolve().is_relative_to(store.root.resolve())
-    return place.resolve() if inside else None
+    if specification.kind != HUB:
+        return specification.path if specification.path.exists() else None
+    check_commit(specification)
+    try:
+        return _snapshot(specification, local_files_only=True)
+    except Exception:  # noqa: BLE001 - the client is not installed, or raises what its release raises for "not here"
+        return None
 
 
-def verify(specification: Specification, path: Path, store: Store) -> list[dict[str, Any]]:
-    """Read a checkpoint again, and return how it differs from its digests; nothing means that it is whole.
+def located(specification: Specification) -> Path | None:
+    """Return what a checkpoint's name means in its adapter, None if nothing was fetched."""
+    place = linked(specification.base, specification.name)
+    return place.resolve() if place.exists() else None
+
+
+def read(specification: Specification, path: Path) -> tuple[str, tuple[File, ...]]:
+    """Return the digest of a checkpoint, and its files with theirs: those that policy.yml lists, or all that are there.
 
     Args:
         specification: the checkpoint.
         path: where it lies.
-        store: where it is kept: under the digest of its content.
+
+    Raises:
+        UserError: if a name in it cannot be written down.
     """
-    digest, files = stores.hashed(path)
-    found = {file.path: file for file in files}
-    wanted = {file.path: file for file in specification.files}
-    differences: list[dict[str, Any]] = []
-    for name, file in wanted.items():
-        if name not in found:
-            differences.append(_difference(name, "missing", file.sha256, None))
-        elif file.size is not None and file.size != found[name].size:
-            differences.append(_difference(name, "size", file.size, found[name].size))
-        elif file.sha256 and file.sha256 != found[name].sha256:
-            differences.append(_difference(name, "sha256", file.sha256, found[name].sha256))
-    if wanted:
-        extra = sorted(found.keys() - wanted.keys())
-        differences += [_difference(name, "extra", None, found[name].sha256) for name in extra]
-    expected = specification.digest or path.resolve().relative_to(store.root.resolve()).parts[0]
-    if not differences and digest != expected:
-        differences.append(_difference("", "sha256", expected, digest))
-    return differences
+    if not specification.files:
+        digest, found = hashed(path)
+        return digest, tuple(found)
+    places = {file.path: path / file.path for file in specification.files}
+    there = {name: place for name, place in places.items() if place.is_file()}
+    files = tuple(File(name, sha256_of(place), place.stat().st_size) for name, place in there.items())
+    return digest_of(files), files
+
+
+def differences(specification: Specification, digest: str, files: Sequence[File]) -> list[dict[str, Any]]:
+    """Return how a checkpoint that was read differs from policy.yml; nothing means that it is whole."""
+    there = {file.path: file for file in files}
+    found = []
+    for file in specification.files:
+        got = there.get(file.path)
+        if got is None:
+            found.append(_difference(file.path, "missing", file.sha256, None))
+        elif file.size not in (None, got.size):
+            found.append(_difference(file.path, "size", file.size, got.size))
+        elif file.sha256 not in (None, got.sha256):
+            found.append(_difference(file.path, "sha256", file.sha256, got.sha256))
+    size = sum(file.size or 0 for file in files)
+    if not found and specification.size not in (None, size):
+        found.append(_difference("", "size", specification.size, size))
+    if not found and specification.digest not in (None, digest):
+        found.append(_difference("", "sha256", specification.digest, digest))
+    return found
+
+
+def linked(policy_dir: Path, name: str) -> Path:
+    """Return the place in an adapter where the checkpoint resolver finds one by its name."""
+    return policy_dir / sdk.CHECKPOINT_DIRECTORY / name
+
+
+def link(policy_dir: Path, name: str, target: Path) -> Path:
+    """Make `checkpoints/<name>` of an adapter a link to a checkpoint, in one step.
+
+    Raises:
+        UserError: if something else is there, or nothing can be written there.
+    """
+    place = linked(policy_dir, name)
+    target = target.absolute()
+    if place.absolute() == target:
+        return place
+    if place.exists() and not place.is_symlink():
+        raise UserError(f"{place} is there already and no link: it stays, and is what ckpt_name {name!r} means")
+    if place.is_symlink() and place.readlink() == target:
+        return place
+    try:
+        place.parent.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=place.parent, prefix=".") as scratch:
+            fresh = Path(scratch) / name
+            fresh.symlink_to(target)
+            fresh.replace(place)
+    except OSError as error:
+        raise UserError(f"{place} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
+    return place
 
 
 def _difference(path: str, what: str, expected: object, got: object) -> dict[str, Any]:
     return {"path": path, "what": what, "expected": expected, "got": got}
 
 
-def _there(specification: Specification, store: Store) -> Fetched | None:
-    if specification.digest is None:
-        return None
-    path = store.content(specification.digest, specification.file_name)
-    return None if path is None else Fetched(path, specification.digest, "there")
-
-
-def _key(specification: Specification) -> str:
-    """Return what tells one checkpoint on its way from another: its digest, or where it comes from."""
-    origin = f"{specification.source}\0{specification.revision}\0{[file.path for file in specification.files]}"
-    return specification.digest or f"unverified\0{specification.base}\0{origin}"
-
-
-def _merged(declared: Sequence[File], listed: Sequence[File]) -> list[File]:
-    """Return the listed files, where policy.yml says more of one with that."""
-    known = {file.path: file for file in declared}
-    return [
-        file
-        if (own := known.get(file.path)) is None
-        else replace(file, sha256=own.sha256 or file.sha256, size=file.size if own.size is None else own.size)
-        for file in listed
-    ]
-
-
-def _check_room(
-    specification: Specification, listing: Sequence[File], limit: int, staging: Staging, store: Store
-) -> None:
-    """Raise if the files are more than was declared, than is allowed, or than there is room for."""
-    name = repr(specification.name)
-    sizes = [file.size for file in listing]
-    known = sum(size or 0 for size in sizes)
-    total = max(known, specification.size or 0)
-    if None not in sizes and specification.size not in (None, known):
+def _brought(specification: Specification, *, again: bool) -> Path:
+    """Have the hub's client bring a checkpoint, and return where it lies in the client's cache."""
+    try:
+        path = _snapshot(specification, force_download=again)
+    except ImportError as error:
         raise UserError(
-            f"checkpoint {name} has {known} bytes at its source, but policy.yml says {specification.size}",
-            code=ExitCode.FINDINGS,
-        )
-    if total > limit:
-        raise UserError(
-            f"checkpoint {name} has {told_size(total)}, more than the limit of {told_size(limit)}",
-            hint="raise it with --max-size",
-        )
-    arrived = sum(
-        path.stat().st_size for folder in (staging.whole, staging.parts) for path in folder.rglob("*") if path.is_file()
-    )
-    needed = max(total - arrived, 0)
-    free = shutil.disk_usage(store.root).free
-    if needed and needed + _SPARE > free:
-        raise UserError(
-            f"checkpoint {name} needs {told_size(needed)}, and {told_size(free)} are free in {store.root}",
-            hint="make room, or choose another disk with --cache",
+            f"checkpoint {specification.name!r} is on the Hugging Face hub, whose client cannot be imported: {error}",
+            hint=f"{how_to_install('hub')}, or give a path of this machine as its source",
             code=ExitCode.NOT_RUN,
-        )
-
-
-@dataclass
-class _Arrival:
-    """The files of one checkpoint, as they come in."""
-
-    specification: Specification
-    source: Source
-    staging: Staging
-    order: Order
-    _total: int = 0
-    _said: float = field(default=0.0)
-
-    def bring(self, listing: Sequence[File]) -> list[File]:
-        """Bring all files that are not there yet, and return them with their digests."""
-        self._forget_others({file.path: file for file in listing})
-        files = []
-        for file in listing:
-            self.order.progress.step(f"{self.specification.name}: {file.path}")
-            whole = self.staging.whole / file.path
-            found = self._checked(file, whole) if whole.is_file() else None
-            if found is None:
-                found = self._one(file, whole)
-            self._total += found.size or 0
-            files.append(found)
-        return files
-
-    def _one(self, file: File, whole: Path) -> File:
-        part = self.staging.parts / file.path
-        for folder in (part.parent, whole.parent):
-            folder.mkdir(parents=True, exist_ok=True)
-        size = self.specification.size if file.size is None and self.specification.file_name else file.size
-        bounds = Bounds(size, self.order.limit - self._total)
-        for _ in range(2):
-            resumed = self.source.bring(file, part, bounds, lambda there: self._say(file, size, there))
-            found = self._checked(file, part)
-            if found is not None:
-                part.replace(whole)
-                return found
-            got = stores.sha256_of(part)
-            part.unlink()
-            if not resumed:  # what was there before may have been of something else
-                break
+        ) from None
+    except Exception as error:  # noqa: BLE001 - the client raises errors of several libraries, and new ones with releases
+        lines = str(error).strip().splitlines() or [""]
         raise UserError(
-            f"{file.path} of checkpoint {self.specification.name!r} has the sha256 {got}, expected {file.sha256}",
-            hint="the source has changed, or policy.yml is wrong; the file was thrown away",
-            code=ExitCode.FINDINGS,
-        )
+            f"{specification.source} cannot be had from the hub: {type(error).__name__}: {lines[0]:.200}",
+            hint="run the same command again: it goes on where it stopped; a private repository needs `hf auth login`",
+            code=ExitCode.NOT_RUN,
+        ) from None
+    if not path.is_dir() or not contents(path):
+        raise NotFoundError(f"{specification.source} has no files at {specification.revision}")
+    return path
 
-    def _checked(self, file: File, path: Path) -> File | None:
-        """Return the file with its digest, None if it is not what it should be."""
-        expected = file.sha256 or (self.specification.digest if self.specification.file_name else None)
-        found = replace(file, sha256=stores.sha256_of(path), size=path.stat().st_size)
-        return found if expected in (None, found.sha256) else None
 
-    def _forget_others(self, wanted: Mapping[str, File]) -> None:
-        """Remove what arrived in earlier attempts and does not belong to the checkpoint any more."""
-        for path in [path for path in self.staging.whole.rglob("*") if path.is_file()]:
-            if path.relative_to(self.staging.whole).as_posix() not in wanted:
-                path.unlink()
+def _snapshot(specification: Specification, *, local_files_only: bool = False, force_download: bool = False) -> Path:
+    """Return the folder of the hub's cache that a checkpoint is, through the hub's client."""
+    import huggingface_hub
 
-    def _say(self, file: File, size: int | None, there: int) -> None:
-        now = time.monotonic()
-        if now - self._said >= _EVERY_S:
-            self._said = now
-            share = f" of {told_size(size)}, {there / size:.0%}" if size else ""
-            self.order.progress.detail(f"{self.specification.name}: {file.path}: {told_size(there)}{share}")
+    owner, name, *below = specification.source.removeprefix(f"{HUB}://").split("/")
+    folder = "".join(f"{part}/" for part in below)
+    root = huggingface_hub.snapshot_download(
+        f"{owner}/{name}",
+        revision=specification.revision,
+        allow_patterns=[folder + file.path for file in specification.files] or [f"{folder}*"],
+        local_files_only=local_files_only,
+        force_download=force_download,
+    )
+    return Path(root) / folder

@@ -6,7 +6,7 @@ import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 from urllib.parse import urlsplit
 
 from xpl import _spec as sdk
@@ -17,10 +17,9 @@ if TYPE_CHECKING:
 
     from xpl_cli.packages.package import Package
 
-HUB = "hf"
+HUB: Final = "hf"
 """Scheme of a source on the Hugging Face hub: `hf://owner/repository`, perhaps with a folder behind it."""
 
-_WEB = ("http", "https")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 _SHOWN = 12
@@ -48,7 +47,7 @@ class Specification:
     Attributes:
         name: what `ckpt_name` in deploy.yml calls it.
         source: where it is, as it was written.
-        kind: what `source` is: an address, a repository of the hub, or a path of this machine.
+        kind: what `source` is: a repository of the hub, or a path of this machine.
         revision: full commit of the hub's repository; a text of the author's own elsewhere.
         digest: of the whole content (see `digest_of`); None if policy.yml does not say enough to know it.
         size: all bytes, None if that is not known.
@@ -59,7 +58,7 @@ class Specification:
 
     name: str
     source: str
-    kind: Literal["web", "hub", "path"]
+    kind: Literal["hf", "path"]
     revision: str | None
     digest: str | None
     size: int | None
@@ -76,11 +75,7 @@ class Specification:
     @property
     def file_name(self) -> str | None:
         """The name of the one file that the checkpoint is; None if it is a folder."""
-        if self.files or self.kind == "hub":
-            return None
-        if self.kind == "web":
-            return urlsplit(self.source).path.rpartition("/")[2] or None
-        return self.path.name if self.path.is_file() else None
+        return self.path.name if self.kind == "path" and not self.files and self.path.is_file() else None
 
 
 def digest_of(files: Iterable[File]) -> str:
@@ -174,16 +169,9 @@ def _parse(package: Package, entry: Mapping[str, Any]) -> Specification:
     size = entry.get("size")
     if size is None and files and all(one is not None for one in sizes):
         size = sum(one or 0 for one in sizes)
-    specification = Specification(
+    return Specification(
         name, source, kind, entry.get("revision"), sha256 or listed, size, entry.get("license"), files, package.path
     )
-    if kind == "web" and not files and not specification.file_name:
-        raise UserError(f"{where}: {source} is a folder, which the web does not list: name its files in `files`")
-    if kind == "web" and files and not source.endswith("/"):
-        raise UserError(f"{where}: with `files` the source is a folder, whose address ends with /; got {source}")
-    if kind == "web" and specification.file_name:
-        check_path(specification.file_name, where)
-    return specification
 
 
 def check_commit(specification: Specification) -> str:
@@ -202,7 +190,7 @@ def check_commit(specification: Specification) -> str:
     return revision
 
 
-def _kind(source: str, where: str) -> Literal["web", "hub", "path"]:
+def _kind(source: str, where: str) -> Literal["hf", "path"]:
     scheme, separator, rest = source.partition("://")
     if not source or (separator and not rest):
         raise UserError(f"{where}: the source is empty")
@@ -212,12 +200,11 @@ def _kind(source: str, where: str) -> Literal["web", "hub", "path"]:
         if rest.count("/") < 1 or not all(rest.split("/")):
             raise UserError(f"{where}: expected {HUB}://owner/repository, got {source}")
         check_path(rest, where)
-        return "hub"
-    if scheme not in _WEB:
-        raise UserError(f"{where}: expected http(s)://, {HUB}:// or a path, got {source}")
-    if "@" in urlsplit(source).netloc:
-        raise UserError(f"{where}: the address holds a user or a password, which others can read")
-    return "web"
+        return "hf"
+    raise UserError(
+        f"{where}: expected {HUB}://owner/repository or a path, got {source}",
+        hint="download it by a tool of yours, and give its path; its sha256 says whether it is the right one",
+    )
 
 
 def _files(entry: Mapping[str, Any], where: str) -> tuple[File, ...]:
