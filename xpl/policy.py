@@ -22,6 +22,7 @@ from xpl import checkpoint
 from xpl.action import ActionError, check_chunk, pack
 from xpl.decoding import decode_rows, ensemble, quaternion_columns
 from xpl.embodiment import get_embodiment, undeclared
+from xpl.episodes import EpisodeCounter
 from xpl.manifest import Manifest
 from xpl.memory import Memory
 from xpl.observation import env_index, env_indices
@@ -119,9 +120,7 @@ class Policy:
         self.interface = self._compiled(manifest.native)
         self._environments: dict[int, _Environment] = {}
         self._order: list[int] | None = None
-        # By client: where several share a model, each has `limits.client_envs` environment numbers of its own.
-        self._episodes: dict[int, int] = {}
-        self._observed: set[int] = set()
+        self._episodes = EpisodeCounter()
         self.load(self.config)
 
     # -- what an adapter fills in --------------------------------------------------------------------------------------
@@ -293,10 +292,7 @@ class Policy:
         known = [env for env in env_idx_list if self._environments.pop(env, None) is not None]
         if self._order is not None and not self._environments.keys() >= set(self._order):
             self._order = None
-        # Seeds depend on the episode; a client that resets twice must not get other ones.
-        for client in {_client(env) for env in known} & self._observed:
-            self._episodes[client] = self._episodes.get(client, 0) + 1
-            self._observed.discard(client)
+        self._episodes.reset(known)
         for env in known:
             self.reset_env(env)
 
@@ -323,13 +319,11 @@ class Policy:
             state.frames.append(_Frame(obs))
             state.step += 1
         self._order = envs
-        self._observed.update(map(_client, envs))
+        self._episodes.observe(envs)
 
     def _new_environment(self, env: int) -> _Environment:
         self.reset_env(env)
-        client = _client(env)
-        episode, own = self._episodes.get(client, 0), env % spec.LIMITS["client_envs"]
-        rng = np.random.default_rng([self.seed % 2**63, episode, own])
+        rng = np.random.default_rng(self._episodes.seeds(self.seed, env))
         kept = self.history if self.interface is None else max(self.history, self.interface.span)
         return _Environment(rng=rng, frames=deque(maxlen=kept))
 
@@ -373,8 +367,3 @@ class Policy:
         quaternions = quaternion_columns(self.embodiment, self.action_type)
         averaged = ensemble(state.predictions, newest, state.step, decay, quaternions)
         return decode_rows(averaged, self.embodiment, self.action_type)
-
-
-def _client(env: int) -> int:
-    """Return which of the clients that share a model an environment belongs to."""
-    return env // spec.LIMITS["client_envs"]

@@ -32,6 +32,7 @@ from xpl import _spec as spec
 from xpl import ecosystem
 from xpl.action import check_chunk
 from xpl.embodiment import Embodiment, get_embodiment
+from xpl.episodes import own_index
 from xpl.worker.copies import own
 from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.loading import LoadError
@@ -61,7 +62,7 @@ class Episode:
     def __init__(self, env: int, number: int, seed: int) -> None:
         self.observations: list[Any] = []
         self.asked: list[int] = []
-        self.rng = np.random.default_rng([seed % 2**63, number, env % spec.LIMITS["client_envs"]])
+        self.rng = np.random.default_rng([seed % 2**63, number, own_index(env)])
         self.env = env
         self.number = number
 

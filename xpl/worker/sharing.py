@@ -1,7 +1,7 @@
 """One model for several clients: each has environments of its own, and those that ask at once are one batch.
 
-An adapter allows it with `serving: {shared: true}` in policy.yml. Client k sees environments 0, 1, ...; the adapter
-sees k * client_envs + 0, ... (`limits.client_envs` of spec/<version>/wire.yml), in every operation.
+An adapter allows it with `serving: {shared: true}` in policy.yml. `xpl.episodes` says by which numbers it knows their
+environments.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from xpl import _spec as spec
+from xpl.episodes import CLIENT_ENVS, shared_index
 from xpl.observation import ObservationError, env_index, env_indices
 from xpl.policy import PolicyStateError
 
-_SPAN = spec.LIMITS["client_envs"]
 _FAILURES = (BaseException,)
 """What belongs to the client whose request raised it: anything (`xpl.worker.main`)."""
 
@@ -80,7 +80,7 @@ class SharedModel:
 
     def _observe(self, request: Request) -> list[int] | None:
         """Do what a request does before actions are asked for, and return the environments it asks for, if any."""
-        client = self._clients.setdefault(request.client, _Client(request.client * _SPAN))
+        client = self._clients.setdefault(request.client, _Client(shared_index(request.client, 0)))
         method, argument = request.method, request.argument
         if method == spec.Method.RESET:
             client.order = None
@@ -106,8 +106,8 @@ class SharedModel:
 
     def _update(self, client: _Client, observations: Sequence[Mapping[str, Any]], envs: Sequence[Any]) -> None:
         numbers = client.numbers(envs)
-        if any(number >= client.first + _SPAN for number in numbers):
-            raise ObservationError(f"env_idx must be below {_SPAN} where clients share a model, got {list(envs)}")
+        if any(number >= client.first + CLIENT_ENVS for number in numbers):
+            raise ObservationError(f"env_idx must be below {CLIENT_ENVS} where clients share a model, got {list(envs)}")
         self._model.update_obs_batch([{**obs, spec.Obs.ENV_IDX: number} for obs, number in zip(observations, numbers)])
         client.order = numbers
         client.known.update(numbers)

@@ -21,6 +21,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import checkpoint
 from xpl.convert import Interface, compile_interface
+from xpl.episodes import EpisodeCounter
 from xpl.policy import Policy
 from xpl.worker.errand import FAILURES, carry_out, failed, result
 from xpl.worker.inprocess import on_model
@@ -69,7 +70,7 @@ def variants(model: Policy, blocks: Sequence[Mapping[str, Any]], order: Mapping[
 def renewed(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
     """Make a model as it was when it was loaded, and yield what it answers to calls, chunk by chunk."""
     model.reset()
-    model._episodes.clear()  # noqa: SLF001 - which seed the generators
+    model._episodes = EpisodeCounter()  # noqa: SLF001 - it seeds the generators
     for call in calls:
         if spec.Method.RESET in call:
             model.reset()
