@@ -118,8 +118,7 @@ def test_what_is_unknown_keeps_nobody_from_running_the_adapter(adapter: Path) ->
     assert xpl("adopt", str(adapter), cwd=adapter.parent).returncode == ExitCode.CLEAN
     loaded = packages.load(adapter)
     assert loaded.config()["env_cfg_type"] == "arx_x5"
-    assert not {"family", "cameras", "gripper"} & set(loaded.manifest)
-    assert loaded.manifest["temporal"] == {}
+    assert not set(UNKNOWN) & set(loaded.manifest.data)
     problems = validate_yaml_file(adapter / "policy.yml", "policy")
     assert {str(problem.path[0]) for problem in problems} == set(UNKNOWN)
     assert all(problem.message.startswith("unknown: ") and problem.line for problem in problems)

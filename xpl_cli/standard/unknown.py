@@ -27,6 +27,18 @@ def split(document: Any) -> tuple[Any, dict[Place, str]]:
     return _known(document, (), gaps), gaps
 
 
+def known(document: Any) -> Any:
+    """Return a manifest without what is not known in it, and without the parts of which nothing is."""
+    return _without_empty(document, split(document)[0])
+
+
+def _without_empty(given: Any, left: Any) -> Any:
+    if not isinstance(left, dict) or not isinstance(given, dict):
+        return left
+    entries = {key: _without_empty(given[key], entry) for key, entry in left.items()}
+    return {key: entry for key, entry in entries.items() if entry != {} or given[key] == {}}
+
+
 def _known(value: Any, place: Place, gaps: dict[Place, str]) -> Any:
     if not isinstance(value, dict):
         return value

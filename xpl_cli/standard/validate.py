@@ -274,14 +274,15 @@ def validate_yaml(
     data, root = document.data, document.root
     if version is None:
         version = spec.declared(data if isinstance(data, dict) else {})
-    data, open_ = unknown.split(data) if schema_name == "policy" else (data, {})
-    problems = [_unknown(problem, open_) for problem in validate(data, schema_name, version, bindings)]
+    checked, gaps = unknown.split(data) if schema_name == "policy" else (data, {})
+    problems = [_unknown(problem, gaps) for problem in validate(checked, schema_name, version, bindings)]
     found = [*_repeated_keys(root), *((problem, mark_of(root, problem.path)) for problem in problems)]
     placed = [
         replace(problem, file=file, line=mark.line + 1, column=mark.column + 1, page=page_of(schema_name, problem))
         for problem, mark in found
     ]
-    return data, sorted(placed, key=lambda problem: (problem.line or 0, problem.column or 0))
+    known = unknown.known(data) if gaps else data
+    return known, sorted(placed, key=lambda problem: (problem.line or 0, problem.column or 0))
 
 
 def _unknown(problem: Problem, gaps: Mapping[tuple[str | int, ...], str]) -> Problem:

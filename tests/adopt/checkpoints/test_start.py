@@ -14,6 +14,7 @@ from tests.support.adapters import trained
 from tests.support.peer import xpl
 from xpl import _spec as sdk
 from xpl.convert.gaps import gaps
+from xpl.manifest import Manifest
 from xpl_cli.adopt.checkpoints import block, start
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.native import reading
@@ -72,7 +73,7 @@ def test_native_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) 
     begun = begin(trained.lerobot(tmp_path / "p", "diffusion", n_obs_steps=2, n_action_steps=8), gripper=(0.0, 1.0))
     found = reading.read(begun.files["native.py"].decode())
     manifest = yaml.safe_load(begun.files[sdk.File.POLICY_YML])
-    assert set(applying(manifest)) <= set(found.conventions)
+    assert set(applying(Manifest.parse(manifest))) <= set(found.conventions)
     assert not found.problems
     assert found.answers
     assert not any(item.takes_sdk or item.takes_adapter("Shirts") for item in found.imports)

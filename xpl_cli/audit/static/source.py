@@ -238,7 +238,7 @@ class Source:
     @cached_property
     def manifest(self) -> dict[str, Any]:
         """The map in policy.yml without what is unknown; empty for an adapter of the ecosystem, which has none."""
-        known: dict[str, Any] = unknown.split(self.manifest_of(sdk.File.POLICY_YML))[0]
+        known: dict[str, Any] = unknown.known(self.manifest_of(sdk.File.POLICY_YML))
         return known
 
     @cached_property
