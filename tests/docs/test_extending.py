@@ -165,3 +165,28 @@ def test_a_rule_of_a_package_changes_no_digest(xpl: Run, write_adapter: Callable
         done = xpl("audit", folder, "--gate", "static", "--format", "json", *more, code=1)
         digests.append(json.loads(done.stdout)["targets"][0]["gates"][0]["digest"])
     assert digests[0] == digests[1] is not None
+
+
+# -- a robot, and an environment ---------------------------------------------------------------------------------------
+
+
+def test_a_robot_of_a_package_is_shown_and_scaffolded_and_its_environment_played(xpl: Run, tmp_path: Path) -> None:
+    """By name, in an empty folder: the policy is told of the robot, and so is the environment's process."""
+    assert "of xpl-tiny 1.0" in xpl("spec", "show").stdout
+    assert "tiny_arm" in xpl("spec", "show", "tiny_arm").stdout
+    offered = json.loads(xpl("env", "list", "tiny_desk", "--json").stdout)
+    assert "tiny_desk" in xpl("env", "list").stdout
+    assert "hold_still" in json.dumps(offered)
+    told = json.loads(xpl("audit", "tiny_desk", "--gate", "static", "--format", "json").stdout)
+    assert told["targets"][0]["kind"] == "env"
+    xpl("new-policy", "Desk", "--embodiment", "tiny_arm", "--action-type", "joint")
+    out = tmp_path / "run"
+    xpl("eval", "policy/Desk", "--env", "tiny_desk", "--episodes", "1", "--out", out)
+    lines = [json.loads(line) for line in (out / "records.jsonl").read_text().splitlines()]
+    assert any('"tiny_arm"' in json.dumps(line) for line in lines)
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_robot_of_a_package_is_known_to_programs() -> None:
+    """Without the tool."""
+    assert get_embodiment("tiny_arm").arms[0].dof == 2

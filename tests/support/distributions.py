@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl import registry
+from xpl.robots import registry as robots
 from xpl_cli.audit.rules import registry as rules
 
 if TYPE_CHECKING:
@@ -43,4 +44,5 @@ def installing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Instal
 def forget() -> None:
     """Have entry points looked for anew."""
     registry._installed.cache_clear()
+    robots._bring.cache_clear()
     rules.entries.cache_clear()

@@ -1,4 +1,4 @@
-"""Every robot by its names: the standard's, ours, and those that a project offers."""
+"""Every robot by its names: the standard's, ours, and those that a project or an installed package offers."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from xpl import _spec as spec
+from xpl import registry
 from xpl.robots.entry import faults, inherit
 
 STANDARD, ALONG = "the standard", "xpl"
@@ -19,6 +20,7 @@ HANDED_ON = "XPL_EMBODIMENTS"
 """Environment variable by which processes get the robots of a project: a JSON list of `[origin, entry]`."""
 
 _MOST_BYTES = 1 << 20
+_SUFFIXES = (".yml", ".json")
 _offered: dict[str, tuple[str, dict[str, Any]]] = {}  # name: origin, entry
 _heard: list[str] = []  # what was handed on, as far as it was read
 
@@ -40,8 +42,14 @@ def names() -> dict[str, str]:
 
 
 def canonical(name: Any) -> str | None:
-    """Return the name of the robot that a word stands for; None where no robot is called so."""
-    return None if not isinstance(name, str) else _fixed().get(name) or names().get(name)
+    """Return the name of the robot that a word stands for; None where no robot is called so.
+
+    Raises:
+        EntryPointError: nobody here knows it, and the robots of an installed package cannot be read.
+    """
+    if not isinstance(name, str):
+        return None
+    return _known(name) or (_known(name) if _bring() else None)
 
 
 def origin(name: str) -> str:
@@ -115,6 +123,33 @@ def load(path: str | Path) -> str:
     return offer(_map(told, str(path)), str(path))
 
 
+@cache
+def _bring() -> bool:
+    """Make the robots of installed packages known, once; tell whether there are any."""
+    waiting = [
+        (path, source)
+        for folder, source in registry.folders(registry.ROBOTS).items()
+        for path in sorted(folder.iterdir())
+        if path.suffix in _SUFFIXES
+    ]
+    is_any = bool(waiting)
+    while waiting:
+        problems = {one: problem for one in waiting if (problem := _problem(*one)) is not None}
+        if len(problems) == len(waiting):  # nothing that is left can be like another one any more
+            raise next(iter(problems.values()))
+        waiting = list(problems)
+    return is_any
+
+
+def _problem(path: Path, source: registry.Entry) -> registry.EntryPointError | None:
+    """Make the robot of an installed package known; return why that cannot be done, or None."""
+    try:
+        load(path)
+    except (OSError, RuntimeError, ValueError) as error:
+        return source.broken(str(error))
+    return None
+
+
 def whole(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return an entry with what it has from the robot that it is `like`: map by map, and its own words first.
 
@@ -124,7 +159,7 @@ def whole(entry: Mapping[str, Any]) -> dict[str, Any]:
     other = entry.get("like")
     if other is None:
         return dict(entry)
-    base = entries().get(canonical(other) or "")
+    base = entries().get(_known(str(other)) or "")
     if base is None:
         raise RobotError(f"{entry.get('name')} is to be like {other!r}, and there is no such robot")
     return inherit(base, entry)
@@ -143,6 +178,10 @@ def _listen() -> None:
     for where, entry in told:
         if not any(faults(entry)) and entry["name"] not in _fixed():
             _offered.setdefault(entry["name"], (where, entry))
+
+
+def _known(word: str) -> str | None:
+    return _fixed().get(word) or names().get(word)
 
 
 @cache

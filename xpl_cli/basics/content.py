@@ -10,6 +10,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+from xpl import registry
 from xpl.process.modules import load_module
 
 __all__ = ["called", "is_installed", "load_module", "room"]
@@ -28,10 +29,11 @@ def room(name: str) -> Path:
 
 
 def is_installed(folder: Path) -> bool:
-    """Tell whether a package came with the installed tool, where nothing can or should be written beside it."""
-    return folder.resolve().is_relative_to(_INSTALLED.resolve())
+    """Tell whether a package came with the installed tool or another one, where nothing should be written beside it."""
+    places = (_INSTALLED.resolve(), *(place.resolve() for place in registry.folders(registry.ENVS)))
+    return any(folder.resolve().is_relative_to(place) for place in places)
 
 
 def called(folder: Path) -> str:
-    """Return what a command takes for a package: the name of one that came with the tool, the path of any other."""
+    """Return what a command takes for a package: the name of one that was installed, the path of any other."""
     return folder.name if is_installed(folder) else str(folder)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl import registry
 from xpl.manifest import EnvManifest
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import ExitCode, UnknownTargetError, UserError, no_such
@@ -18,34 +19,58 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 _MANIFEST = package.MANIFESTS[package.ENV]
+_PROJECT = Path("envs")
+"""Where a project keeps its environments, which go before others of their names."""
 _PERSON_S = 8 * 3600.0
 """How long a reset may wait for a person."""
 
 
 def find(name: str) -> Path:
-    """Return the folder of an environment package: a path, a name below `envs/` of the working directory, or ours.
+    """Return the folder of an environment package.
+
+    Args:
+        name: a path; or a name below `envs/` of the working directory, among ours or in an installed package.
 
     The robots that it and its project describe are known from then on.
 
     Raises:
         UnknownTargetError: with the names that there are.
+        EntryPointError: an installed package's environments cannot be used.
         UserError: a file does not describe a robot, or one whose name is taken.
     """
-    for candidate in (Path(name), *(place / name for place in _rooms())):
-        if (candidate / _MANIFEST).is_file():
-            found = candidate.resolve()
-            robots.learn(found)
-            return found
-    raise no_such(f"there is no environment {name!r}", name, names(), kind=UnknownTargetError)
+    candidate = next((place for place in (Path(name), _PROJECT / name) if (place / _MANIFEST).is_file()), None)
+    if candidate is None:
+        candidate = shared().get(name)
+    if candidate is None:
+        raise no_such(f"there is no environment {name!r}", name, names(), kind=UnknownTargetError)
+    found = candidate.resolve()
+    robots.learn(found)
+    return found
 
 
 def names() -> list[str]:
-    """Return the names of the environments in `envs/` of the working directory and in ours."""
-    return sorted({entry.parent.name for place in _rooms() for entry in place.glob(f"*/{_MANIFEST}")})
+    """Return the names of the environments in `envs/` of the working directory, of ours and of installed packages."""
+    return sorted({*_in(_PROJECT), *shared()})
 
 
-def _rooms() -> tuple[Path, Path]:
-    return Path("envs"), content.room("envs")
+def shared() -> dict[str, Path]:
+    """Return the folders of environments that any project may use: ours and those of installed packages, by name.
+
+    Raises:
+        EntryPointError: one brings an environment whose name another one has.
+    """
+    found = _in(content.room("envs"))
+    origins = dict.fromkeys(found, registry.OURS)
+    for folder, source in registry.folders(registry.ENVS).items():
+        for name, path in _in(folder).items():
+            if name in found:
+                raise source.broken(f"{path} and {found[name]} of {origins[name]} are both called {name}")
+            found[name], origins[name] = path, source.distribution
+    return found
+
+
+def _in(folder: Path) -> dict[str, Path]:
+    return {entry.parent.name: entry.parent for entry in folder.glob(f"*/{_MANIFEST}")}
 
 
 def manifest(folder: Path) -> EnvManifest:

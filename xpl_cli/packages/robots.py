@@ -1,6 +1,7 @@
 """Robots of projects and packages: `embodiments/NAME.yml` beside `policy/` and `envs/`, or within a package.
 
-They are as good as those of the standard everywhere. What is read here is handed on to every process that is started
+Installed packages bring robots, too: NAME.yml in the folders that their entry points name (`xpl.registry`). All are as
+good as those of the standard everywhere. What is read here is handed on to every process that is started
 (`xpl.robots`).
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import registry
 from xpl import robots as sdk_robots
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages.manifests import ManifestError, content_of
@@ -25,7 +27,7 @@ _read: dict[Path, tuple[int, int]] = {}  # what was read already: time and size
 
 
 def learn(package: Path | None = None) -> None:
-    """Make the robots known that a package and its project describe, and those of the working directory.
+    """Make the robots known that a package and its project, the working directory and installed packages describe.
 
     Args:
         package: folder of an adapter or an environment.
@@ -33,7 +35,13 @@ def learn(package: Path | None = None) -> None:
     Raises:
         ManifestError: a file does not describe a robot; all problems are told, with their lines.
         UserError: the name of one is taken.
+        EntryPointError: an installed package's robots cannot be used.
     """
+    for folder, source in registry.folders(registry.ROBOTS).items():
+        try:
+            _learn(folder, f" of {source.distribution}")
+        except UserError as error:
+            raise source.broken(str(error)) from None
     for folder in dict.fromkeys(_folders(package)):
         _learn(folder)
 
@@ -96,7 +104,8 @@ def _folders(package: Path | None) -> Iterator[Path]:
         yield place / FOLDER
 
 
-def _learn(folder: Path) -> None:
+def _learn(folder: Path, whose: str = "") -> None:
+    """Make the robots of a folder known; `whose` says of which distribution, for messages."""
     if not folder.is_dir():
         return
     from xpl_cli.standard import robots as reader
@@ -113,7 +122,7 @@ def _learn(folder: Path) -> None:
             raise ManifestError(Path(_shown(path)), "embodiment", problems)
         for path, entry in ready.items():
             try:
-                sdk_robots.offer(entry, _shown(path))
+                sdk_robots.offer(entry, _shown(path) + whose)
             except sdk_robots.RobotError as error:
                 raise UserError(str(error), hint=f"rename {_shown(path)} and its name", code=ExitCode.USAGE) from None
             _read[path] = waiting[path]

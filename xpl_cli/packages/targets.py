@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xpl import _spec as sdk
-from xpl_cli.basics import content
 from xpl_cli.basics.errors import NotFoundError, UserError
-from xpl_cli.packages import package, robots
+from xpl_cli.packages import environments, package, robots
 
 _POLICIES, _ENVIRONMENTS = "policy", "envs"
 _ENV_YML = package.MANIFESTS[package.ENV]
@@ -50,7 +49,7 @@ def asked(paths: Iterable[Path], *, every: bool = False) -> list[Target]:
 
 
 def find_target(path: Path) -> Target:
-    """Return the package at a path, or of a name below `policy/` or `envs/` of the working directory or ours.
+    """Return the package at a path, or of a name: below `policy/` or `envs/` here, ours, or installed.
 
     Raises:
         NotFoundError: if there is none.
@@ -65,10 +64,10 @@ def find_target(path: Path) -> Target:
     try:
         return _target(package.find_policy(path), package.POLICY)
     except NotFoundError:
-        ours = content.room(_ENVIRONMENTS) / path
-        if (ours / _ENV_YML).is_file():
-            return _target(ours.resolve(), package.ENV)
-        raise
+        shared = environments.shared().get(str(path))
+        if shared is None:
+            raise
+        return _target(shared.resolve(), package.ENV)
 
 
 def find_all() -> list[Target]:
