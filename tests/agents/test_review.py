@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from markdown_it import MarkdownIt
 
 from tests.support.peer import xpl
 from tests.support.places import ROOT
@@ -19,11 +22,13 @@ from xpl_cli.agents.review import form, judgement, page, review
 from xpl_cli.agents.review.change import Change, Touched, change_since
 from xpl_cli.agents.review.description import TEMPLATE
 from xpl_cli.agents.review.harm import HARMS, harm
+from xpl_cli.agents.review.markdown import code
 from xpl_cli.audit.formats import Context
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.git.history import Repository
+from xpl_cli.basics.strangers import in_markdown, one_line
 from xpl_cli.packages.targets import Target
 from xpl_cli.standard import spec
 
@@ -436,3 +441,19 @@ def test_a_description_that_is_no_text_is_refused(repository: Path, tmp_path: Pa
     assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
     assert f"--description {file} " in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@given(text=st.text(min_size=1))
+def test_markdown_shows_a_text_as_it_is(text: str) -> None:
+    """No character of it becomes markup, in a sentence or in a code span; a platform notifies nobody whom it names."""
+    reader = MarkdownIt("commonmark").enable("table").enable("strikethrough")
+    plain = one_line(text)
+    if plain:
+        start, paragraph, end = reader.parse(f"x  \n{in_markdown(text)}")
+        assert (start.type, end.type) == ("paragraph_open", "paragraph_close")
+        inline = paragraph.children or []
+        assert {token.type for token in inline} <= {"text", "text_special", "hardbreak"}
+        shown = "".join(token.content for token in inline)
+        assert shown.replace("\N{ZERO WIDTH SPACE}", "") == f"x{plain}".replace("\N{ZERO WIDTH SPACE}", "")
+        (span,) = reader.parseInline(code(text))[0].children or []
+        assert (span.type, span.content) == ("code_inline", plain)

@@ -114,7 +114,7 @@ def test_equal_adapters_have_equal_digests_and_changed_behaviour_another(
         (["audit", "nowhere"], ExitCode.NOT_FOUND, "no adapter at nowhere"),
         (["audit"], ExitCode.USAGE, "PATH"),
         (["audit", "policy/Foo", "--gate", "physics"], ExitCode.USAGE, "static, offline, mujoco"),
-        (["audit", "policy/Foo", "--format", "xml"], ExitCode.USAGE, "human, concise, json"),
+        (["audit", "policy/Foo", "--format", "xml"], ExitCode.USAGE, "text, json, sarif"),
         (["audit", "policy/Foo", "--select", "batch-odrer"], ExitCode.USAGE, "batch-order"),
         (["explain", "XPL999"], ExitCode.USAGE, "there is no rule"),
         (["audit", "policy/Foo/model.py"], ExitCode.NOT_FOUND, "takes the folder"),

@@ -65,7 +65,7 @@ def test_the_code_fits_into_what_is_scaffolded(tmp_path: Path) -> None:
     assert _run(first, tmp_path).returncode == ExitCode.CLEAN
     for block in CODE:
         _write(block, tmp_path)
-    done = xpl("audit", "policy/Copycat", "--gate", "static", "--format", "concise", cwd=tmp_path)
+    done = xpl("audit", "policy/Copycat", "--gate", "static", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stdout
     assert set(re.findall(r"XPL\d{3}", done.stdout)) == {"XPL139"}, done.stdout  # places that are still open
 

@@ -21,10 +21,10 @@ from xpl_cli import __version__
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import FORMATS, Context, as_json, render
 from xpl_cli.audit.formats.delivery import Delivery
-from xpl_cli.audit.formats.human import on_terminal
 from xpl_cli.audit.formats.listing import in_repository, listed
 from xpl_cli.audit.formats.painted import Terminal
 from xpl_cli.audit.formats.steps import next_commands
+from xpl_cli.audit.formats.text import on_terminal
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, TargetReport, exit_code
 from xpl_cli.audit.rules.options import Options
@@ -33,7 +33,7 @@ from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
-SUFFIXES = {"human": "txt", "concise": "txt", "github": "txt", "junit": "xml", "markdown": "md", "jsonl": "jsonl"}
+SUFFIXES = {"text": "txt", "github": "txt", "junit": "xml"}
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_a_name_that_is_no_text_can_be_reported(name: str, context: Context) -> 
     assert render(name, sample.one_target(found), context).encode()
 
 
-@pytest.mark.parametrize("name", ["human", "concise", "github", "markdown"])
+@pytest.mark.parametrize("name", ["text", "github"])
 @given(text=st.text(min_size=1))
 def test_no_text_of_a_finding_commands_a_terminal(name: str, text: str) -> None:
     """What an adapter holds reaches a terminal without escape sequences, and starts no line of its own."""
@@ -88,7 +88,7 @@ def test_no_text_of_a_finding_commands_a_terminal(name: str, text: str) -> None:
 
 def test_a_format_that_is_not_there_is_an_error() -> None:
     """The message lists those that are."""
-    with pytest.raises(UserError, match=r"human, concise, json, .*markdown; got 'xml'"):
+    with pytest.raises(UserError, match=r"text, json, sarif, .*rdjson; got 'xml'"):
         Delivery.asked("xml", [])
 
 
@@ -98,44 +98,6 @@ def test_a_format_that_is_not_there_is_an_error() -> None:
 def test_json_is_what_its_schema_says(context: Context) -> None:
     """`xpl.audit/1`, spec/v1/audit.schema.json."""
     assert validate(json.loads(render("json", sample.reports(), context)), "audit", spec.NEWEST) == []
-
-
-def test_jsonl_has_a_line_for_every_finding_and_for_what_was_not_proved(context: Context) -> None:
-    """Each line is valid by itself, and names target, gate and rule."""
-    lines = [json.loads(line) for line in render("jsonl", sample.reports(), context).splitlines()]
-    *lines, _, _, _ = lines
-    assert [problem for line in lines for problem in validate(line, "audit#/$defs/record", spec.NEWEST)] == []
-    assert [line["code"] for line in lines if line["outcome"] in {"error", "not_run"}] == [
-        "XPL121",
-        "XPL203",
-        "XPL204",
-        "XPL203",
-    ]
-    assert len(lines) == len(list(listed(sample.reports(), context))) + 4
-
-
-def test_jsonl_ends_with_what_each_package_comes_to(context: Context) -> None:
-    """As the whole report says it."""
-    lines = [json.loads(line) for line in render("jsonl", sample.reports(), context).splitlines()[-3:]]
-    assert [problem for line in lines for problem in validate(line, "audit#/$defs/verdict", spec.NEWEST)] == []
-    for line, target in zip(lines, as_json(sample.reports(), context)["targets"], strict=True):
-        assert line.pop("schema") == "xpl.verdict/1"
-        assert line.pop("target") == target["path"]
-        assert line == {key: target[key] for key in ("verdict", "statement", "proven", "unproven")}
-
-
-def test_jsonl_and_json_agree(context: Context) -> None:
-    """The findings of both have the same fields and values."""
-    document = as_json(sample.reports(), context)
-    nested = [
-        finding
-        for target in document["targets"]
-        for gate in target["gates"]
-        for result in gate["results"]
-        for finding in result["findings"]
-    ]
-    lines = [json.loads(line) for line in render("jsonl", sample.reports(), context).splitlines()]
-    assert [{key: line[key] for key in nested[0]} for line in lines[: len(nested)]] == nested
 
 
 def test_paths_are_relative_to_the_repository_wherever_the_audit_runs(context: Context) -> None:
@@ -184,17 +146,8 @@ def test_every_fingerprint_of_a_report_is_unique(context: Context) -> None:
 # -- for people --------------------------------------------------------------------------------------------------------
 
 
-def test_concise_is_what_editors_read(context: Context) -> None:
-    """`path:line:column: CODE message`, one line each."""
-    lines = render("concise", sample.reports(), context).splitlines()
-    assert "policy/Grün 1/model.py:5:9: XPL109 answers environment 3 when asked for 9" in lines
-    *lines, _, good, _ = lines
-    assert good == "policy/Good: PARTIAL static only: nothing wrong in what ran"
-    assert len(lines) == len(list(listed(sample.reports(), context))) + 3
-
-
 @pytest.mark.parametrize("count", [1, 5, 9, 12, 20, 200])
-def test_a_human_report_fits_one_screen(count: int, context: Context) -> None:
+def test_a_report_on_a_terminal_fits_one_screen(count: int, context: Context) -> None:
     """With more findings it says less of each, failures first, and how to see them all."""
     found = [
         Finding(
@@ -202,12 +155,20 @@ def test_a_human_report_fits_one_screen(count: int, context: Context) -> None:
         )
         for number in range(count)
     ]
-    lines = render("human", sample.one_target(*found), context).splitlines()
+    lines = on_terminal(sample.one_target(*found), context, Terminal(100)).splitlines()
     assert sum(max(1, math.ceil(len(line) / 100)) for line in lines) <= 40
     assert lines[-1].startswith("  xpl ")
-    assert any("--format concise" in line for line in lines) == (count > 29)
+    assert any("--output audit.txt" in line for line in lines) == (count > 29)
     if count <= 12:  # whole messages
         assert all(f"    fault {number}: {'word ' * 11}word" in lines for number in range(count))
+
+
+def test_a_report_in_a_file_lists_every_finding(context: Context) -> None:
+    """Whole, a line each where they would not fit on a screen."""
+    found = [Finding(f"fault {number}: {'word ' * 30}", path="model.py", line=number + 1) for number in range(200)]
+    text = render("text", sample.one_target(*found), context)
+    assert [f"fault {number}: {'word ' * 29}word" in text for number in range(200)] == [True] * 200
+    assert "--output" not in text
 
 
 def _advice() -> Fix:
@@ -219,7 +180,7 @@ def test_many_targets_take_a_line_each_if_all_is_well(context: Context) -> None:
     passed = [GateReport(gate, [sample.result("XPL101", Outcome.PASS)], digest="d", fingerprint="f") for gate in Gate]
     gates = [passed[: 3 if number < 30 else 1] for number in range(40)]
     reports = [TargetReport(f"policy/P{n}", f"P{n}", "policy", ran) for n, ran in enumerate(gates)]
-    lines = render("human", reports, context).partition("\nnext\n")[0].splitlines()
+    lines = render("text", reports, context).partition("\nnext\n")[0].splitlines()
     assert len(lines) == 41
     assert lines[39] == "P39  policy/P39  PARTIAL static only: nothing wrong in what ran"
     assert lines[-1] == "40 targets: 30 green, 10 partial"
@@ -253,10 +214,10 @@ def test_output_takes_the_report_and_stdout_stays_empty(
 
 def test_one_audit_gives_several_reports(context: Context, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`--output FORMAT=FILE` writes besides what is printed."""
-    outputs = [f"{name}={tmp_path / name}" for name in ("junit", "markdown")]
+    outputs = [f"{name}={tmp_path / name}" for name in ("junit", "text")]
     Delivery.asked("github", outputs).deliver(sample.reports(), context)
     assert capsys.readouterr().out == render("github", sample.reports(), context)
-    for name in ("junit", "markdown"):
+    for name in ("junit", "text"):
         assert (tmp_path / name).read_bytes().decode() == render(name, sample.reports(), context)
 
 
@@ -285,11 +246,10 @@ def test_the_command_writes_and_fails_alike(tmp_path: Path) -> None:
     folder = tmp_path / "policy" / "Foo"
     folder.mkdir(parents=True)
     (folder / "model.py").write_text("class Model:\n    pass\n")
-    plain = xpl("audit", "policy/Foo", "--gate", "static", "--format", "concise", cwd=tmp_path)
+    plain = xpl("audit", "policy/Foo", "--gate", "static", cwd=tmp_path)
     assert plain.returncode == ExitCode.FINDINGS
-    *lines, last = plain.stdout.splitlines()
-    assert all(re.match(r"policy/Foo(/[\w.]+(:\d+(:\d+)?)?)?: XPL\d{3} ", line) for line in lines)
-    assert last.startswith("policy/Foo: RED ")
+    assert plain.stdout.startswith("Foo  policy/Foo\n")
+    assert "\nverdict  RED " in plain.stdout
     written = xpl("audit", "policy/Foo", "--gate", "static", "--format", "sarif", "--output", "a.sarif", cwd=tmp_path)
     assert (written.returncode, written.stdout) == (ExitCode.FINDINGS, "")
     assert sample.problems(json.loads((tmp_path / "a.sarif").read_text(encoding="utf-8")), "sarif") == []
@@ -320,14 +280,12 @@ def test_a_rule_that_cannot_be_imported_is_a_crash_in_every_format(
     assert exit_code([report]) is ExitCode.INTERNAL
     assert all("XPL101" in text and "something" in text for text in texts.values())
     assert validate(json.loads(texts["json"]), "audit", spec.NEWEST) == []
-    for line in texts["jsonl"].splitlines()[:-1]:
-        assert validate(json.loads(line), "audit#/$defs/record", spec.NEWEST) == []
-    for name in ("sarif", "gitlab", "rdjson"):
+    for name in ("sarif", "rdjson"):
         assert sample.problems(json.loads(texts[name]), name) == []
     (run,) = json.loads(texts["sarif"])["runs"]
     assert not run["invocations"][0]["executionSuccessful"]
     assert [result["ruleId"] for result in run["results"]] == ["XPL102"]
-    assert texts["human"].splitlines()[-2:] == ["next", "  xpl audit Foo --gate static"]
+    assert texts["text"].splitlines()[-2:] == ["next", "  xpl audit Foo --gate static"]
 
 
 def test_commands_repeat_what_the_audit_was_asked(context: Context) -> None:

@@ -13,20 +13,18 @@ from xml.etree import ElementTree as ET
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from markdown_it import MarkdownIt
 
 from tests.audit.formats import sample
 from xpl_cli.audit.formats import Context, render
 from xpl_cli.audit.formats.github import CAP, command
 from xpl_cli.audit.formats.junit import render as junit
 from xpl_cli.audit.formats.linehash import line_hashes
-from xpl_cli.audit.formats.markdown import code
 from xpl_cli.audit.formats.rdjson import byte_column
 from xpl_cli.audit.formats.sarif import artifact
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, Result, TargetReport
-from xpl_cli.basics.strangers import harmless, in_markdown, in_xml, one_line
+from xpl_cli.basics.strangers import harmless, in_xml
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), min_size=1)
 
@@ -252,14 +250,7 @@ def test_without_the_file_a_range_has_lines_only(context: Context) -> None:
     assert document["diagnostics"][0]["location"]["range"] == {"start": {"line": 4}, "end": {"line": 5}}
 
 
-# -- GitLab, JUnit, Markdown -------------------------------------------------------------------------------------------
-
-
-def test_gitlab_gets_what_it_documents(context: Context) -> None:
-    """Every entry has a place, and a fingerprint of its own."""
-    document = json.loads(render("gitlab", sample.reports(), context))
-    assert sample.problems(document, "gitlab") == []
-    assert len({entry["fingerprint"] for entry in document}) == len(document)
+# -- JUnit ------------------------------------------------------------------------------------------------------------
 
 
 def tree(element: ET.Element) -> dict[str, Any]:
@@ -290,27 +281,3 @@ def test_junit_is_xml_whatever_a_finding_says(text: str) -> None:
     root = ET.fromstring(junit(sample.one_target(found), Context(Path("/nowhere"))))  # noqa: S314 - our own
     (failure,) = root.iter("failure")
     assert failure.attrib["message"] == in_xml(text)
-
-
-@given(text=st.text(min_size=1))
-def test_markdown_shows_a_text_as_it_is(text: str) -> None:
-    """No character of it becomes markup, in a sentence or in a code span; a platform notifies nobody whom it names."""
-    reader = MarkdownIt("commonmark").enable("table").enable("strikethrough")
-    plain = one_line(text)
-    if plain:
-        start, paragraph, end = reader.parse(f"x  \n{in_markdown(text)}")
-        assert (start.type, end.type) == ("paragraph_open", "paragraph_close")
-        inline = paragraph.children or []
-        assert {token.type for token in inline} <= {"text", "text_special", "hardbreak"}
-        shown = "".join(token.content for token in inline)
-        assert shown.replace("\N{ZERO WIDTH SPACE}", "") == f"x{plain}".replace("\N{ZERO WIDTH SPACE}", "")
-        (span,) = reader.parseInline(code(text))[0].children or []
-        assert (span.type, span.content) == ("code_inline", plain)
-
-
-def test_markdown_cells_stay_in_their_rows(context: Context) -> None:
-    """A bar in a name or a reason makes no cell."""
-    reports = sample.one_target(Finding("this"), path="policy/a|b")
-    reports[0].gates.append(GateReport(Gate.OFFLINE, reason="because | so"))
-    tokens = MarkdownIt("commonmark").enable("table").parse(render("markdown", reports, context))
-    assert [token.type for token in tokens].count("td_open") == 2 * 4

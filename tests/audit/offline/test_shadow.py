@@ -143,7 +143,7 @@ def test_a_missing_part_makes_a_shadow_that_is_told_and_can_be_clean(package: Pa
     assert gate.profile is Profile.SHADOW
     assert lacks in str(gate.stood_in)
     assert str(gate.finish).endswith("profile=shadow")
-    for name in ("human", "markdown", "concise", "github", "sarif", "junit"):
+    for name in ("text", "github", "sarif", "junit"):
         assert "shadow mode" in render(name, [report]), name
     document = as_json([report])
     assert validate(document, "audit", spec.NEWEST) == []

@@ -138,7 +138,7 @@ def test_success_is_reported_with_its_interval(package: Callable[..., Path]) -> 
     (figure,) = found.figures
     assert (figure.successes, figure.episodes) == (0, 2)
     told = "0 of 2 episodes succeed (0% to 66%), mean score 0.00 (0.00 to 0.66)"
-    assert told in render("human", [report], Context())
+    assert told in render("text", [report], Context())
     document = as_json([report], Context())
     assert validate(document, "audit", spec.NEWEST) == []
     (entry,) = document["targets"][0]["gates"][0]["figures"]

@@ -425,10 +425,8 @@ def test_every_name_is_escaped(strange: Path, name: str) -> None:
     assert not any(result.outcome is Outcome.ERROR for result in report.results)
     assert len(told(report.gates[0], "parses")) == len(NAMES)
     text = render(name, [report], context)
-    if name in {"json", "sarif", "gitlab", "rdjson"}:
+    if name in {"json", "sarif", "rdjson"}:
         json.loads(text)
-    elif name == "jsonl":
-        assert all(isinstance(json.loads(line), dict) for line in text.splitlines())
     elif name == "junit":
         ET.parse(io.StringIO(text))  # noqa: S314 - our own
     elif name == "github":

@@ -21,16 +21,12 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "Context", "as_json", "check_format", "for_people", "render"]
 
 FORMATS = {
-    "human": "human",
-    "concise": "concise",
+    "text": "text",
     "json": "document",
-    "jsonl": "stream",
     "sarif": "sarif",
     "github": "github",
-    "gitlab": "gitlab",
-    "rdjson": "rdjson",
     "junit": "junit",
-    "markdown": "markdown",
+    "rdjson": "rdjson",
 }
 """Every format and its module."""
 
@@ -65,10 +61,10 @@ def as_json(reports: Sequence[TargetReport], context: Context | None = None) -> 
 
 
 def for_people(reports: Sequence[TargetReport], context: Context, stream: TextIO) -> str:
-    """Return the human report as what is behind a stream can show it: a terminal in colour, a file plain."""
+    """Return the text report as what is behind a stream can show it: a terminal in colour, a file plain."""
     from xpl_cli.audit.formats.painted import Terminal
 
-    text: str = _module("human").on_terminal(reports, context, Terminal.of(stream))
+    text: str = _module("text").on_terminal(reports, context, Terminal.of(stream))
     return text.encode(errors="replace").decode()
 
 

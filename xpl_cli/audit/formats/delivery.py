@@ -60,7 +60,7 @@ class Delivery:
         for name, path in self.files:
             output_file.write(path, render(name, reports, context))
             console.note(f"wrote {path}")
-        if self.printed == "human":
+        if self.printed == "text":
             console.painted(for_people(reports, context, sys.stdout))
         elif self.printed is not None and (text := render(self.printed, reports, context)):
             console.data(text)

@@ -32,9 +32,7 @@ def validate(
     selected: list[str] = typer.Option([], "--select", help="Run only these checks: codes, their beginnings, slugs."),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these checks out."),
     waived: list[str] = typer.Option([], "--waive", metavar="CODE=REASON", help="Accept what a check finds, and why."),
-    report_format: str = typer.Option(
-        "human", "--format", help="human, concise, json, sarif, github, gitlab, rdjson, junit or markdown."
-    ),
+    report_format: str = typer.Option("text", "--format", help="text, json, sarif, github, junit or rdjson."),
     as_json: bool = typer.Option(False, "--json", help="The same as --format json."),
     output: list[str] = typer.Option(
         [],

@@ -34,9 +34,7 @@ def audit(
         [], "--select", help="Run only these rules: codes, code prefixes, slugs, `advice`."
     ),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
-    report_format: str = typer.Option(
-        "human", "--format", help="human, concise, json, jsonl, sarif, github, gitlab, rdjson, junit or markdown."
-    ),
+    report_format: str = typer.Option("text", "--format", help="text, json, sarif, github, junit or rdjson."),
     as_json: bool = typer.Option(False, "--json", help="The same as --format json."),
     output: list[str] = typer.Option(
         [],

@@ -23,6 +23,6 @@ def hook(
         options = [f"--select={name}" for name in select] + [f"--ignore={name}" for name in ignore]
         options += [] if fail_on is None else [f"--fail-on={fail_on}"]
         root: Any = context.find_root().command
-        command = ["audit", "--gate=static", "--format=concise", *options, "--", *map(str, packages)]
+        command = ["audit", "--gate=static", *options, "--", *map(str, packages)]
         ended = root.main(command, prog_name=root.name, standalone_mode=False)
         raise typer.Exit(ended if isinstance(ended, int) else 0)

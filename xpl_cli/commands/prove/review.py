@@ -77,7 +77,7 @@ def review(
     mildest = Outcome.WARN if Outcome.WARN in fail_on else Outcome.FAIL
     formats = [wanted for wanted in output if wanted.partition("=")[0] in FORMATS and "=" in wanted]
     files = [Path(wanted) for wanted in output if wanted not in formats]
-    audits = Delivery(None, Delivery.asked("markdown", formats).files)
+    audits = Delivery(None, Delivery.asked("text", formats).files)
     for file in files:
         output_file.check(file)
     text = None if description is None else _text(description)

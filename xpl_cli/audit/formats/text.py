@@ -1,4 +1,7 @@
-"""`human`: what a person at a terminal wants to know, on one screen; passes collapsed, the next command last."""
+"""`text`: what a person wants to know; passes collapsed, the next command last.
+
+On a terminal it fits on one screen. In a file every finding is listed, each on one line where they would not fit.
+"""
 
 from __future__ import annotations
 
@@ -66,10 +69,16 @@ _VERDICTS = {
 
 @dataclass(frozen=True)
 class _Room:
-    """What the findings of one target may take of a screen."""
+    """What the findings of one target may take of a screen.
+
+    Attributes:
+        lines, width: of the screen.
+        is_file: whether there is no screen, so that nothing is left out or cut for one.
+    """
 
     lines: int
     width: int
+    is_file: bool
 
 
 def render(reports: Sequence[TargetReport], context: Context) -> str:
@@ -83,7 +92,7 @@ def on_terminal(reports: Sequence[TargetReport], context: Context, terminal: Ter
     found: dict[int, list[Listed]] = {}
     for entry in listed(reports, context):
         found.setdefault(id(entry.target), []).append(entry)
-    room = _Room(max(_LEAST, _SCREEN // max(1, len(found))), width)
+    room = _Room(max(_LEAST, _SCREEN // max(1, len(found))), width, is_file=terminal.width is None)
     parts: list[Painted] = []
     for report in reports:
         again = audit_again([report], context)
@@ -118,7 +127,7 @@ def _target(report: TargetReport, entries: list[Listed], room: _Room, again: str
             lines.append(Painted.of((f"  {gate.finish}", "dim")))
     if len(shown) < len(entries):
         more = amount(len(entries) - len(shown), "finding")
-        lines.append(Painted.of(f"  {more} more: `{one_line(again)} --format concise` lists all"))
+        lines.append(Painted.of(f"  {more} more: `{one_line(again)} --output audit.txt` lists all"))
     return [*lines, Painted.of(("verdict  ", "dim"), *_verdict(verdict)) if alone else Painted()]
 
 
@@ -163,22 +172,22 @@ def _waived(gate: GateReport) -> list[Painted]:
 
 
 def _fitting(entries: list[Listed], room: _Room) -> list[tuple[Listed, Painted]]:
-    """Return as many findings as fit, failures first, in as much detail as lets all of them fit."""
+    """Return as many findings as fit, failures first, in as much detail as lets all of them fit; all in a file."""
     entries = sorted(entries, key=lambda entry: not entry.fails)
     for failure, warning in _SHAPES:
-        blocks = [(entry, (failure if entry.fails else warning)(entry, room.width)) for entry in entries]
+        blocks = [(entry, (failure if entry.fails else warning)(entry, room)) for entry in entries]
         ends = list(itertools.accumulate(block.height(room.width) for _, block in blocks))
         if not ends or ends[-1] <= room.lines:
             break
-    return blocks[: max(1, sum(end <= room.lines for end in ends))]
+    return blocks if room.is_file else blocks[: max(1, sum(end <= room.lines for end in ends))]
 
 
-def _full(entry: Listed, width: int) -> Painted:
+def _full(entry: Listed, room: _Room) -> Painted:
     """Return a finding with its message, what was expected, what came, evidence and fix."""
     finding = entry.finding
     pairs = (("expected", finding.expected), ("got", finding.got))
     values = ", ".join(f"{name} {shortened(one_line(value), 80)}" for name, value in pairs if value)
-    text = _told(entry, width)
+    text = _told(entry, room)
     if values:
         text.append(f"\n    {values}", "dim")
     for name, value in (finding.evidence or {}).items():
@@ -186,22 +195,24 @@ def _full(entry: Listed, width: int) -> Painted:
     return text.append(_fix(entry))
 
 
-def _advised(entry: Listed, width: int) -> Painted:
+def _advised(entry: Listed, room: _Room) -> Painted:
     """Return a finding with its message and its fix."""
-    return _told(entry, width).append(_fix(entry))
+    return _told(entry, room).append(_fix(entry))
 
 
-def _told(entry: Listed, _width: int) -> Painted:
+def _told(entry: Listed, _room: _Room) -> Painted:
     """Return a finding with its message."""
     return _head(entry).append(f"\n    {one_line(entry.finding.message)}")
 
 
-def _short(entry: Listed, width: int) -> Painted:
+def _short(entry: Listed, room: _Room) -> Painted:
     """Return a finding on one line, or on two where the place alone fills one."""
-    head = _head(entry)
-    free = width - len(head.plain) - 2
-    most = free if free >= _LEAST_TOLD else free + width - _INDENT
-    return head.append(f"  {shortened(one_line(entry.finding.message), max(_LEAST_TOLD, most))}")
+    head, message = _head(entry), one_line(entry.finding.message)
+    if room.is_file:
+        return head.append(f"  {message}")
+    free = room.width - len(head.plain) - 2
+    most = free if free >= _LEAST_TOLD else free + room.width - _INDENT
+    return head.append(f"  {shortened(message, max(_LEAST_TOLD, most))}")
 
 
 def _head(entry: Listed) -> Painted:

@@ -1,21 +1,18 @@
-"""`markdown`: a summary of a run, for the step summary of a workflow or a comment on a pull request."""
+"""Findings, verdicts and gates as Markdown."""
 
 from __future__ import annotations
 
 import re
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.listing import Context, Listed, amount, listed, notes, shortened, unproved
+from xpl_cli.audit.formats.listing import Context, Listed, notes, shortened, unproved
 from xpl_cli.audit.formats.steps import next_commands
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, TargetReport, counted
-from xpl_cli.audit.rules.verdict import Verdict, Word, judged
+from xpl_cli.audit.rules.verdict import Verdict, Word
 from xpl_cli.basics.strangers import in_markdown, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-_MOST = 100
-"""Findings in full; a step summary takes 1 MiB."""
 
 _MARKS = {
     Word.GREEN: "🟢",
@@ -34,26 +31,6 @@ _WORDS = {
     Outcome.NOT_RUN: "**not run**",
     Outcome.ERROR: "**crashed**",
 }
-
-
-def render(reports: Sequence[TargetReport], context: Context) -> str:
-    """Return the summary."""
-    lines = [
-        f"## {' '.join(context.command)}",
-        "",
-        "| target | verdict | gate | outcome |",
-        "| --- | --- | --- | --- |",
-    ]
-    for report in reports:
-        lines += _rows(report)
-    entries = sorted(listed(reports, context), key=lambda entry: not entry.fails)
-    if entries:
-        lines += ["", "### Findings", ""]
-        for entry in entries[:_MOST]:
-            lines += _item(entry)
-        if len(entries) > _MOST:
-            lines.append(f"\nand {amount(len(entries) - _MOST, 'finding')} more.")
-    return "\n".join([*lines, *besides(reports, context)])
 
 
 def besides(reports: Sequence[TargetReport], context: Context) -> list[str]:
@@ -80,15 +57,6 @@ def besides(reports: Sequence[TargetReport], context: Context) -> list[str]:
     return lines
 
 
-def _rows(report: TargetReport) -> Iterator[str]:
-    head = f"| {cell(report.path)} | {marked(judged(report))} |"
-    for gate in report.gates:
-        yield f"{head} {gate.name} | {ended(gate)} |"
-        head = "| | |"
-    if not report.gates:
-        yield f"{head} | nothing was checked |"
-
-
 def marked(verdict: Verdict) -> str:
     """Return a verdict with a colour."""
     return f"{_MARKS[verdict.word]} {in_markdown(str(verdict))}"
@@ -100,13 +68,6 @@ def ended(gate: GateReport) -> str:
         return in_markdown(gate.reason)
     counts = counted(gate.results)
     return ", ".join(f"{counts[outcome]} {_WORDS[outcome]}" for outcome in Outcome if counts[outcome])
-
-
-def _item(entry: Listed) -> Iterator[str]:
-    """Yield the lines of one finding."""
-    fails = "" if entry.fails else " (warning)"
-    yield f"- **{entry.title}**{fails} {place(entry)}  "
-    yield from (f"  {line}" for line in told(entry.finding))
 
 
 def place(entry: Listed) -> str:
