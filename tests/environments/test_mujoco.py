@@ -33,7 +33,6 @@ PAIRS = [
 ]
 Expert = load_module(room("policy") / "scripted_expert" / "model.py").Model
 make = load_module(FOLDER / "client.py").make
-episode_module = load_module(FOLDER / "episode.py")
 
 
 def _env(**config: Any) -> Any:
@@ -381,12 +380,14 @@ def test_a_wrong_configuration_is_refused(config: Any, message: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("task", "embodiment"), PAIRS)
-@pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
+@pytest.mark.parametrize(
+    ("task", "embodiment", "action_type"),
+    [(*pair, spec.ACTION_TYPES[place % len(spec.ACTION_TYPES)]) for place, pair in enumerate(PAIRS)],
+)
 def test_the_expert_solves_seeds_that_are_not_frozen(task: str, embodiment: str, action_type: str) -> None:
-    """Every embodiment, task and action type that is offered; the frozen ones are played in test_tasks.py."""
+    """Every pair that is offered, the kinds of control in turn; the frozen ones are played in test_tasks.py in both."""
     env = _env(task=task, embodiment=embodiment, action_type=action_type, privileged=True)
-    failed = [seed for seed in range(10) if not _solve(env, seed, action_type, embodiment)["success"]]
+    failed = [seed for seed in range(5) if not _solve(env, seed, action_type, embodiment)["success"]]
     assert failed == []
 
 

@@ -30,17 +30,6 @@ if TYPE_CHECKING:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
-@pytest.mark.parametrize("control", ["joint", "ee"])
-def test_the_expert_solves_a_few_seeds_through_the_server(tmp_path: Path, task: str, control: str) -> None:
-    """The privileged expert, served like any other adapter, succeeds."""
-    options = ["--env", "mujoco", "--task", task, "--episodes", "2", "--set", f"action_type={control}", "--json"]
-    done = xpl("eval", "scripted_expert", *options, cwd=tmp_path)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
-    assert json.loads(done.stdout)["successes"] == 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
 def test_expert_20_of_20_and_demo_policy_0_of_20(tmp_path: Path, task: str) -> None:
     """The tasks are solvable, and not by standing still."""
     for policy, won in (("scripted_expert", 20), ("demo_policy", 0)):
@@ -48,15 +37,6 @@ def test_expert_20_of_20_and_demo_policy_0_of_20(tmp_path: Path, task: str) -> N
         done = xpl("eval", policy, *options, cwd=tmp_path)
         assert done.returncode == ExitCode.CLEAN, done.stderr
         assert json.loads(done.stdout)["successes"] == won
-
-
-@pytest.mark.slow
-def test_holding_the_pose_does_not_lift_a_cube(tmp_path: Path) -> None:
-    """demo_policy fails the task and the report says so."""
-    options = ["--env", "mujoco", "--task", "lift_cube", "--episodes", "1", "--json"]
-    report = json.loads(xpl("eval", "demo_policy", *options, cwd=tmp_path).stdout)
-    assert report["successes"] == 0
-    assert report["episodes"][0]["end_reason"] == "max_steps"
 
 
 @pytest.mark.slow
@@ -286,30 +266,6 @@ def frail(tmp_path: Path) -> Path:
 
 
 HOLD = ["--env", "frail", "--set", "env_cfg_type=franka_single", "--json"]
-
-
-@pytest.mark.slow
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    ("loop", "deaths", "attempts"), [([], 1, 2), (["--horizon", "1"], 9, 3)], ids=["deploy.py", "ours"]
-)
-def test_a_crash_of_one_environment_is_played_again_and_spoils_no_other(
-    frail: Path, tmp_path: Path, loop: list[str], deaths: int, attempts: int
-) -> None:
-    """The simulator of seed 1 dies; what fails for good is reported apart."""
-    (frail / "deaths-1").write_text(str(deaths))
-    options = [*HOLD, *loop, "--workers", "2", "--episodes", "3"]
-    done = xpl("eval", "demo_policy", *options, cwd=tmp_path)
-    assert done.returncode == (ExitCode.NOT_RUN if deaths > attempts else ExitCode.CLEAN), done.stderr
-    report = json.loads(done.stdout)
-    assert validate(report, "evaluation") == []
-    assert [episode["seed"] for episode in report["episodes"]] == [0, 1, 2]
-    assert [episode["attempts"] for episode in report["episodes"]] == [1, attempts, 1]
-    spoilt = [episode.get("error") for episode in report["episodes"]]
-    assert [error is not None for error in spoilt] == [False, deaths > attempts, False]
-    assert report["successes"] == (2 if deaths > attempts else 3)
-    assert report["num_envs"] == 2
-    assert "Traceback" not in done.stderr
 
 
 WILD = """

@@ -48,11 +48,13 @@ def test_a_correct_adapter_is_left_alone(adapter: Adapter, recorded: Recorded, t
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)  # ninety audits with their search, one after the other
-@pytest.mark.parametrize("source", SOURCES)
-def test_mistakes_are_caught_and_named(source: str, recorded: Recorded) -> None:
-    """At least 95 of 100 are red, and 85 of 100 have the right cause, by who planted them."""
-    mutants = read(source)
+@pytest.mark.timeout(1800)  # thirty audits with their search, one after the other
+def test_mistakes_are_caught_and_named(recorded: Recorded) -> None:
+    """At least 95 of 100 are red, and 85 of 100 have the right cause.
+
+    Every sixth is tried here; `python -m tests.native.mutants.trial` tries all, and counts by who planted them.
+    """
+    mutants = [mutant for source in SOURCES for mutant in read(source)][::6]
     trials = [(mutant, tried(mutant, recorded)) for mutant in mutants]
     escaped = [(mutant.adapter.name, mutant.name) for mutant, trial in trials if not trial.is_caught]
     misnamed = [

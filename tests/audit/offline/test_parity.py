@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FEW = settings(max_examples=15, derandomize=True, deadline=None)
-DIMS = {"ee_pose": 7, "ee_joint_state": 1}
 
 
 def session(seed: int, takes: int = 1, steps: int = 3, noise: float = 0.0) -> Session:
