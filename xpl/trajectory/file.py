@@ -109,7 +109,7 @@ class EpisodeFile:
         index = slice(start, stop) if dataset.ndim else ()
         if dataset.ndim == 1 and self._read_as(path, dataset)[0] == "text":
             return np.array(storage.text(dataset, index), dtype=str)
-        return self._rows(dataset, index)
+        return storage.rows(dataset, index)
 
     def _counted(self) -> int:
         lengths = {path: dataset.shape[0] for path, dataset in self.datasets.items() if self._has_rows(path, dataset)}
@@ -166,7 +166,7 @@ class EpisodeFile:
             return "constant", NO_VALUE  # what somebody else put beside it
         if self._is_per_step(path, dataset):
             return "row", None
-        value = self._rows(dataset)
+        value = storage.rows(dataset)
         return "constant", value.item() if value.ndim == 0 else value
 
     def _is_per_step(self, path: names.Place, dataset: Any) -> bool:
@@ -185,23 +185,13 @@ class EpisodeFile:
         size = dataset.dtype.itemsize * int(np.prod(dataset.shape[1:]))
         count = min(256, _BLOCK_BYTES // max(1, size))
         if count < 2 or size > 4096:
-            return self._rows(dataset, step)
+            return storage.rows(dataset, step)
         start, block = self._blocks.get(path, (0, None))
         if block is None or not start <= step < start + len(block):
             start = step - step % count
-            block = self._rows(dataset, slice(start, start + count))
+            block = storage.rows(dataset, slice(start, start + count))
             self._blocks[path] = start, block
         return np.array(block[step - start])
-
-    def _rows(self, dataset: Any, index: Any = ()) -> np.ndarray:
-        if dataset.dtype.kind not in "biuf":
-            raise TrajectoryError(f"{self._at(dataset)}: expected numbers, got {dataset.shape} {dataset.dtype}")
-        if storage.size_of(dataset, index) > storage.MOST_READ:
-            raise TrajectoryError(f"{self._at(dataset)} claims more than {storage.MOST_READ} bytes: read it in parts")
-        try:
-            return np.asarray(dataset[index])
-        except (OSError, RuntimeError, ValueError) as error:
-            raise TrajectoryError(f"{self._at(dataset)} cannot be read: {error}") from None
 
     def _at(self, dataset: Any) -> str:
         return f"{self.path}: {dataset.name.lstrip('/')}"

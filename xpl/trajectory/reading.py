@@ -53,7 +53,7 @@ class Trajectory(EpisodeFile):
     def frequency(self) -> float | None:
         """Control steps per second, if the file says so."""
         found = self.datasets.get((INFO, spec.Obs.FREQUENCY))
-        return None if found is None else float(np.ravel(self._rows(found))[0])
+        return None if found is None else float(np.ravel(storage.rows(found))[0])
 
     @property
     def instructions(self) -> tuple[str, ...]:
@@ -205,7 +205,7 @@ class Trajectory(EpisodeFile):
             raise KeyError(f"{self.path} has no images {name}; it has {', '.join(self.pictures) or 'none at all'}")
         dataset = self.datasets[tuple(name.split("/"))]
         for step in range(*slice(start, stop).indices(len(self))):
-            image = self._rows(dataset, step) if picture.encoding == "raw" else pictures.decoded(dataset, step)
+            image = storage.rows(dataset, step) if picture.encoding == "raw" else pictures.decoded(dataset, step)
             yield image[..., 0] if picture.kind == spec.Camera.DEPTH and image.ndim == 3 else image
 
     def _camera(self, camera: str, leaf: str) -> tuple[names.Place, Any]:

@@ -70,35 +70,58 @@ def opened(path: str) -> Any:
         raise TrajectoryError(f"{path} cannot be read as HDF5: {error.strerror or error}") from None
 
 
-def datasets(file: Any) -> dict[Place, Any]:
-    """Return every dataset of a file by its path.
+def group(file: Any, path: str) -> Any:
+    """Return a group of a file by its path.
+
+    Raises:
+        TrajectoryError: there is none, or a link leads to it.
+    """
+    found = file
+    for name in path.split("/"):
+        found = _entry(found, name) if name in found else None
+        if not isinstance(found, hdf5().Group):
+            raise TrajectoryError(f"{file.filename} has no group {path}")
+    return found
+
+
+def datasets(root: Any) -> dict[Place, Any]:
+    """Return every dataset of a file, or below a group of it, by its path from there.
 
     Raises:
         TrajectoryError: there are too many, too deep, or one lies in another file.
     """
     found: dict[Place, Any] = {}
-    for path, dataset in _below(file, file, ()):
+    for path, dataset in _below(root, ()):
         found[path] = dataset
         if len(found) > MOST_DATASETS:
-            raise TrajectoryError(f"{file.filename} has more than {MOST_DATASETS} datasets, no episode has that many")
+            raise TrajectoryError(f"{_where(root)} has more than {MOST_DATASETS} datasets, no episode has that many")
     return found
 
 
-def _below(file: Any, group: Any, path: Place) -> Iterator[tuple[Place, Any]]:
+def _below(node: Any, path: Place) -> Iterator[tuple[Place, Any]]:
     library = hdf5()
     if len(path) > DEEPEST:
-        raise TrajectoryError(f"{file.filename}: {'/'.join(path)} lies deeper than {DEEPEST} groups")
-    for name in group:
+        raise TrajectoryError(f"{_where(node)} lies deeper than {DEEPEST} groups")
+    for name in node:
         place = (*path, str(name))
-        where = f"{file.filename}: {'/'.join(place)}"
-        if not isinstance(group.get(name, getlink=True), library.HardLink):
-            raise TrajectoryError(f"{where} is a link; links are not followed, an episode is one file by itself")
-        entry = group[name]
+        entry = _entry(node, name)
         if isinstance(entry, library.Group):
-            yield from _below(file, entry, place)
+            yield from _below(entry, place)
         elif isinstance(entry, library.Dataset):
-            _check(entry, where)
+            _check(entry, _where(entry))
             yield place, entry
+
+
+def _entry(node: Any, name: str) -> Any:
+    """Return what a group has under a name; links are not followed."""
+    if not isinstance(node.get(name, getlink=True), hdf5().HardLink):
+        where = f"{_where(node)}/{name}" if node.name != "/" else f"{node.file.filename}: {name}"
+        raise TrajectoryError(f"{where} is a link; links are not followed, an episode is one file by itself")
+    return node[name]
+
+
+def _where(node: Any) -> str:
+    return f"{node.file.filename}: {node.name.lstrip('/')}" if node.name != "/" else str(node.file.filename)
 
 
 def _check(dataset: Any, where: str) -> None:
@@ -128,6 +151,23 @@ def size_of(dataset: Any, index: Any) -> int:
     if isinstance(index, slice):
         return row * len(range(*index.indices(dataset.shape[0])))
     return row * (dataset.shape[0] if index == () and dataset.ndim else 1)
+
+
+def rows(dataset: Any, index: Any = ()) -> np.ndarray:
+    """Return rows of a dataset of numbers, as it is stored.
+
+    Raises:
+        TrajectoryError: it holds none, claims more than is read at once, or cannot be read.
+    """
+    if dataset.dtype.kind not in "biuf":
+        raise TrajectoryError(f"{_where(dataset)}: expected numbers, got {dataset.shape} {dataset.dtype}")
+    if size_of(dataset, index) > MOST_READ:
+        raise TrajectoryError(f"{_where(dataset)} claims more than {MOST_READ} bytes: read it in parts")
+    try:
+        return np.asarray(dataset[index])
+    except (OSError, RuntimeError, ValueError) as error:
+        step = f", step {index}" if isinstance(index, int) else ""
+        raise TrajectoryError(f"{_where(dataset)}{step} cannot be read: {error}") from None
 
 
 def text(dataset: Any, index: Any = ()) -> Any:

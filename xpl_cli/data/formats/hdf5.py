@@ -1,4 +1,7 @@
-"""HDF5 files whose datasets have a row for each step: what robomimic, ACT and RoboTwin have in common."""
+"""HDF5 files whose datasets have a row for each step: what robomimic, ACT and RoboTwin have in common.
+
+Files are opened and read by `xpl.trajectory.storage`, which follows no link and believes no size.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from xpl.images import PIXELS
+from xpl.trajectory import TrajectoryError, storage
+from xpl.trajectory import pictures as stored
 from xpl_cli.data.formats import libraries, pictures
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Column
@@ -19,16 +23,9 @@ from xpl_cli.data.sets.interface import Camera, Column
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from xpl.trajectory.names import Place
+
 SUFFIXES: Final = (".hdf5", ".h5")
-_MOST_DATASETS = 4096
-_MOST_DEEP = 12
-_MOST_COLUMN = 2 << 30
-"""Bytes of a column of one episode; a small file can claim any."""
-_MOST_EXTRA = 1 << 20
-"""Entries of an array that is no column and is carried as plain data."""
-_SMALLEST = 8
-"""Pixels of the smallest image that is taken for one."""
-_DEPTH = "depth"
 
 
 @contextmanager
@@ -36,54 +33,41 @@ def opened(path: Path) -> Iterator[Any]:
     """Open a file for reading.
 
     Raises:
-        DataError: it is not there, or no HDF5 file.
+        DataError: it is not there, is no HDF5 file, or is damaged where it is read.
     """
-    library = libraries.h5py()
-    try:
-        with path.open("rb") as stream:
-            stream.read(1)  # a folder or a file without permission says so here, in the system's words
-        file = library.File(path, "r", locking=False)  # who writes puts whole files in place
-    except OSError as error:
-        what = error.strerror if error.errno else "it is damaged, or no HDF5 file"
-        raise DataError(f"{path} cannot be read: {what}") from None
-    with file:
-        try:
-            yield file
-        except (OSError, RuntimeError, KeyError) as error:
-            raise DataError(f"{path} is damaged: {str(error)[:200]}") from None
+    libraries.h5py()
+    with told(path), storage.opened(str(path)) as file:
+        yield file
 
 
-def datasets(group: Any, where: str) -> dict[str, Any]:
-    """Return the datasets below a group, by their paths from there.
+@contextmanager
+def told(path: str | Path) -> Iterator[None]:
+    """Say in one sentence what is wrong with a file.
 
     Raises:
-        DataError: there are too many, or one lies outside of the file.
+        DataError: it cannot be read.
     """
-    found: dict[str, Any] = {}
-    _walk(group, "", where, found)
-    return found
+    try:
+        yield
+    except TrajectoryError as error:
+        raise DataError(str(error)) from None
+    except (OSError, RuntimeError, KeyError) as error:
+        raise DataError(f"{path} is damaged: {str(error)[:200]}") from None
 
 
 def attributes(node: Any) -> dict[str, Any]:
     """Return the attributes of a group or file as plain data."""
-    return {name: plain(value) for name, value in node.attrs.items()}
-
-
-def plain(value: Any) -> Any:
-    """Return a value as plain data: texts, numbers and lists."""
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    if isinstance(value, np.ndarray):
-        return [plain(item) for item in value] if value.dtype.kind in "OS" else value.tolist()
-    return value.item() if isinstance(value, np.generic) else value
+    return {name: storage.plain(value) for name, value in node.attrs.items()}
 
 
 @dataclass(frozen=True)
-class _Stored:
-    """A camera and the dataset that it lies in."""
+class _Content:
+    """What an episode says without its rows and images."""
 
-    camera: Camera
-    dataset: str
+    length: int
+    columns: dict[str, Column]
+    cameras: dict[str, Camera]
+    extras: dict[str, Any]
 
 
 class Hdf5Episode:
@@ -111,7 +95,7 @@ class Hdf5Episode:
     @property
     def length(self) -> int:
         """How many steps it has."""
-        return self._content[0]
+        return self._content.length
 
     @property
     def instructions(self) -> tuple[str, ...]:
@@ -121,155 +105,90 @@ class Hdf5Episode:
     @property
     def columns(self) -> Mapping[str, Column]:
         """The columns of numbers."""
-        return self._content[1]
+        return self._content.columns
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
         """The cameras."""
-        return {name: stored.camera for name, stored in self._content[2].items()}
+        return self._content.cameras
 
     @property
     def extras(self) -> Mapping[str, Any]:
         """Attributes, and datasets that have no row for each step."""
-        return self._content[3]
+        return self._content.extras
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""
         known = self.columns[column]
         with opened(self._path) as file:
-            rows: NDArray[Any] = self._root(file)[column][start:stop]
-        return np.array([plain(row) for row in rows], dtype=str) if known.dtype == "str" else rows
+            dataset = self._root(file)[column]
+            if known.dtype == "str":
+                return np.array(storage.text(dataset, slice(start, stop)), dtype=str)
+            return storage.rows(dataset, slice(start, stop))
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield images of a camera."""
-        stored = self._content[2][camera]
+        known = self.cameras[camera]
         with opened(self._path) as file:
-            dataset = self._root(file)[stored.dataset]
+            dataset = self._root(file)[camera]
             for index in range(*slice(start, stop).indices(self.length)):
-                where = f"{self._path}, {self._key}, {camera}, image {index}"
-                try:
-                    row = dataset[index]
-                except OSError as error:
-                    raise DataError(f"{where} cannot be read: {str(error)[:200]}") from None
-                if stored.camera.encoding != "raw":
-                    row = pictures.pixels(as_bytes(row), where)
-                yield row[..., 0] if stored.camera.kind == "depth" and row.ndim == 3 else row
+                if known.encoding == "raw":
+                    image = storage.rows(dataset, index)
+                else:
+                    where = f"{self._path}, {self._key}, {camera}, image {index}"
+                    image = pictures.pixels(stored.encoded(dataset, index).rstrip(b"\0"), where)
+                yield image[..., 0] if known.kind == "depth" and image.ndim == 3 else image
 
     def _root(self, file: Any) -> Any:
-        return file[self._group] if self._group else file
+        return storage.group(file, self._group) if self._group else file
 
     @functools.cached_property
-    def _content(self) -> tuple[int, dict[str, Column], dict[str, _Stored], dict[str, Any]]:
-        """Steps, columns, cameras and the rest."""
+    def _content(self) -> _Content:
         where = f"{self._path}, {self._key}"
         with opened(self._path) as file:
             root = self._root(file)
-            found = datasets(root, where)
+            found = storage.datasets(root)
             length = self._counted(found, where)
             columns: dict[str, Column] = {}
-            cameras: dict[str, _Stored] = {}
+            cameras: dict[str, Camera] = {}
             extras = attributes(root)
-            for name, dataset in found.items():
+            for path, dataset in found.items():
+                name = "/".join(path)
                 is_steps = bool(dataset.shape) and dataset.shape[0] == length
-                camera = _camera(name, dataset, found, where) if is_steps and length else None
-                if camera is not None:
-                    cameras[name] = _Stored(camera, name)
-                elif is_steps and (column := _column(dataset, f"{where}, {name}")) is not None:
+                picture = stored.found(path, dataset) if is_steps and length else None
+                if picture is not None:
+                    beside = _matrices(path, found)
+                    cameras[name] = Camera(picture.height, picture.width, picture.kind, picture.encoding, **beside)
+                elif is_steps and (column := _column(dataset)) is not None:
                     columns[name] = column
-                elif dataset.size is not None and dataset.size <= _MOST_EXTRA:
-                    extras[name] = plain(dataset[()])
-        return length, columns, cameras, extras
+                elif dataset.size is not None and dataset.size <= storage.MOST_FACT:
+                    extras[name] = storage.plain(dataset[()])
+        return _Content(length, columns, cameras, extras)
 
-    def _counted(self, found: Mapping[str, Any], where: str) -> int:
+    def _counted(self, found: Mapping[Place, Any], where: str) -> int:
         for name in self._steps:
-            if name in found and found[name].shape:
-                return int(found[name].shape[0])
+            dataset = found.get(tuple(name.split("/")))
+            if dataset is not None and dataset.shape:
+                return int(dataset.shape[0])
         raise DataError(f"{where} has no {' or '.join(self._steps)}, one of which every episode of this format has")
 
 
-def as_bytes(row: Any) -> bytes:
-    """Return an encoded image of a row, without the padding that makes rows of one length."""
-    data = row.tobytes() if isinstance(row, np.ndarray) else bytes(row)
-    return data.rstrip(b"\0")
-
-
-def _walk(group: Any, prefix: str, where: str, found: dict[str, Any]) -> None:
-    library = libraries.h5py()
-    if prefix.count("/") > _MOST_DEEP:
-        raise DataError(f"{where}: groups lie more than {_MOST_DEEP} deep")
-    for name in group:
-        link = group.get(name, getlink=True)
-        if not isinstance(link, library.HardLink):
-            raise DataError(f"{where}: {prefix}{name} is a link to another place, which is not followed")
-        node = group[name]
-        if isinstance(node, library.Group):
-            _walk(node, f"{prefix}{name}/", where, found)
-        elif isinstance(node, library.Dataset):
-            if node.is_virtual or node.external:
-                raise DataError(f"{where}: {prefix}{name} lies in another file, which is not followed")
-            found[prefix + name] = node
-        if len(found) > _MOST_DATASETS:
-            raise DataError(f"{where} has more than {_MOST_DATASETS} datasets")
-
-
-def _column(dataset: Any, where: str) -> Column | None:
+def _column(dataset: Any) -> Column | None:
     """Return what a dataset is as a column; None if it holds no numbers and no texts."""
     if libraries.h5py().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 1:
         return Column((), "str")
-    if dataset.dtype.kind not in "biuf":
-        return None
-    if dataset.nbytes > _MOST_COLUMN:
-        raise DataError(f"{where} claims {dataset.nbytes} bytes, more than {_MOST_COLUMN}")
-    return Column(tuple(dataset.shape[1:]), dataset.dtype.name)
+    return Column(tuple(dataset.shape[1:]), dataset.dtype.name) if dataset.dtype.kind in "biuf" else None
 
 
-def _camera(name: str, dataset: Any, found: Mapping[str, Any], where: str) -> Camera | None:
-    """Return what a dataset is as a camera, None if it is none; its contents tell, not its name."""
-    matrices = _matrices(name, found)
-    shape = dataset.shape
-    if dataset.ndim == 4 and dataset.dtype == np.uint8 and shape[3] == 3 and min(shape[1:3]) >= _SMALLEST:
-        _judge(shape[1], shape[2], where, name)
-        return Camera(shape[1], shape[2], **matrices)
-    is_flat = dataset.ndim == 3 or (dataset.ndim == 4 and shape[3] == 1)
-    if is_flat and _DEPTH in name.lower() and min(shape[1:3]) >= _SMALLEST and dataset.dtype.kind in "uf":
-        _judge(shape[1], shape[2], where, name)
-        return Camera(shape[1], shape[2], kind="depth", **matrices)
-    if not _may_be_encoded(dataset):
-        return None
-    first = as_bytes(dataset[0])
-    encoding = pictures.encoding_of(first)
-    if encoding is None:
-        return None
-    height, width = pictures.size_of(first, f"{where}, {name}, image 0")
-    return Camera(height, width, encoding=encoding, **matrices)
-
-
-def _may_be_encoded(dataset: Any) -> bool:
-    library = libraries.h5py()
-    if dataset.ndim == 2:
-        return bool(dataset.dtype == np.uint8 and dataset.shape[1] < _MOST_EXTRA * 64)
-    if dataset.ndim != 1:
-        return False
-    if library.check_vlen_dtype(dataset.dtype) == np.uint8:
-        return True
-    return bool(dataset.dtype.kind == "S" or library.check_string_dtype(dataset.dtype) is not None)
-
-
-def _judge(height: int, width: int, where: str, name: str) -> None:
-    if height * width > PIXELS:
-        raise DataError(f"{where}: images of {name} have {height} x {width} pixels, more than {PIXELS} in all")
-
-
-def _matrices(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+def _matrices(path: Place, found: Mapping[Place, Any]) -> dict[str, Any]:
     """Return the matrices that lie beside a camera's images."""
-    beside = name.rpartition("/")[0]
     result = {}
     for field, names in (
         ("intrinsics", ("intrinsic_matrix", "intrinsic_cv")),
         ("extrinsics", ("extrinsic_matrix", "extrinsics_matrix", "extrinsic_cv")),
     ):
-        for one in names:
-            dataset = found.get(f"{beside}/{one}") if beside else None
-            if dataset is not None and dataset.dtype.kind == "f" and dataset.size <= _MOST_EXTRA:
-                result[field] = dataset[()]
+        for one in names if len(path) > 1 else ():
+            dataset = found.get((*path[:-1], one))
+            if dataset is not None and dataset.dtype.kind == "f" and dataset.size <= storage.MOST_FACT:
+                result[field] = storage.rows(dataset)
     return result

@@ -20,27 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _JPEG: Final = b"\xff\xd8\xff"
-_PNG: Final = b"\x89PNG\r\n\x1a\n"
-
-
-def encoding_of(data: bytes) -> str | None:
-    """Return `jpeg` or `png`, None if the bytes begin like neither."""
-    if data.startswith(_JPEG):
-        return "jpeg"
-    return "png" if data.startswith(_PNG) else None
-
-
-def size_of(data: bytes, where: str) -> tuple[int, int]:
-    """Return height and width.
-
-    Raises:
-        DataError: it is no image, or a larger one than is decoded.
-    """
-    try:
-        width, height = images.size_of(data)
-    except ObservationError as error:
-        raise DataError(f"{where}: {error}") from None
-    return height, width
 
 
 def pixels(data: bytes, where: str) -> NDArray[np.uint8]:

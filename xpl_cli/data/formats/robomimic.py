@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from xpl.trajectory import TrajectoryError, storage
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.folders import natural
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
@@ -23,10 +24,10 @@ _MOST_EPISODES: Final = 1_000_000
 
 def recognises(file: Any) -> bool:
     """Tell whether an open HDF5 file is one."""
-    group = file.get("data")
-    return hasattr(group, "keys") and any(
-        hasattr(group.get(name), "keys") and name.startswith("demo") for name in group
-    )
+    try:
+        return any(name.startswith("demo") for name in storage.group(file, "data"))
+    except TrajectoryError:
+        return False
 
 
 class RobomimicSet:
@@ -67,7 +68,7 @@ class RobomimicSet:
     def extras(self) -> Mapping[str, Any]:
         """The attributes of the first file's `data`, texts of JSON read."""
         with hdf5.opened(self._files[0]) as file:
-            return {name: _json(value) for name, value in hdf5.attributes(file["data"]).items()}
+            return {name: _json(value) for name, value in hdf5.attributes(storage.group(file, "data")).items()}
 
     def __len__(self) -> int:
         """How many episodes there are."""
@@ -89,10 +90,10 @@ class RobomimicSet:
         found = []
         for path in self._files:
             with hdf5.opened(path) as file:
-                group = file["data"]
-                told = _language(_json(hdf5.plain(group.attrs.get("problem_info"))))
+                group = storage.group(file, "data")
+                told = _language(_json(storage.plain(group.attrs.get("problem_info"))))
                 for name in sorted(group, key=natural):
-                    meta = _json(hdf5.plain(group[name].attrs.get("ep_meta")))
+                    meta = _json(storage.plain(storage.group(group, name).attrs.get("ep_meta")))
                     key = name if len(self._files) == 1 else f"{path.stem}/{name}"
                     found.append(Hdf5Episode(path, f"data/{name}", key, _STEPS, _language(meta) or told))
             if len(found) > _MOST_EPISODES:

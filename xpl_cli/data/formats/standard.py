@@ -18,7 +18,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import images, trajectory
 from xpl.trajectory import TrajectoryError, names
-from xpl_cli.data.formats import libraries, pictures
+from xpl_cli.data.formats import hdf5, libraries, pictures
 from xpl_cli.data.formats.folders import FolderSet, told_in
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.errors import DataError
@@ -136,7 +136,7 @@ class _Episode:
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
         """Yield images of a camera; JPEGs are RGB by the standard's rule, with its mark or exchanged without."""
         self.cameras[camera]
-        with self._kept.folder[self._place] as found, _told(found.path):
+        with self._kept.folder[self._place] as found, hdf5.told(found.path):
             yield from found.frames(camera, start, stop)
 
     @contextmanager
@@ -144,7 +144,7 @@ class _Episode:
         libraries.h5py()
         found = self._kept.at(self._place)
         try:
-            with _told(found.path):
+            with hdf5.told(found.path):
                 yield found
         except DataError:
             self._kept.close()
@@ -165,17 +165,6 @@ class _Episode:
                 extras.pop(_FACTS, None)
             extras |= facts
         return _Content(told or told_in(extras), columns, cameras, extras)
-
-
-@contextmanager
-def _told(path: str) -> Iterator[None]:
-    """Say in one sentence what is wrong with a file."""
-    try:
-        yield
-    except TrajectoryError as error:
-        raise DataError(str(error)) from None
-    except (OSError, RuntimeError, KeyError) as error:
-        raise DataError(f"{path} is damaged: {str(error)[:200]}") from None
 
 
 def _camera(found: Trajectory, name: str, picture: trajectory.Picture) -> Camera:
