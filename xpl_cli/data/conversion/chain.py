@@ -9,14 +9,13 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.conversion import mapping as mappings
 from xpl_cli.data.conversion import packing
 from xpl_cli.data.conversion.packing import PackedSet, UnpackedSet
-from xpl_cli.data.conversion.standard import NAME, FieldEpisode, StandardSet
+from xpl_cli.data.conversion.standard import NAME, FieldSet, StandardSet
 from xpl_cli.data.formats import open_set
 from xpl_cli.data.formats.writing import CONVERTED
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
-    from xpl_cli.data.conversion.mapping import Conventions
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.sets.interface import Demonstrations
 
 
 def source(path: Path, to: str, by: str | None, written_by: str | None) -> Demonstrations:
@@ -47,7 +46,7 @@ def source(path: Path, to: str, by: str | None, written_by: str | None) -> Demon
             "leaves nothing to say",
             code=ExitCode.USAGE,
         )
-    return _FieldSet(found, mappings.load(wanted))
+    return FieldSet(found, mappings.load(wanted))
 
 
 def given(to: str, by: str | None, written_by: str | None) -> frozenset[str]:
@@ -57,23 +56,6 @@ def given(to: str, by: str | None, written_by: str | None) -> frozenset[str]:
         return frozenset()
     mapping = mappings.load(wanted)
     return frozenset((*mapping.images, *mapping.states, *mapping.columns))
-
-
-class _FieldSet:
-    """A set of the standard, written by a mapping."""
-
-    def __init__(self, inner: Demonstrations, mapping: Conventions) -> None:
-        self._inner, self._mapping = inner, mapping
-        self.path, self.format, self.extras = inner.path, inner.format, inner.extras
-        self.rate_hz, self.robot = inner.rate_hz or mapping.rate_hz, inner.robot or mapping.embodiment.name
-
-    def __len__(self) -> int:
-        """How many episodes there are."""
-        return len(self._inner)
-
-    def __getitem__(self, index: int) -> Episode:
-        """Return an episode, by its place."""
-        return FieldEpisode(self._inner[index], self._mapping)
 
 
 def _unpacked(found: Demonstrations) -> Demonstrations:

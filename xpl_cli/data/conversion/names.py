@@ -11,6 +11,7 @@ from xpl_cli.data.conversion import packing
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.formats.writers import WRITERS
 from xpl_cli.data.formats.writing import CONVERTED, Names
+from xpl_cli.data.sets.delegating import DelegatingEpisode, base_format
 from xpl_cli.data.sets.interface import Camera, Column
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def renaming(
     before = source.extras.get(CONVERTED)
     before = before if isinstance(before, dict) and family(str(before.get("from"))) == family(writer.name) else {}
     back = before.get("names") or {}
-    dropped = _DERIVED.get(family(getattr(source, "base_format", source.format)), ())
+    dropped = _DERIVED.get(family(base_format(source)), ())
     lost: dict[str, str] = {}
     columns: dict[str, str] = {}
     numbers = []
@@ -116,26 +117,12 @@ def family(name: str) -> str:
     return name.partition("-v")[0]
 
 
-class Renamed:
+class Renamed(DelegatingEpisode):
     """An episode under the names of another format; with no more columns and cameras than are written."""
 
     def __init__(self, inner: Episode, how: Renaming) -> None:
-        self._inner, self._how = inner, how
-
-    @property
-    def key(self) -> str:
-        """Its name in its set."""
-        return self._inner.key
-
-    @property
-    def length(self) -> int:
-        """How many steps it has."""
-        return self._inner.length
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told."""
-        return self._inner.instructions
+        super().__init__(inner)
+        self._how = how
 
     @property
     def columns(self) -> Mapping[str, Column]:

@@ -13,6 +13,8 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.trajectory.names import TRUTH, is_truth, shown
+from xpl_cli.data.conversion.standard import NAME as STANDARD
+from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
 from xpl_cli.data.sets.interface import Camera, Column
 
 if TYPE_CHECKING:
@@ -44,7 +46,7 @@ def layout_of(episode: Episode) -> Layout:
     return {name: parts for name, parts in found.items() if parts}
 
 
-class PackedSet:
+class PackedSet(DelegatingSet):
     """A set of the standard, whose series are packed.
 
     Args:
@@ -55,25 +57,20 @@ class PackedSet:
         numbers: what is packed and has single numbers for rows.
     """
 
+    format = NAME
+
     def __init__(self, inner: Demonstrations) -> None:
-        self._inner = inner
+        super().__init__(inner)
         first = inner[0]
         self.layout = layout_of(first)
         parts = (part for parts in self.layout.values() for part, _ in parts)
         self.numbers = [part for part in parts if not first.columns[part].shape]
-        self.path, self.format, self.rate_hz, self.robot = inner.path, NAME, inner.rate_hz, inner.robot
-        self.extras = inner.extras
 
-    def __len__(self) -> int:
-        """How many episodes there are."""
-        return len(self._inner)
-
-    def __getitem__(self, index: int) -> Episode:
-        """Return an episode, by its place."""
-        return _Packed(self._inner[index], self.layout)
+    def _around(self, episode: Episode) -> Episode:
+        return _Packed(episode, self.layout)
 
 
-class UnpackedSet:
+class UnpackedSet(DelegatingSet):
     """A set that was made of a packed one: it has the standard's series and cameras again.
 
     Args:
@@ -83,60 +80,23 @@ class UnpackedSet:
         layout: how series were packed.
     """
 
+    format = STANDARD
+
     def __init__(
         self, inner: Demonstrations, names: Mapping[str, str], numbers: frozenset[str], layout: Layout
     ) -> None:
-        self._inner, self._names, self._numbers, self._layout = inner, names, numbers, layout
-        self.base_format = inner.format
-        self.path, self.format, self.rate_hz, self.robot = inner.path, "xpl", inner.rate_hz, inner.robot
-        self.extras = inner.extras
+        super().__init__(inner)
+        self._names, self._numbers, self._layout = names, numbers, layout
 
-    def __len__(self) -> int:
-        """How many episodes there are."""
-        return len(self._inner)
-
-    def __getitem__(self, index: int) -> Episode:
-        """Return an episode, by its place."""
-        return _Unpacked(self._inner[index], self._names, self._numbers, self._layout)
+    def _around(self, episode: Episode) -> Episode:
+        return _Unpacked(episode, self._names, self._numbers, self._layout)
 
 
-class _Around:
-    """An episode whose columns are others."""
-
+class _Packed(DelegatingEpisode):
     def __init__(self, inner: Episode, layout: Layout) -> None:
-        self._inner, self._layout = inner, layout
+        super().__init__(inner)
+        self._layout = layout
 
-    @property
-    def key(self) -> str:
-        """Its name in its set."""
-        return self._inner.key
-
-    @property
-    def length(self) -> int:
-        """How many steps it has."""
-        return self._inner.length
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told."""
-        return self._inner.instructions
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        """What else is said of it."""
-        return self._inner.extras
-
-    @property
-    def cameras(self) -> Mapping[str, Camera]:
-        """The cameras."""
-        return self._inner.cameras
-
-    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        """Yield images of a camera."""
-        return self._inner.frames(camera, start, stop)
-
-
-class _Packed(_Around):
     @functools.cached_property
     def columns(self) -> Mapping[str, Column]:
         """The vectors, and every column that is in none of them."""
@@ -159,10 +119,10 @@ class _Packed(_Around):
         return np.concatenate([part.reshape(len(part), -1) for part in rows], axis=1)
 
 
-class _Unpacked(_Around):
+class _Unpacked(DelegatingEpisode):
     def __init__(self, inner: Episode, names: Mapping[str, str], numbers: frozenset[str], layout: Layout) -> None:
-        super().__init__(inner, layout)
-        self._numbers = numbers
+        super().__init__(inner)
+        self._layout, self._numbers = layout, numbers
         self._old = {names.get(name, name): name for name in (*inner.columns, *inner.cameras)}
         self._parts: dict[str, tuple[str, int, int]] = {}
         for name, parts in layout.items():

@@ -12,6 +12,7 @@ from xpl import _spec as spec
 from xpl.convert.assembly import assembled
 from xpl.convert.errors import NativeError
 from xpl.trajectory.names import stored
+from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Column
 
@@ -26,50 +27,51 @@ _COLOR = spec.TRAJECTORY_CAMERA[spec.Camera.COLOR]
 Rows = dict[str, "NDArray[Any]"]
 
 
-class StandardSet:
-    """A set of the field, read by a mapping: its episodes have the standard's names."""
+class _MappedSet(DelegatingSet):
+    """A set and the mapping that says what its columns mean, or shall mean."""
 
     def __init__(self, inner: Demonstrations, mapping: Conventions) -> None:
-        self._inner, self._mapping = inner, mapping
-        self.base_format = inner.format
-        self.path, self.format, self.extras = inner.path, NAME, inner.extras
-        self.rate_hz = inner.rate_hz or mapping.rate_hz
-        self.robot: str | None = mapping.embodiment.name
+        super().__init__(inner)
+        self._mapping = mapping
 
-    def __len__(self) -> int:
-        """How many episodes there are."""
-        return len(self._inner)
-
-    def __getitem__(self, index: int) -> StandardEpisode:
-        """Return an episode, by its place."""
-        return StandardEpisode(self._inner[index], self._mapping)
+    @property
+    def rate_hz(self) -> float | None:
+        """Steps per second: the set's, else the mapping's."""
+        return self._inner.rate_hz or self._mapping.rate_hz
 
 
-class _Wrapped:
+class StandardSet(_MappedSet):
+    """A set of the field, read by a mapping: its episodes have the standard's names."""
+
+    format = NAME
+
+    @property
+    def robot(self) -> str | None:
+        """The mapping's robot."""
+        return self._mapping.embodiment.name
+
+    def _around(self, episode: Episode) -> StandardEpisode:
+        return StandardEpisode(episode, self._mapping)
+
+
+class FieldSet(_MappedSet):
+    """A set of the standard, written by a mapping."""
+
+    @property
+    def robot(self) -> str | None:
+        """The set's robot, else the mapping's."""
+        return self._inner.robot or self._mapping.embodiment.name
+
+    def _around(self, episode: Episode) -> FieldEpisode:
+        return FieldEpisode(episode, self._mapping)
+
+
+class _MappedEpisode(DelegatingEpisode):
     """What an episode has whatever its columns are called."""
 
     def __init__(self, inner: Episode, mapping: Conventions) -> None:
-        self._inner, self._mapping = inner, mapping
-
-    @property
-    def key(self) -> str:
-        """Its name in its set."""
-        return self._inner.key
-
-    @property
-    def length(self) -> int:
-        """How many steps it has."""
-        return self._inner.length
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told."""
-        return self._inner.instructions
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        """What else is said of it."""
-        return self._inner.extras
+        super().__init__(inner)
+        self._mapping = mapping
 
     @functools.cached_property
     def columns(self) -> Mapping[str, Column]:
@@ -95,7 +97,7 @@ class _Wrapped:
         raise NotImplementedError
 
 
-class StandardEpisode(_Wrapped):
+class StandardEpisode(_MappedEpisode):
     """An episode of the field under the standard's names."""
 
     @functools.cached_property
@@ -183,7 +185,7 @@ class StandardEpisode(_Wrapped):
         return rows.reshape(len(rows), -1).astype(np.float64)
 
 
-class FieldEpisode(_Wrapped):
+class FieldEpisode(_MappedEpisode):
     """An episode of the standard under the names and conventions that a mapping says."""
 
     @functools.cached_property

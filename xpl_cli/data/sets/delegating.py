@@ -1,0 +1,117 @@
+"""A set, or an episode, that stands around another one: what it does not say otherwise is the other's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
+
+
+class DelegatingSet:
+    """A set around another one; `_around` makes its episodes.
+
+    Args:
+        inner: the other one.
+    """
+
+    def __init__(self, inner: Demonstrations) -> None:
+        self._inner = inner
+
+    @property
+    def path(self) -> str:
+        """The file or folder."""
+        return self._inner.path
+
+    @property
+    def format(self) -> str:
+        """The name of the format that it speaks."""
+        return self._inner.format
+
+    @property
+    def base_format(self) -> str:
+        """The name of the format of the files."""
+        return base_format(self._inner)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Steps per second, if the set says so."""
+        return self._inner.rate_hz
+
+    @property
+    def robot(self) -> str | None:
+        """What the set calls its robot, if it does."""
+        return self._inner.robot
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else the set says of itself."""
+        return self._inner.extras
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        return len(self._inner)
+
+    def __getitem__(self, index: int) -> Episode:
+        """Return an episode, by its place."""
+        return self._around(self._inner[index])
+
+    def _around(self, episode: Episode) -> Episode:
+        raise NotImplementedError
+
+
+class DelegatingEpisode:
+    """An episode around another one.
+
+    Args:
+        inner: the other one.
+    """
+
+    def __init__(self, inner: Episode) -> None:
+        self._inner = inner
+
+    @property
+    def key(self) -> str:
+        """Its name in its set."""
+        return self._inner.key
+
+    @property
+    def length(self) -> int:
+        """How many steps it has."""
+        return self._inner.length
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told."""
+        return self._inner.instructions
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns."""
+        return self._inner.columns
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras."""
+        return self._inner.cameras
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else is said of it."""
+        return self._inner.extras
+
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+        """Return rows of a column."""
+        return self._inner.read(column, start, stop)
+
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
+        """Yield images of a camera."""
+        return self._inner.frames(camera, start, stop)
+
+
+def base_format(demonstrations: Demonstrations) -> str:
+    """Return the name of the format of the files of a set, whatever stands around it."""
+    return demonstrations.base_format if isinstance(demonstrations, DelegatingSet) else demonstrations.format
