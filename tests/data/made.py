@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import zarr
 from PIL import Image
 
 if TYPE_CHECKING:
@@ -69,6 +70,46 @@ def robotwin(folder: Path) -> Path:
     told = {"seen": ["stack them", "pile them up"], "unseen": ["build a tower"]}
     (folder / "instructions" / "episode0.json").write_text(json.dumps(told), encoding="utf-8")
     return folder
+
+
+def aloha(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Write ACT's form, one camera raw and one as JPEGs in rows of one length; return positions, actions and images."""
+    draw = np.random.default_rng(7)
+    qpos, action = draw.normal(size=(4, 14)), draw.normal(size=(4, 14))
+    frames = np.stack([picture(step) for step in range(4)])
+    rows = [jpeg(frame) for frame in frames]
+    padded = np.zeros((4, max(map(len, rows))), np.uint8)
+    for step, row in enumerate(rows):
+        padded[step, : len(row)] = np.frombuffer(row, np.uint8)
+    with h5py.File(path, "w") as file:
+        file.attrs["sim"], file.attrs["fps"], file.attrs["language_instruction"] = True, 50, SENTENCE
+        file["observations/qpos"], file["action"] = qpos, action
+        file["observations/images/top"], file["observations/images/wrist"] = frames, padded
+    return qpos, action, frames
+
+
+def standard(path: Path) -> None:
+    """Write the standard's form, as RoboDojo has it."""
+    draw = np.random.default_rng(8)
+    with h5py.File(path, "w") as file:
+        for group in ("state", "action"):
+            file[f"{group}/left_arm_joint_states"] = draw.normal(size=(4, 6))
+        file["vision/cam_head/colors"] = np.stack([picture(step) for step in range(4)])
+        file["instruction"] = SENTENCE
+
+
+def diffusion_policy(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Write Diffusion Policy's form, two episodes of four and five steps; return actions and images."""
+    draw = np.random.default_rng(9)
+    action = draw.normal(size=(9, 2)).astype(np.float32)
+    images = np.stack([picture(step) for step in range(9)])
+    store = zarr.open_group(str(path), mode="w", zarr_format=2)
+    data, meta = store.require_group("data"), store.require_group("meta")
+    data.create_array("action", data=action, chunks=(9, 2))
+    data.create_array("img", data=images, chunks=(1, *images.shape[1:]))
+    data.create_array("img_float", data=images.astype(np.float32), chunks=(1, *images.shape[1:]))
+    meta.create_array("episode_ends", data=np.array([4, 9]), chunks=(2,))
+    return action, images
 
 
 def lerobot_v21(root: Path, episodes: int = 3) -> Path:

@@ -105,6 +105,7 @@ class LeRobotSet:
     def group(self, path: str, number: int, column: str) -> NDArray[Any]:
         """Return a column of one group of rows: episodes share groups, which are unpacked as a whole."""
         with _opened(self.root / path) as file:
+            self._require(file, column, path)
             return self._numbers(file.read_row_group(number, columns=[column]), column, path)
 
     @functools.lru_cache(maxsize=8)  # noqa: B019 - as above
@@ -136,6 +137,7 @@ class LeRobotSet:
         where = f"{self.root / entry.data}, {camera}"
         due = start
         with _opened(self.root / entry.data) as file:
+            self._require(file, camera, entry.data)
             for number, first, last in _groups(self._sizes(entry.data), entry.first + start, entry.first + stop):
                 seen = 0
                 for batch in file.iter_batches(batch_size=16, row_groups=[number], columns=[camera]):
@@ -150,6 +152,10 @@ class LeRobotSet:
     @functools.cached_property
     def _entries(self) -> list[layout.Entry]:
         return layout.entries(self.root, self.info, self.version)
+
+    def _require(self, file: Any, column: str, path: str) -> None:
+        if column not in file.schema_arrow.names:
+            raise DataError(f"{self.root / path} has no column {column}, which {layout.INFO} lists")
 
     def _empty(self, column: str) -> NDArray[Any]:
         known = self.columns[column]

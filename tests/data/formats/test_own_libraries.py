@@ -1,0 +1,240 @@
+"""Each format in a small file made by its own library: what is read is what was written, or one sentence says why not.
+
+LeRobot's v2.1 (pyarrow, av), robomimic's, ACT's, RoboTwin's and the standard's HDF5 (h5py), Diffusion Policy's (zarr).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import zarr
+
+from tests.data import made
+from xpl_cli.basics.errors import ExitCode
+from xpl_cli.data.formats import open_set, pictures
+from xpl_cli.data.sets.errors import DataError
+
+LOSSY_DB = 33.0
+
+
+# -- what is written is read -------------------------------------------------------------------------------------------
+
+
+def test_aloha(tmp_path: Path) -> None:
+    """Numbers, raw images and padded JPEGs, the rate and the sentence of attributes."""
+    qpos, action, frames = made.aloha(tmp_path / "episode_0.hdf5")
+    found = open_set(tmp_path)
+    (episode,) = (found[index] for index in range(len(found)))
+    assert (found.format, found.rate_hz, episode.instructions) == ("aloha", 50.0, (made.SENTENCE,))
+    np.testing.assert_array_equal(episode.read("observations/qpos"), qpos)
+    np.testing.assert_array_equal(episode.read("action", 1, 3), action[1:3])
+    np.testing.assert_array_equal(list(episode.frames("observations/images/top")), frames)
+    assert episode.cameras["observations/images/wrist"].encoding == "jpeg"
+    for shown, frame in zip(episode.frames("observations/images/wrist"), frames, strict=True):
+        assert pictures.psnr(shown, frame) > LOSSY_DB
+
+
+def test_robomimic(tmp_path: Path) -> None:
+    """Numbers and images of each demonstration, the sentence, the robot and the rate of attributes."""
+    path = made.libero(tmp_path / "bowl_demo.hdf5")
+    found = open_set(path)
+    assert (found.format, found.rate_hz, found.robot, len(found)) == ("robomimic", 20.0, "Panda", 3)
+    for index in range(3):
+        episode = found[index]
+        with h5py.File(path) as file:
+            group = file[f"data/demo_{index}"]
+            actions, images = group["actions"][:], group["obs/agentview_rgb"][:]
+        assert episode.instructions == (made.SENTENCE,)
+        np.testing.assert_array_equal(episode.read("actions"), actions)
+        np.testing.assert_array_equal(list(episode.frames("obs/agentview_rgb")), images)
+
+
+def test_robotwin(tmp_path: Path) -> None:
+    """Numbers, matrices of a camera, JPEGs as they lie there, and sentences of the file beside."""
+    made.robotwin(tmp_path)
+    episode = open_set(tmp_path)[0]
+    with h5py.File(tmp_path / "data" / "episode0.hdf5") as file:
+        vector = file["joint_action/vector"][:]
+    np.testing.assert_array_equal(episode.read("joint_action/vector"), vector)
+    camera = episode.cameras["observation/head_camera/rgb"]
+    assert camera.intrinsics is not None
+    assert camera.intrinsics.shape == (6, 3, 3)
+    first = next(episode.frames("observation/head_camera/rgb"))
+    assert pictures.psnr(first, made.picture(0)[..., ::-1]) > LOSSY_DB
+    assert len(episode.instructions) == 3
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_diffusion_policy(tmp_path: Path, packed: bool) -> None:
+    """Rows between the ends of episodes, from a folder or a ZIP file; images of floats are those of Push-T."""
+    action, images = made.diffusion_policy(tmp_path / "replay.zarr")
+    path = tmp_path / "replay.zarr"
+    if packed:
+        path = Path(shutil.make_archive(str(tmp_path / "replay.zarr"), "zip", path))
+    found = open_set(path)
+    assert (found.format, len(found), found.rate_hz, found.robot) == ("diffusion-policy", 2, None, None)
+    for index, part in enumerate((slice(0, 4), slice(4, 9))):
+        episode = found[index]
+        np.testing.assert_array_equal(episode.read("action"), action[part])
+        np.testing.assert_array_equal(episode.read("action", 1, 3), action[part][1:3])
+        np.testing.assert_array_equal(list(episode.frames("img")), images[part])
+        np.testing.assert_array_equal(list(episode.frames("img_float")), images[part])
+
+
+def test_lerobot_v21(tmp_path: Path) -> None:
+    """Numbers of tables, frames of videos, lists of JSON lines."""
+    made.lerobot_v21(tmp_path)
+    found = open_set(tmp_path)
+    assert (found.format, found.rate_hz, found.robot, len(found)) == ("lerobot-v2.1", 10.0, "panda", 3)
+    for index in range(3):
+        episode = found[index]
+        table = pq.read_table(tmp_path / "data/chunk-000" / f"episode_{index:06d}.parquet")
+        np.testing.assert_array_equal(episode.read("action"), table["action"].to_pylist())
+        np.testing.assert_array_equal(episode.read("task_index"), table["task_index"])
+        assert episode.instructions == (made.SENTENCE,)
+        for step, frame in enumerate(episode.frames("observation.images.top")):
+            assert pictures.psnr(frame, made.picture(step)) > LOSSY_DB
+
+
+# -- what is damaged is one sentence -----------------------------------------------------------------------------------
+
+
+def _everything(path: Path) -> None:
+    found = open_set(path)
+    for index in range(len(found)):
+        found[index].instructions  # noqa: B018 - asking is what is tested
+        made.numbers(found[index])
+        for name in found[index].cameras:
+            list(found[index].frames(name))
+
+
+def _truncated(name: str) -> Callable[[Path], Any]:
+    def damage(folder: Path) -> None:
+        path = folder / name
+        path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+
+    return damage
+
+
+def _without(name: str, key: str) -> Callable[[Path], Any]:
+    def damage(folder: Path) -> None:
+        with h5py.File(folder / name, "a") as file:
+            del file[key]
+
+    return damage
+
+
+def _info(**change: Any) -> Callable[[Path], Any]:
+    def damage(folder: Path) -> None:
+        path = folder / "meta" / "info.json"
+        told = {**json.loads(path.read_text()), **change}
+        path.write_text(json.dumps({key: value for key, value in told.items() if value is not None}))
+
+    return damage
+
+
+def _unlisted(folder: Path) -> None:
+    path = folder / "meta" / "episodes.jsonl"
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    path.write_text("".join(json.dumps({k: v for k, v in line.items() if k != "length"}) + "\n" for line in lines))
+
+
+def _uncolumned(folder: Path) -> None:
+    path = folder / "data/chunk-000/episode_000000.parquet"
+    pq.write_table(pq.read_table(path).drop_columns(["action"]), path)
+
+
+def _unended(folder: Path) -> None:
+    shutil.rmtree(folder / "meta" / "episode_ends")
+    (folder / "meta" / "episode_ends").mkdir()
+
+
+def _falling(folder: Path) -> None:
+    zarr.open_group(str(folder), mode="a")["meta/episode_ends"][:] = [9, 4]
+
+
+def _short(folder: Path) -> None:
+    zarr.open_group(str(folder), mode="a")["data/action"].resize((7, 2))
+
+
+MAKERS: dict[str, Callable[[Path], Any]] = {
+    "robomimic": lambda folder: made.libero(folder / "set.hdf5"),
+    "aloha": lambda folder: made.aloha(folder / "set.hdf5"),
+    "robotwin": made.robotwin,
+    "xpl": lambda folder: made.standard(folder / "set.hdf5"),
+    "zarr": made.diffusion_policy,
+    "lerobot": made.lerobot_v21,
+}
+
+
+@pytest.mark.parametrize(
+    ("maker", "damage", "told"),
+    [
+        *((maker, _truncated("set.hdf5"), ("set.hdf5",)) for maker in ("robomimic", "aloha", "xpl")),
+        ("robotwin", _truncated("data/episode0.hdf5"), ("episode0.hdf5",)),
+        ("robotwin", _truncated("instructions/episode0.json"), ("episode0.json", "JSON")),
+        ("robomimic", _without("set.hdf5", "data/demo_1/actions"), ("set.hdf5, demo_1", "actions or states")),
+        ("robotwin", _without("data/episode0.hdf5", "joint_action/vector"), ()),
+        ("xpl", _without("set.hdf5", "state"), ("set.hdf5", "no known kind", "action")),
+        ("aloha", _without("set.hdf5", "action"), ("set.hdf5", "no known kind", "observations")),
+        ("lerobot", _truncated("meta/info.json"), ("info.json", "JSON")),
+        ("lerobot", _info(fps=None), ("info.json", "fps")),
+        ("lerobot", _info(features=None), ("info.json", "features")),
+        ("lerobot", _info(codebase_version="v9"), ("info.json", "v9")),
+        ("lerobot", _info(data_path=None), ("data_path",)),
+        ("lerobot", _unlisted, ("meta/", "length")),
+        ("lerobot", _uncolumned, ("episode_000000.parquet", "action")),
+        ("lerobot", _truncated("data/chunk-000/episode_000001.parquet"), ("episode_000001.parquet", "parquet")),
+        (
+            "lerobot",
+            _truncated("videos/chunk-000/observation.images.top/episode_000002.mp4"),
+            ("episode_000002.mp4",),
+        ),
+        ("lerobot", lambda folder: (folder / "data/chunk-000/episode_000002.parquet").unlink(), ("000002.parquet",)),
+        ("zarr", _unended, ("episode_ends",)),
+        ("zarr", _falling, ("episode_ends", "does not rise")),
+        ("zarr", _short, ("action has 3 of the rows 4 to 9",)),
+        ("zarr", lambda folder: (folder / "data" / "img" / ".zarray").write_text("{"), ("zarr",)),
+    ],
+)
+def test_what_is_damaged_is_one_sentence(
+    maker: str, damage: Callable[[Path], Any], told: tuple[str, ...], tmp_path: Path
+) -> None:
+    """It names the file, and the key where one is missing; a column that need not be there is not missed."""
+    folder = tmp_path / "set"
+    if maker != "robotwin":
+        folder.mkdir()
+    MAKERS[maker](folder)
+    _everything(folder)
+    damage(folder)
+    if not told:
+        _everything(folder)
+        return
+    with pytest.raises(DataError) as caught:
+        _everything(folder)
+    assert all(word in str(caught.value) for word in told), str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.code == ExitCode.NOT_RUN
+
+
+@pytest.mark.parametrize("place", ["data", "data/demo_0"])
+def test_a_link_leads_to_no_episode(place: str, tmp_path: Path) -> None:
+    """Neither one into another file nor one in the same: a set is what lies in its files."""
+    made.libero(tmp_path / "other.hdf5")
+    for link in (h5py.ExternalLink(str(tmp_path / "other.hdf5"), place), h5py.SoftLink("/elsewhere")):
+        path = tmp_path / "links" / "set.hdf5"
+        path.parent.mkdir(exist_ok=True)
+        with h5py.File(path, "w") as file:
+            if place != "data":
+                file.create_group("data")
+            file[place] = link
+        with pytest.raises(DataError, match=r"set\.hdf5"):
+            _everything(path)
