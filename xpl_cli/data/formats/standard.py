@@ -18,6 +18,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl import images, trajectory
 from xpl.trajectory import TrajectoryError, names
+from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import hdf5, libraries, pictures
 from xpl_cli.data.formats.folders import FolderSet, told_in
 from xpl_cli.data.formats.writing import CONVERTED, Names
@@ -202,7 +203,10 @@ class StandardWriter:
     def check(self, plan: Plan) -> None:
         """Stop before anything is written."""
         if _form(plan) not in trajectory.FORMS:
-            raise DataError(f"{self.name} keeps images in HDF5; --images takes {', '.join(trajectory.FORMS)} here")
+            raise DataError(
+                f"{self.name} keeps images in HDF5; --images takes {', '.join(trajectory.FORMS)} here",
+                code=ExitCode.USAGE,
+            )
         parts = (f"{spec.Trajectory.STATE}/", f"{spec.Trajectory.ACTION}/")
         if not any(name.startswith(parts) for name in plan.columns):
             raise DataError(

@@ -12,6 +12,7 @@ import numpy as np
 
 from xpl import images
 from xpl_cli.basics.atomic import write_file
+from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import encoding, pictures, video
 from xpl_cli.data.formats.lerobot import layout, stats, tables
 from xpl_cli.data.formats.writing import Names
@@ -54,7 +55,10 @@ class LeRobotWriter:
     def check(self, plan: Plan) -> None:
         """Stop before anything is written."""
         if plan.options.images not in _IMAGES:
-            raise DataError(f"LeRobot keeps images as video or png, got --images {plan.options.images}")
+            raise DataError(
+                f"LeRobot keeps images as video or png, got --images {plan.options.images}",
+                code=ExitCode.USAGE,
+            )
         if plan.rate_hz is None:
             raise DataError("LeRobot needs the steps per second, which this set does not say", hint="give --rate HZ")
         if 0 in plan.lengths:
