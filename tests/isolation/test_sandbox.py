@@ -249,33 +249,52 @@ def test_an_isolated_adapter_that_hangs_shows_where(write_adapter: Write) -> Non
     assert _hangs_in(write_adapter(SUBJECT), "__init__", options=("--isolate",))
 
 
-def test_isolation_that_cannot_be_had_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With what was tried, and why it did not work."""
+def _bwrap(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a program of ours in the place of bubblewrap."""
+    program = folder / "bin" / "bwrap"
+    program.parent.mkdir()
+    program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent), prepend=os.pathsep)
+
+
+def test_isolation_without_bubblewrap_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one error, with exit code 4; to keep processes apart takes none."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    fails = [sys.executable, "-c", "raise OSError('no')"]
-    monkeypatch.setitem(sandbox._WAYS, "namespaces", lambda **_: fails)
-    with pytest.raises(
-        UserError, match=r"cannot be had here.*bubblewrap: it is not installed; namespaces: OSError: no"
-    ) as raised:
+    with pytest.raises(UserError, match="bubblewrap") as raised:
+        sandbox.check([tmp_path], memory_limit="none", isolate=True)
+    assert raised.value.code == ExitCode.NOT_RUN
+    assert "apt-get install bubblewrap" in str(raised.value.hint)
+
+
+def test_a_bubblewrap_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its last words."""
+    _bwrap(tmp_path, "echo 'bwrap: no permission' >&2; exit 1", monkeypatch)
+    with pytest.raises(UserError, match="bwrap: no permission") as raised:
         sandbox.check([tmp_path], memory_limit="none", isolate=True)
     assert raised.value.code == ExitCode.NOT_RUN
 
 
-def test_a_way_that_does_not_isolate_is_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+_DOES_NOTHING = 'while [ "$1" != -- ]; do shift; done; shift; exec "$@"'
+
+
+def test_a_bubblewrap_that_does_not_isolate_is_not_relied_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Isolation is proven by trying, not by asking."""
-    monkeypatch.setattr(sandbox, "_WAYS", {"nothing": lambda **_: ["/usr/bin/env"]})
+    _bwrap(tmp_path, _DOES_NOTHING, monkeypatch)
     with pytest.raises(UserError, match="stays"):
         sandbox.check([tmp_path], memory_limit="none", isolate=True)
 
 
-def test_an_audit_asks_for_isolation_before_it_begins(write_adapter: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_audit_asks_for_isolation_before_it_begins(
+    write_adapter: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Exit code 4 and the reason; nothing was served."""
-    monkeypatch.setattr(sandbox, "_WAYS", {"namespaces": lambda **_: ["/usr/bin/env"]})
+    _bwrap(tmp_path, _DOES_NOTHING, monkeypatch)
     asked = ["audit", str(write_adapter(SUBJECT)), "--isolate", "--gate", "static"]
     result = CliRunner().invoke(app, asked)
     assert isinstance(result.exception, UserError)
     assert result.exception.code == ExitCode.NOT_RUN
-    assert "cannot be had here" in str(result.exception)
+    assert "bubblewrap cannot arrange it" in str(result.exception)
     assert not result.stdout
 
 

@@ -24,7 +24,6 @@ from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.isolation import sandbox
 from xpl_cli.packages import environments
 from xpl_cli.packages.targets import find_target
 from xpl_cli.scaffold import adapter, environment, lock
@@ -135,8 +134,8 @@ def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
         assert result.outcome is Outcome.NOT_RUN
         assert said in str(result.reason)
     with monkeypatch.context() as patch:
-        patch.setattr(sandbox, "_WAYS", {})
-        with pytest.raises(UserError, match="isolation was asked for and cannot be had here"):
+        patch.setenv("PATH", str(tmp_path))
+        with pytest.raises(UserError, match="isolation was asked for, and bubblewrap"):
             engine.audit(package, "env", Options(gates, names, isolate=True))
     broken = shutil.copytree(package, tmp_path / "Foo")
     (broken / "env.yml").write_text("name: Foo", encoding="utf-8")

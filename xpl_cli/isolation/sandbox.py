@@ -1,8 +1,8 @@
 """What an adapter may do to the machine: how much memory it may hold, whether it sees a network, where it may write.
 
 A limit on memory is held by looking, because what the system offers (RLIMIT_AS) counts address space, which GPU
-libraries reserve in terabytes. Isolation is the system's: bubblewrap where it is installed, or else
-the same namespaces by our own hand (`launch.py`). What is promised is tried from inside first (`proof.py`).
+libraries reserve in terabytes. Isolation is bubblewrap's, with a filter of system calls (`seccomp.py`) and a last step
+inside (`launch.py`) of ours. What is promised is tried from inside first (`proof.py`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import itertools
 import json
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -27,7 +28,7 @@ from xpl_cli.isolation import family, plan, seccomp
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 _EVERY_S = 0.1
 _LOOKS_PER_SEARCH = 5
@@ -42,6 +43,9 @@ _KEPT = {"HF_HOME": ".cache/huggingface", "TORCH_HOME": ".cache/torch", "PYTHONU
 """What is found below the home folder, readable as before, although isolated adapters have another home folder."""
 _PROOF_S = 20.0
 _PROOF = Path(__file__).with_name("proof.py")
+BUBBLEWRAP, _NAMESPACES_OF_OURS = "bubblewrap", "namespaces"
+"""Ways to keep a command apart; the first one also isolates it."""
+INSTALL = "install bubblewrap: apt-get install bubblewrap, dnf install bubblewrap, or pacman -S bubblewrap"
 _NAMESPACES = ("user", "pid", "ipc", "net", "mnt", "uts")
 _REFUSED = ("keyctl", "ptrace", "mount", "setns", "unshare", "bpf", "perf_event_open", "userfaultfd", "io_uring_setup")
 
@@ -151,36 +155,36 @@ class Isolation:
 
 @contextlib.contextmanager
 def isolated(checkout: Path, proven: str | None = None) -> Iterator[Isolation]:
-    """Find a way to isolate an adapter, for the length of a `with` block; every promise of it has been tried.
+    """Isolate an adapter by bubblewrap, for the length of a `with` block; every promise of it has been tried.
 
     Args:
         checkout: folder of the adapter.
         proven: the way that was found a moment ago, which need not be tried again.
 
     Raises:
-        UserError: if none works here, with the reason of each; exit code 4.
+        UserError: if there is no bubblewrap, with how to get it, or a promise does not hold; exit code 4.
     """
+    program = shutil.which("bwrap")
+    if program is None:
+        raise UserError(
+            "isolation was asked for, and bubblewrap, which arranges it, is not installed: there is no bwrap on PATH",
+            hint=INSTALL,
+            code=ExitCode.NOT_RUN,
+        )
     with tempfile.TemporaryDirectory(prefix="xpl-isolated-") as name:
         # One deeper than what only this user may enter: what the adapter makes of its folder's rights, and a set-uid
         # program in it, is then nothing that another user of the machine could get at.
         folder = Path(name).resolve() / "own"
         folder.mkdir()
-        refused = []
-        for way, prefix in _WAYS.items():
-            found = prefix(checkout=checkout.resolve(), folder=folder)
-            if found is not None and way == proven:
-                reason = None
-            else:
-                reason = "it is not installed" if found is None else _disproof(found, checkout.resolve(), folder)
-            if found is not None and reason is None:
-                yield Isolation(way, tuple(found), folder)
-                return
-            refused.append(f"{way}: {reason}")
-    raise UserError(
-        f"isolation was asked for and cannot be had here ({'; '.join(refused)})",
-        hint="allow unprivileged user namespaces, install bubblewrap, or leave --isolate away",
-        code=ExitCode.NOT_RUN,
-    )
+        prefix = plan.isolated(program, checkout=checkout.resolve(), folder=folder)
+        reason = None if proven == BUBBLEWRAP else _disproof(prefix, checkout.resolve(), folder)
+        if reason is not None:
+            raise UserError(
+                f"isolation was asked for and bubblewrap cannot arrange it here: {reason}",
+                hint="allow unprivileged user namespaces, or leave --isolate away",
+                code=ExitCode.NOT_RUN,
+            )
+        yield Isolation(BUBBLEWRAP, tuple(prefix), folder)
 
 
 def kept_apart(checkout: Path, proven: str | None = None) -> Isolation:
@@ -194,14 +198,14 @@ def kept_apart(checkout: Path, proven: str | None = None) -> Isolation:
         UserError: if none works here, with the reason of each; exit code 4.
     """
     proof = [sys.executable, "-I", "-S", "-c", _IS_APART, str(Path("/proc/self/ns/pid").readlink())]
+    bubblewrap = shutil.which("bwrap")
+    ways = {_NAMESPACES_OF_OURS: plan.apart_by_namespaces()}
+    ways |= {} if bubblewrap is None else {BUBBLEWRAP: plan.apart_by_bubblewrap(bubblewrap)}
     refused = []
-    for way in (*(name for name in _WAYS if name != _BUBBLEWRAP), *(name for name in _WAYS if name == _BUBBLEWRAP)):
-        found = _WAYS[way](checkout=checkout.resolve(), folder=None)
-        if found is not None and way == proven:
-            return Isolation(way, tuple(found), None)
-        reason = "it is not installed" if found is None else _told(_tried([*found, *proof], checkout))
-        if found is not None and reason is None:
-            return Isolation(way, tuple(found), None)
+    for way, prefix in ways.items():
+        reason = None if way == proven else _told(_tried([*prefix, *proof], checkout))
+        if reason is None:
+            return Isolation(way, tuple(prefix), None)
         refused.append(f"{way}: {reason}")
     raise UserError(f"no PID namespace can be had here ({'; '.join(refused)})", code=ExitCode.NOT_RUN)
 
@@ -223,17 +227,11 @@ def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> Non
             pass
 
 
-_BUBBLEWRAP = "bubblewrap"
 _IS_APART = """
 import os, sys
 if os.readlink("/proc/self/ns/pid") == sys.argv[1]:
     sys.exit("it sees the processes of the machine")
 """
-_WAYS: dict[str, Callable[..., list[str] | None]] = {
-    _BUBBLEWRAP: plan.by_bubblewrap,
-    "namespaces": plan.by_namespaces,
-}
-"""Each returns what is put before a command, given `checkout` and `folder`; None where it is not installed."""
 
 
 def _disproof(prefix: Sequence[str], checkout: Path, folder: Path) -> str | None:

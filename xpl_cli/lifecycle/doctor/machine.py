@@ -131,12 +131,12 @@ def ports() -> Check:
 def isolation() -> Check:
     """Try to keep a program from the network and from writing, as `--isolate` does."""
     serves = "xpl serve --isolate and xpl audit --isolate"
-    mend = "allow unprivileged user namespaces, or install bubblewrap (apt-get install bubblewrap)"
+    mend = f"{sandbox.INSTALL}; it needs unprivileged user namespaces"
     try:
         with tempfile.TemporaryDirectory(prefix="xpl-doctor-") as folder, sandbox.isolated(Path(folder)) as isolation_:
             return Check("isolation", Status.OK, f"{isolation_.way}, proven by trying", serves)
     except UserError as error:
-        return Check("isolation", Status.ABSENT, str(error).partition("(")[2].rstrip(")") or str(error), serves, mend)
+        return Check("isolation", Status.ABSENT, str(error), serves, mend)
 
 
 def _available() -> int:
