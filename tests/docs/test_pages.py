@@ -26,7 +26,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.derived import commands, compiler, rules
 from xpl_cli.main import app
-from xpl_cli.standard import answers, spec
+from xpl_cli.standard import answers, spec, unknown
 from xpl_cli.standard.validate import validate
 
 SHELL = ("bash", "console")
@@ -188,7 +188,7 @@ def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
     part = yaml.load(block.text, yaml.BaseLoader)  # noqa: S506 - texts only; `on` stays a word
     if any(set(part) <= keys for keys in FOREIGN):
         return
-    for key, value in yaml.safe_load(block.text).items():
+    for key, value in unknown.known(yaml.safe_load(block.text)).items():
         owners = [name for name in (*MANIFESTS, "embodiment") if key in spec.schema(name, version)["properties"]]
         assert owners, f"{key} is no key of a manifest"
         assert [] in [validate(value, f"{name}#/properties/{key}", version) for name in owners]

@@ -249,7 +249,7 @@ def explain(
     names: list[str] = typer.Argument(..., metavar="RULE...", help="Codes or slugs of rules, such as XPL101 XPL203."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Explain rules: what each checks, why, and what to do instead; of retired ones, what proves the same."""
+    """Explain rules: what each checks, why, and what to do instead. Of retired ones it says what proves the same."""
     from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.basics import console
 

@@ -34,7 +34,7 @@ def adopt(
     dry_run: bool = typer.Option(False, "--dry-run", help="Print what would be written, and write nothing."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
-    """Write the manifest that an adapter lacks: what its files state, the rest as unknown. Nothing else is changed."""
+    """Write the manifest that an adapter lacks. What its files do not state is unknown; nothing else is changed."""
     from xpl_cli.adopt.facts import Fact, Question
     from xpl_cli.adopt.package import Trained, adoption
     from xpl_cli.basics import console
