@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 __all__ = ["Problem", "mark_of", "page_of", "registry", "shape_text", "validate", "validate_yaml", "validate_yaml_file"]
 
 _LOCAL_SYMBOLS = frozenset("HWN")
+_OPEN = "policy"
+"""The schema of documents in which `{unknown: why}` may stand for a value."""
 # Kinds of numpy dtypes: signed and unsigned integers, floats.
 _KINDS = {"uint8": "u", "float": "f", "number": "iuf"}
 
@@ -46,6 +48,9 @@ def validate(
         version: spec version.
         bindings: sizes of symbols that are known beforehand, for example `{"DOF": 6}`.
     """
+    gaps: dict[unknown.Place, str] = {}
+    if schema_name == _OPEN:
+        instance, gaps = unknown.split(instance)
     token = _scopes.set(_Scopes(document=dict(bindings or {})))
     try:
         errors = list(_validator(schema_name, version).iter_errors(instance))
@@ -53,7 +58,7 @@ def validate(
         return [Problem((), "the document contains itself, or is nested too deeply")]
     finally:
         _scopes.reset(token)
-    problems = [problem for error in errors for problem in explain(error)]
+    problems = [_unknown(problem, gaps) for error in errors for problem in explain(error)]
     return sorted(dict.fromkeys(problems), key=lambda problem: [str(part) for part in problem.path])
 
 
@@ -274,18 +279,18 @@ def validate_yaml(
     data, root = document.data, document.root
     if version is None:
         version = spec.declared(data if isinstance(data, dict) else {})
-    checked, gaps = unknown.split(data) if schema_name == "policy" else (data, {})
-    problems = [_unknown(problem, gaps) for problem in validate(checked, schema_name, version, bindings)]
+    problems = validate(data, schema_name, version, bindings)
     found = [*_repeated_keys(root), *((problem, mark_of(root, problem.path)) for problem in problems)]
     placed = [
         replace(problem, file=file, line=mark.line + 1, column=mark.column + 1, page=page_of(schema_name, problem))
         for problem, mark in found
     ]
-    known = unknown.known(data) if gaps else data
-    return known, sorted(placed, key=lambda problem: (problem.line or 0, problem.column or 0))
+    return unknown.known(data) if schema_name == _OPEN else data, sorted(
+        placed, key=lambda problem: (problem.line or 0, problem.column or 0)
+    )
 
 
-def _unknown(problem: Problem, gaps: Mapping[tuple[str | int, ...], str]) -> Problem:
+def _unknown(problem: Problem, gaps: Mapping[unknown.Place, str]) -> Problem:
     """Return a problem, which says of a key that is missing why, where the document does."""
     place = (*problem.path, problem.missing) if problem.missing is not None else ()
     if place not in gaps:
