@@ -162,6 +162,70 @@ def lerobot_v21(root: Path, episodes: int = 3) -> Path:
     return root
 
 
+def lerobot_v30(root: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Write LeRobot v3.0 as its own recorder lays it out: two episodes in one table and one video, images in the table.
+
+    Return actions and images of all steps.
+    """
+    video, image = "observation.images.top", "observation.images.wrist"
+    lengths = (4, 6)
+    total = sum(lengths)
+    actions = np.random.default_rng(10).normal(size=(total, 7)).astype(np.float32)
+    frames = np.stack([picture(step) for step in range(total)])
+    steps = np.concatenate([np.arange(length) for length in lengths])
+    episodes = np.repeat(np.arange(len(lengths)), lengths)
+    encoded = [{"bytes": png(frame), "path": f"frame-{step:06d}.png"} for step, frame in enumerate(frames)]
+    columns = {
+        "action": pa.FixedSizeListArray.from_arrays(actions.ravel(), 7),
+        image: pa.array(encoded, pa.struct([("bytes", pa.binary()), ("path", pa.string())])),
+        "timestamp": pa.array((steps / 10).astype(np.float32)),
+        "frame_index": pa.array(steps),
+        "episode_index": pa.array(episodes),
+        "index": pa.array(np.arange(total)),
+        "task_index": pa.array(np.zeros(total, np.int64)),
+    }
+    _parquet(root / "data/chunk-000/file-000.parquet", columns)
+    ends = np.cumsum(lengths)
+    rows: dict[str, Any] = {
+        "episode_index": [0, 1],
+        "tasks": [[SENTENCE], [SENTENCE]],
+        "length": list(lengths),
+        "dataset_from_index": ends - lengths,
+        "dataset_to_index": ends,
+        f"videos/{video}/from_timestamp": (ends - lengths) / 10,
+        f"videos/{video}/to_timestamp": ends / 10,
+    }
+    for place in ("data", f"videos/{video}", "meta/episodes"):
+        rows |= {f"{place}/chunk_index": [0, 0], f"{place}/file_index": [0, 0]}
+    _parquet(root / "meta/episodes/chunk-000/file-000.parquet", rows)
+    _parquet(root / "meta/tasks.parquet", {"task_index": [0], "__index_level_0__": [SENTENCE]})
+    path = root / "videos" / video / "chunk-000/file-000.mp4"
+    path.parent.mkdir(parents=True)
+    _mp4(path, list(frames), 10)
+    features: dict[str, Any] = {
+        name: {"dtype": str(column.type).replace("float", "float32"), "shape": [1], "names": None}
+        for name, column in columns.items()
+    }
+    features["action"] = {"dtype": "float32", "shape": [7], "names": [f"joint_{index}" for index in range(7)]}
+    for name, dtype in ((image, "image"), (video, "video")):
+        features[name] = {"dtype": dtype, "shape": [SIZE, SIZE, 3], "names": ["height", "width", "channels"]}
+    info = {
+        "codebase_version": "v3.0",
+        "robot_type": "panda",
+        "fps": 10,
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+        "features": features,
+    }
+    (root / "meta" / "info.json").write_text(json.dumps(info), encoding="utf-8")
+    return actions, frames
+
+
+def _parquet(path: Path, columns: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table({name: pa.array(values) for name, values in columns.items()}), path)
+
+
 def _mp4(path: Path, frames: list[np.ndarray], rate: int) -> None:
     with av.open(str(path), "w") as output:
         stream = output.add_stream("libx264", rate, options={"g": "2", "bf": "0"})
@@ -169,6 +233,13 @@ def _mp4(path: Path, frames: list[np.ndarray], rate: int) -> None:
         for frame in frames:
             output.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         output.mux(stream.encode(None))
+
+
+def png(image: np.ndarray) -> bytes:
+    """Return a PNG."""
+    target = io.BytesIO()
+    Image.fromarray(image).save(target, "PNG")
+    return target.getvalue()
 
 
 def jpeg(image: np.ndarray) -> bytes:

@@ -1,6 +1,7 @@
 """Each format in a small file made by its own library: what is read is what was written, or one sentence says why not.
 
-LeRobot's v2.1 (pyarrow, av), robomimic's, ACT's, RoboTwin's and the standard's HDF5 (h5py), Diffusion Policy's (zarr).
+LeRobot's v2.1 and v3.0 (pyarrow, av), robomimic's, ACT's, RoboTwin's and the standard's HDF5 (h5py), Diffusion
+Policy's (zarr). RLDS has a test of its own, for its library needs a Python of its own.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from xpl_cli.data.formats import open_set, pictures
 from xpl_cli.data.sets.errors import DataError
 
 LOSSY_DB = 33.0
+WRIST = "observation.images.wrist"
+EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 
 
 # -- what is written is read -------------------------------------------------------------------------------------------
@@ -104,6 +107,21 @@ def test_lerobot_v21(tmp_path: Path) -> None:
             assert pictures.psnr(frame, made.picture(step)) > LOSSY_DB
 
 
+def test_lerobot_v30(tmp_path: Path) -> None:
+    """Two episodes in one table and one video: each gets its own rows, frames and images, with the names of numbers."""
+    actions, frames = made.lerobot_v30(tmp_path)
+    found = open_set(tmp_path)
+    assert (found.format, found.rate_hz, len(found)) == ("lerobot-v3.0", 10.0, 2)
+    for index, part in enumerate((slice(0, 4), slice(4, 10))):
+        episode = found[index]
+        assert (episode.length, episode.instructions) == (part.stop - part.start, (made.SENTENCE,))
+        assert episode.columns["action"].names[-1] == "joint_6"
+        np.testing.assert_array_equal(episode.read("action"), actions[part])
+        np.testing.assert_array_equal(list(episode.frames("observation.images.wrist")), frames[part])
+        for shown, frame in zip(episode.frames("observation.images.top"), frames[part], strict=True):
+            assert pictures.psnr(shown, frame) > LOSSY_DB
+
+
 # -- what is damaged is one sentence -----------------------------------------------------------------------------------
 
 
@@ -147,9 +165,11 @@ def _unlisted(folder: Path) -> None:
     path.write_text("".join(json.dumps({k: v for k, v in line.items() if k != "length"}) + "\n" for line in lines))
 
 
-def _uncolumned(folder: Path) -> None:
-    path = folder / "data/chunk-000/episode_000000.parquet"
-    pq.write_table(pq.read_table(path).drop_columns(["action"]), path)
+def _uncolumn(name: str, column: str) -> Callable[[Path], Any]:
+    def damage(folder: Path) -> None:
+        pq.write_table(pq.read_table(folder / name).drop_columns([column]), folder / name)
+
+    return damage
 
 
 def _unended(folder: Path) -> None:
@@ -172,6 +192,7 @@ MAKERS: dict[str, Callable[[Path], Any]] = {
     "xpl": lambda folder: made.standard(folder / "set.hdf5"),
     "zarr": made.diffusion_policy,
     "lerobot": made.lerobot_v21,
+    "lerobot v3.0": made.lerobot_v30,
 }
 
 
@@ -191,7 +212,7 @@ MAKERS: dict[str, Callable[[Path], Any]] = {
         ("lerobot", _info(codebase_version="v9"), ("info.json", "v9")),
         ("lerobot", _info(data_path=None), ("data_path",)),
         ("lerobot", _unlisted, ("meta/", "length")),
-        ("lerobot", _uncolumned, ("episode_000000.parquet", "action")),
+        ("lerobot", _uncolumn("data/chunk-000/episode_000000.parquet", "action"), ("episode_000000.parquet", "action")),
         ("lerobot", _truncated("data/chunk-000/episode_000001.parquet"), ("episode_000001.parquet", "parquet")),
         (
             "lerobot",
@@ -199,6 +220,15 @@ MAKERS: dict[str, Callable[[Path], Any]] = {
             ("episode_000002.mp4",),
         ),
         ("lerobot", lambda folder: (folder / "data/chunk-000/episode_000002.parquet").unlink(), ("000002.parquet",)),
+        (
+            "lerobot v3.0",
+            _truncated("meta/episodes/chunk-000/file-000.parquet"),
+            ("episodes/chunk-000/file-000.parquet",),
+        ),
+        ("lerobot v3.0", _uncolumn("meta/episodes/chunk-000/file-000.parquet", "length"), ("meta/", "length")),
+        ("lerobot v3.0", _uncolumn("data/chunk-000/file-000.parquet", WRIST), ("file-000.parquet", WRIST)),
+        ("lerobot v3.0", _truncated("data/chunk-000/file-000.parquet"), ("data/chunk-000/file-000.parquet",)),
+        ("lerobot v3.0", lambda folder: shutil.rmtree(folder / "videos"), ("no video", "file-000.mp4")),
         ("zarr", _unended, ("episode_ends",)),
         ("zarr", _falling, ("episode_ends", "does not rise")),
         ("zarr", _short, ("action has 3 of the rows 4 to 9",)),
