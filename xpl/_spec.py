@@ -1,4 +1,4 @@
-"""Constants of the standard, generated from version v1.2 of spec/ by `xpl spec compile`. Do not edit.
+"""Constants of the standard, generated from version v1 of spec/ by `xpl spec compile`. Do not edit.
 
 A key name is reached as an attribute (`Obs.ENV_IDX`), so that a misspelt name fails where it is written.
 """
@@ -229,7 +229,7 @@ class Method:
     RESET_ENVS = "reset_envs"
 
 
-SPEC_VERSION: str = 'v1.2'
+SPEC_VERSION: str = 'v1'
 DATA_FORMAT_VERSION: str = 'v1.0'
 WIRE_VERSION: int = 1
 ARM_PREFIXES: dict[int, tuple[str, ...]] = {1: ('',), 2: ('left_', 'right_')}

@@ -1,7 +1,7 @@
 """Action steps and chunks: pack to a flat vector, unpack, check.
 
 A flat vector is [arm0, ee0] or [left arm, left ee, right arm, right ee]; the arm part is joint angles (rad) for joint
-control and a pose [x, y, z, qw, qx, qy, qz] for end-effector control. Source: spec/<version>/action.schema.json.
+control and a pose [x, y, z, qw, qx, qy, qz] for end-effector control. Source: spec/v1/action.schema.json.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def decode_rows(raw: Any, embodiment: Embodiment, action_type: str) -> list[dict
 def within_limits(steps: list[dict[str, np.ndarray]], embodiment: Embodiment) -> list[dict[str, np.ndarray]]:
     """Return action steps with joint commands clipped to the limits of the embodiment, where these are known.
 
-    Limits bind from v1.1 of the standard on (XPL-ACT-9), and a regressed value may be a little outside.
+    Limits bind (XPL-ACT-9), and a regressed value may be a little outside.
     """
     bounds = {
         arm.prefix + spec.State.ARM_JOINT_STATE: (arm.lower, arm.upper)

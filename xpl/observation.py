@@ -1,7 +1,7 @@
 """Reading observations: state vector, images, instruction, environment index.
 
 Every reader raises one clear error if a field is missing or malformed, and none substitutes a default.
-Source: spec/<version>/observation.schema.json.
+Source: spec/v1/observation.schema.json.
 """
 
 from __future__ import annotations

@@ -85,11 +85,10 @@ def _written(package: Path, given: Counter[str]) -> int:
 def _scaffold(package: Path) -> Iterable[str]:
     """Return the files that the scaffold of a package wrote; none if it was not scaffolded."""
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.scaffold import adapter, lock
+    from xpl_cli.scaffold import lock
 
     try:
-        kept = lock.read(package)
-        files = adapter.render(adapter.recorded(kept), kept.template) if kept else {}
+        files = lock.read_rendered(package)
     except UserError:
         files = {}
     return [content.decode() for name, content in files.items() if Path(name).suffix in SUFFIXES]

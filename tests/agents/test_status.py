@@ -24,7 +24,7 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.errors import ExitCode, NotFoundError
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.main import app
-from xpl_cli.scaffold import adapter, environment, undo
+from xpl_cli.scaffold import adapter, environment
 from xpl_cli.scaffold.answers import Answers
 from xpl_cli.standard import answers, spec
 
@@ -278,23 +278,6 @@ def test_environment_and_checkpoint_are_asked_for_as_declared(foo: Path, tmp_pat
     assert not (tmp_path / "checkpoints").exists()
 
 
-def test_an_update_that_was_cut_off_comes_first(foo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed after the first file."""
-    change = undo.Change("README.md", (foo / "README.md").read_bytes(), b"new")
-
-    def killed(*_: object) -> None:
-        raise SystemExit(1)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(undo, "_put", killed)
-        patch.setattr(undo, "recover", lambda _folder: False)
-        with pytest.raises(SystemExit):
-            undo.apply(foo, [change], "an update")
-    package = _one("Foo")
-    assert (package["verdict"], package["stage"]) == ("red", "update")
-    assert package["next"][0] == "xpl update policy/Foo"
-
-
 # -- recorded evaluations ----------------------------------------------------------------------------------------------
 
 
@@ -371,7 +354,7 @@ def test_people_read_a_line_for_each_step(foo: Path) -> None:
     """Then where it stands, then what comes next."""
     assert foo.is_dir()
     lines = _run("status", "Foo").stdout.splitlines()
-    assert lines[0].split() == ["Foo", "policy/Foo", spec.CURRENT]
+    assert lines[0].split() == ["Foo", "policy/Foo"]
     assert lines[-3:] == ["stands  INCOMPLETE at placeholders", "next", "  xpl audit policy/Foo"]
 
 

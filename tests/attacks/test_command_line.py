@@ -76,8 +76,6 @@ USUAL: dict[str, list[str] | None] = {
     "spec validate": ["policy/Foo/policy.yml"],
     "spec check": [],
     "spec compile": None,
-    "spec freeze": None,
-    "spec changelog": ["v1.1"],
     "spec schemas": ["policy/Foo"],
     "sdk build": ["--out", "wheels"],
     "skills list": [],
@@ -111,7 +109,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     adapter.mkdir(parents=True)
     (adapter / "model.py").write_text("import os\n\nos._exit(3)\n", encoding="utf-8")
     (adapter / "deploy.yml").write_text("env_cfg_type: franka_single\n", encoding="utf-8")
-    (adapter / "policy.yml").write_text("spec: v1.1\nname: Foo\n", encoding="utf-8")
+    (adapter / "policy.yml").write_text("spec: v1\nname: Foo\n", encoding="utf-8")
     synthetic(folder / "run", episodes=2)
     synthetic(folder / "other", episodes=2, seed=1)
     files = bundles.made(folder / "bundle")

@@ -59,7 +59,6 @@ def test_a_fresh_scaffold_passes_three_gates_and_is_open(
     rules: list[str], workspace: Path, request: pytest.FixtureRequest
 ) -> None:
     """What `xpl new-policy` writes passes static, offline and MuJoCo; `xpl.audit/1` is what its schema says."""
-    from xpl_cli.standard import spec
     from xpl_cli.standard.validate import validate
 
     report = _green(workspace, *rules) if rules else request.getfixturevalue("green")
@@ -68,7 +67,7 @@ def test_a_fresh_scaffold_passes_three_gates_and_is_open(
     assert target["statement"].startswith("OPEN 11 places to fill in (README.md:3 and 10 more)")
     assert [(gate["name"], gate["outcome"]) for gate in target["gates"]] == [(name, "pass") for name in Gate]
     assert report["summary"]["fail"] == report["summary"]["error"] == report["summary"]["not_run"] == 0
-    assert validate(report, "audit", spec.NEWEST) == []
+    assert validate(report, "audit") == []
 
 
 def test_a_broken_copy_is_caught_with_place_and_advice(workspace: Path) -> None:

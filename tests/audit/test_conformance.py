@@ -95,7 +95,7 @@ def test_codes_have_no_gaps_and_tell_the_folder() -> None:
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.slug)
 def test_a_rule_is_documented_and_proves_a_requirement(rule: Rule) -> None:
     """Its requirement exists, and its docstring has every heading with text below."""
-    assert spec.requirement(rule.requirement).id == rule.requirement
+    assert spec.requirements()[rule.requirement].id == rule.requirement
     title, *sections = rule.documentation.split("\n## ")
     assert title.strip().endswith(".")
     assert [section.partition("\n")[0] for section in sections] == list(HEADINGS)

@@ -84,7 +84,7 @@ COMMANDS = _commands()
 
 def _is_harmless(words: list[str]) -> bool:
     """Tell whether a command only tells something, and soon."""
-    reads = (["rules"], ["explain"], ["spec", "show"], ["spec", "changelog"], ["spec", "check"], ["env", "list"])
+    reads = (["rules"], ["explain"], ["spec", "show"], ["spec", "check"], ["env", "list"])
     return "--help" in words or any(words[: len(start)] == start for start in reads)
 
 
@@ -180,18 +180,14 @@ def test_python_compiles_and_imports_what_there_is(block: pages.Block) -> None:
 
 @pytest.mark.parametrize("block", _of("yaml"), ids=str)
 def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
-    """Every key of a manifest has a value that its schema takes, whichever manifest it is.
-
-    A mark above the block names the version that it belongs to, if that is another than the current one.
-    """
-    version = block.mark if block.mark in spec.versions() else spec.CURRENT
+    """Every key of a manifest has a value that its schema takes, whichever manifest it is."""
     part = yaml.load(block.text, yaml.BaseLoader)  # noqa: S506 - texts only; `on` stays a word
     if any(set(part) <= keys for keys in FOREIGN):
         return
     for key, value in unknown.known(yaml.safe_load(block.text)).items():
-        owners = [name for name in (*MANIFESTS, "embodiment") if key in spec.schema(name, version)["properties"]]
+        owners = [name for name in (*MANIFESTS, "embodiment") if key in spec.schema(name)["properties"]]
         assert owners, f"{key} is no key of a manifest"
-        assert [] in [validate(value, f"{name}#/properties/{key}", version) for name in owners]
+        assert [] in [validate(value, f"{name}#/properties/{key}") for name in owners]
 
 
 @pytest.mark.parametrize("block", _of("json"), ids=str)
@@ -307,12 +303,11 @@ def test_the_page_of_commands_has_every_command_and_option() -> None:
 
 
 def test_the_pages_of_rules_have_every_rule() -> None:
-    """Once in the index with its severity in each version, and once with its documentation."""
+    """Once in the index with its severity, and once with its documentation."""
     written = rules.pages()
     index = written.pop("README.md")
     for rule in registry.rules():
         (entry,) = (page for page in written.values() if f"\n## {rule.code} {rule.slug}\n" in page)
         assert rule.requirement in entry
         (row,) = re.findall(rf"^\| \[{rule.code}\].*", index, re.MULTILINE)
-        levels = [rule.severity_in(version) if rule.is_in(version) else "-" for version in spec.published()]
-        assert [cell.strip() for cell in row.split(" | ")[1 : 1 + len(levels)]] == levels
+        assert row.split(" | ")[1].strip() == rule.severity

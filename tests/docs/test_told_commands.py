@@ -20,7 +20,7 @@ TEXTS = [
 ]
 """What people and agents read beside the documentation, whose pages have tests of their own."""
 
-HARMLESS = ("--version", "doctor", "rules", "explain", "spec show", "spec changelog", "env list", "skills get")
+HARMLESS = ("--version", "doctor", "rules", "explain", "spec show", "env list", "skills get")
 """Commands that change nothing, need no adapter and are quick; `doctor` is tried by its own tests."""
 
 VALUES = {"RULE": "XPL203", "ROBOT": "franka_single", "ENVIRONMENT": "mujoco", "SKILL": "xpl-audit-policy"}

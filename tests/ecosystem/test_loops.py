@@ -24,7 +24,7 @@ from xpl_cli.standard import spec
 CHUNK = 4
 FUNCTIONS = tuple(spec.data("package")["loop"]["functions"])
 OURS = ROOT / "policy" / "demo_policy" / "deploy.py"
-THEIRS = spec.newest_path(room("templates") / "loop", spec.CURRENT, "deploy.py")
+THEIRS = room("templates") / "loop" / "deploy.py"
 PUBLIC = checkout()
 
 

@@ -451,7 +451,7 @@ def test_an_environment_renders_what_the_policy_declares(
     """Images of the declared size; where one environment cannot show all, the handshake names the one that is wrong."""
     adapter = write_adapter(SEES)
     manifest = {
-        "spec": "v1.1",
+        "spec": "v1",
         "inputs": {"required": ["vision.cam_head", "state.arm_joint_state"], "optional": [], "unused": []},
         "cameras": {"cam_head": {"width": 128, "height": 96, "exact": True}},
     }

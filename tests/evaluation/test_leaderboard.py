@@ -114,7 +114,7 @@ def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> No
         ({"episodes": 10}, "Seeds of lift_cube (clean) and 3 more"),
         ({"tasks": ["lift_cube"]}, "Tasks that the other lacks: stack_cubes (clean), stack_cubes (randomized) in "),
         ({"settings": ["clean"]}, "Tasks that the other lacks: lift_cube (randomized), "),
-        ({"spec": "v1"}, "Standard that the environment declares: v1.1 in "),
+        ({"spec": "v2"}, "Standard that the environment declares: v1 in "),
         ({"played": 50}, "Episodes still to come: none in "),
     ],
 )
@@ -161,7 +161,7 @@ def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
 
 def test_a_difference_that_common_episodes_do_not_mend_is_refused_still(tmp_path: Path) -> None:
     """Another standard is another standard, whatever was played."""
-    runs = _run(tmp_path, "One"), _run(tmp_path, "Other", spec="v1")
+    runs = _run(tmp_path, "One"), _run(tmp_path, "Other", spec="v2")
     with pytest.raises(field.UnlikeError, match="Standard that the environment declares"):
         _rank(*runs, common=True)
 

@@ -54,7 +54,7 @@ def adapter(folder: Path, *checkpoints: dict[str, Any], **deploy: Any) -> Path:
     place = folder / "Subject"
     place.mkdir(exist_ok=True)
     (place / "deploy.yml").write_text(json.dumps({"env_cfg_type": "arx_x5", **deploy}), encoding="utf-8")
-    (place / "policy.yml").write_text(json.dumps({"spec": "v1.1", "checkpoints": list(checkpoints)}), encoding="utf-8")
+    (place / "policy.yml").write_text(json.dumps({"spec": "v1", "checkpoints": list(checkpoints)}), encoding="utf-8")
     return place
 
 

@@ -119,7 +119,7 @@ def fetch(
     place = folder / "Subject"
     place.mkdir(exist_ok=True)
     specified = {"name": "demo", "source": "hf://owner/model", "revision": COMMIT, "license": "MIT", **entry}
-    (place / "policy.yml").write_text(json.dumps({"spec": "v1.1", "checkpoints": [specified]}))
+    (place / "policy.yml").write_text(json.dumps({"spec": "v1", "checkpoints": [specified]}))
     environment = {**os.environ, "HF_ENDPOINT": hub, "HF_HOME": str(folder / "home"), "HF_HUB_DISABLE_XET": "1"}
     return forked.run("checkpoint", command, "Subject", *options, cwd=folder, env=environment)
 

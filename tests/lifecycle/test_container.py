@@ -39,7 +39,7 @@ def adapter(folder: Path, environment: dict[str, Any], **manifest: Any) -> packa
     place = folder / "My_Policy"
     place.mkdir()
     (place / "deploy.yml").write_text("env_cfg_type: arx_x5\n")
-    (place / "policy.yml").write_text(json.dumps({"spec": "v1.1", "environment": environment, **manifest}))
+    (place / "policy.yml").write_text(json.dumps({"spec": "v1", "environment": environment, **manifest}))
     return package.load(place)
 
 

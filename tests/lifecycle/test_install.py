@@ -92,7 +92,7 @@ def subject(folder: Path, text: str | None = None, **environment: Any) -> Path:
     if text is not None:
         environment = {"lock": "requirements.lock.txt", **environment}
         (place_ / str(environment["lock"])).write_text(text, encoding="utf-8")
-    manifest = {"spec": "v1.1", "environment": environment}
+    manifest = {"spec": "v1", "environment": environment}
     (place_ / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
     return place_
 

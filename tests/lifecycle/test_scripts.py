@@ -197,12 +197,12 @@ def test_a_policy_for_evaluation_only_is_not_trained(tmp_path: Path) -> None:
     folder = tmp_path / "Foo"
     folder.mkdir()
     (folder / "train.py").write_text(TELLS)
-    (folder / "policy.yml").write_text("spec: v1.1\nevaluation_only: true\n")
+    (folder / "policy.yml").write_text("spec: v1\nevaluation_only: true\n")
     for name in ("train", "prepare"):
         done = xpl(name, "Foo", cwd=tmp_path)
         assert (done.returncode, "for evaluation only" in done.stderr) == (ExitCode.USAGE, True)
     assert not (folder / "told.json").exists()
-    (folder / "policy.yml").write_text("spec: v1.1\nevaluation_only: false\n")
+    (folder / "policy.yml").write_text("spec: v1\nevaluation_only: false\n")
     missing = xpl("prepare", "Foo", cwd=tmp_path)
     assert (missing.returncode, "has no process_data.py" in missing.stderr) == (ExitCode.NOT_FOUND, True)
 
@@ -230,7 +230,7 @@ def test_the_manifests_of_the_page_are_valid(tmp_path: Path) -> None:
     for example in blocks("yaml", PAGE):
         part = yaml.safe_load(example)
         (key,) = part
-        assert validate(part[key], f"policy#/properties/{key}", "v1.1") == []
+        assert validate(part[key], f"policy#/properties/{key}") == []
         if key == "checkpoints":
             assert list(declared(package.Package(tmp_path, {}, Manifest.parse(part)))) == ["base", "small"]
 

@@ -50,7 +50,7 @@ def state(folder: Path) -> dict[str, tuple[bytes, int]]:
 def test_everything_that_the_files_state_is_declared(adapter: Path) -> None:
     """Each value is the adapter's own; robot and control come from the documented call of its scripts."""
     found = read(adapter)
-    assert found["spec"] == spec.CURRENT
+    assert found["spec"] == spec.VERSION
     assert found["name"] == "Grasp"
     assert found["embodiments"] == ["arx_x5"]
     assert found["action_types"] == ["joint"]
@@ -169,7 +169,7 @@ def test_a_manifest_that_is_there_is_not_replaced(adapter: Path) -> None:
 def test_merge_appends_what_is_missing_and_keeps_every_byte(adapter: Path) -> None:
     """Comments, order and values of the author's stay; a second time there is nothing to add."""
     mine = (
-        f"# mine\nspec: {spec.CURRENT}\nname: Grasp\nfamily: diffusion # I know better\n"
+        f"# mine\nspec: {spec.VERSION}\nname: Grasp\nfamily: diffusion # I know better\n"
         "temporal: {kind: chunk, chunk: 3}"
     )
     (adapter / "policy.yml").write_text(mine)

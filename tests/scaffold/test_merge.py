@@ -121,17 +121,16 @@ def test_line_ends_stay_the_authors() -> None:
 
 @pytest.fixture(scope="module")
 def renders() -> list[adapter.Files]:
-    """Return what the templates of both versions make of the same answers."""
-    templates = ("policy/v1", adapter.POLICY_TEMPLATE)
-    return [
-        adapter.render(Answers(**{"name": "Foo", **adapter.defaults(template)}), template) for template in templates
-    ]
+    """Return what the template makes of answers that differ."""
+    defaults = {"name": "Foo", **adapter.defaults()}
+    others = {"block": False, "chunk": 1, "embodiment": "franka_single", "history": 2}
+    return [adapter.render(Answers(**{**defaults, **changes})) for changes in ({}, others)]
 
 
 @given(data=st.data())
 @settings(max_examples=examples(60))
 def test_random_edits_of_a_real_adapter_survive_its_update(renders: list[adapter.Files], data: st.DataObject) -> None:
-    """Of each file that both templates have: lines that its author added are in the result."""
+    """Of each file that both renders have: lines that its author added are in the result."""
     old, new = renders
     name = data.draw(st.sampled_from(sorted({*old} & {*new})))
     lines = old[name].splitlines(keepends=True)

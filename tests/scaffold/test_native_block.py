@@ -1,4 +1,4 @@
-"""Scaffolds of v1.2: a native block, load and predict; code where that is wished; a reference to compare with."""
+"""Scaffolds: a native block, load and predict; code where that is wished; a reference to compare with."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics import content
-from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import adapter as scaffold
-from xpl_cli.scaffold import undo, update
-from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate_yaml_file
 
 if TYPE_CHECKING:
@@ -27,7 +24,6 @@ if TYPE_CHECKING:
 
     from xpl_cli.scaffold.answers import Answers
 
-NEW, OLD = "policy/v1.2", "policy/v1.1"
 VARIANTS: dict[str, dict[str, Any]] = {
     "block": {},
     "block, cameras and history": {"cameras": ("cam_head:32x24", "cam_left_wrist"), "history": 3},
@@ -46,14 +42,14 @@ TOLD = {"placeholders", "native-sources"}
 """Rules that a fresh scaffold does not satisfy, on purpose: its author has not filled it in yet."""
 
 
-def _answers(template: str = NEW, **chosen: Any) -> Answers:
-    answers = scaffold.answers_of(**{"name": "Foo", **scaffold.defaults(template), **chosen})
-    scaffold.check(answers, template)
+def _answers(**chosen: Any) -> Answers:
+    answers = scaffold.answers_of(**{"name": "Foo", **scaffold.defaults(), **chosen})
+    scaffold.check(answers)
     return answers
 
 
-def _written(folder: Path, template: str = NEW, **chosen: Any) -> Path:
-    scaffold.write(scaffold.render(_answers(template, **chosen), template), folder)
+def _written(folder: Path, **chosen: Any) -> Path:
+    scaffold.write(scaffold.render(_answers(**chosen)), folder)
     return folder
 
 
@@ -67,7 +63,7 @@ def _model(folder: Path) -> Any:
 def test_a_scaffold_is_valid_and_has_no_static_finding(variant: str, tmp_path: Path) -> None:
     """But the open places, and the conventions that are assumed."""
     folder = _written(tmp_path / "Foo", **VARIANTS[variant])
-    assert validate_yaml_file(folder / "policy.yml", "policy", None) == []
+    assert validate_yaml_file(folder / "policy.yml", "policy") == []
     (gate,) = engine.audit(folder, "policy", Options(gates=(Gate.STATIC,))).gates
     found = {result.slug: result for result in gate.results if result.findings or result.outcome == "error"}
     has_reference = VARIANTS[variant].get("native_reference", False)
@@ -121,24 +117,6 @@ def test_an_adapter_with_a_block_writes_load_and_predict_alone(tmp_path: Path) -
         assert methods == ["load", "predict"]
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("kind", ["minimal", "torch", "lerobot", "remote"])
-def test_an_update_keeps_conversions_where_they_are(kind: str, tmp_path: Path) -> None:
-    """In code: the manifest is its author's, and gets no block by which the code would have to change."""
-    folder = _written(tmp_path / "Foo", OLD, kind=kind)
-    manifest = folder / "policy.yml"
-    manifest.write_text(manifest.read_text().replace('summary: ""', "summary: Mine"))
-    before = (folder / "model.py").read_bytes()
-    plan = update.plan(folder, "v1.2")
-    assert not plan.conflicts
-    undo.apply(folder, plan.changes, "a test")
-    assert (folder / "model.py").read_bytes() == before
-    told = yaml.safe_load(manifest.read_text())
-    assert (told["spec"], told.get("native"), told["summary"]) == ("v1.2", None, "Mine")
-    assert validate_yaml_file(manifest, "policy", None) == []
-    assert update.plan(folder, "v1.2").steps == ()
-
-
 def test_all_options_that_do_not_fit_are_told_at_once(tmp_path: Path) -> None:
     """With what would do for each; nothing is written."""
     wrong = ["--chunk", "0", "--history", "0", "--action-type", "joints", "--cameras", "cam_haed", "--python", "three"]
@@ -154,10 +132,3 @@ def test_all_options_that_do_not_fit_are_told_at_once(tmp_path: Path) -> None:
     ):
         assert told in done.stderr
     assert "did you mean torch?" in done.stderr
-
-
-def test_what_an_older_standard_does_not_ask_is_refused() -> None:
-    """With a version that asks it."""
-    with pytest.raises(UserError, match="--native-reference needs a newer standard than") as caught:
-        _answers(OLD, native_reference=True)
-    assert caught.value.hint == ("leave --spec out" if spec.is_frozen("v1.2") else "--spec v1.2")

@@ -201,7 +201,7 @@ def test_the_same_answers_give_the_same_bytes(package: Path) -> None:
     """A render can be made again from the recorded answers alone."""
     recorded = lock.read(package)
     assert recorded is not None
-    assert recorded.template == environment.ENV_TEMPLATE
+    assert recorded.template == "env"
     kept = {name: content for name, content in _tree(package).items() if "__pycache__" not in name}
     assert environment.render_env(environment.recorded_env(recorded)) == kept
 
@@ -211,7 +211,9 @@ def test_placeholders_are_counted_with_their_place(package: Path) -> None:
     marker = data("package")["placeholder"]
     files = environment.render_env(_answers())
     places = adapter.placeholders(files)
-    assert len(places) == sum(content.decode().count(marker) for content in files.values()) > 5
+    assert (
+        len(places) == sum(content.decode().count(marker) for name, content in files.items() if name[:4] != ".xpl") > 5
+    )
     for place in places:
         assert marker in (package / place.file).read_text().splitlines()[place.line - 1]
 

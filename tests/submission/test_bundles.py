@@ -16,7 +16,6 @@ from xpl_cli.audit.rules.model import TargetReport
 from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.evaluation.records import records
-from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive, bundle, claims, consistency, prepare, replay
 from xpl_cli.submission.replay import Match, Pair, Verdict
@@ -183,7 +182,7 @@ class TestClaims:
         policy = prepare.described(run)
         audit = judged(TargetReport("policy/Foo", "Foo", "policy")).as_json()
         manifest = bundle.manifest(policy, [claims.claim(run)], audit, {"audit.json": b"{}"})
-        assert validate(manifest, "submission", spec.NEWEST) == []
+        assert validate(manifest, "submission") == []
         assert sum(cell["played"] for cell in manifest["runs"][0]["cells"]) == len(run.finals)
         assert str(tmp_path) not in bundle.document(manifest).decode()
 

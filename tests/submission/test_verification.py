@@ -23,7 +23,6 @@ from xpl_cli.evaluation.runs import evaluate
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import package
-from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive, bundle, prepare, replay, verify
 from xpl_cli.submission.replaying import Player
@@ -89,7 +88,7 @@ def _records(change: Callable[[list[Line]], Any]) -> Callable[[Path], None]:
 def _problems(path: Path) -> dict[str, tuple[str, ...]]:
     """Return what is wrong with a bundle by what was looked at, but for the audit that these tests leave out."""
     report = verify.verify(verify.Request(path, sample=0))
-    assert validate(report.as_json(), "verification", spec.NEWEST) == []
+    assert validate(report.as_json(), "verification") == []
     found = {check.name: check.problems for check in report.checks if check.problems}
     if found.get("audit") == (UNAUDITED,):
         del found["audit"]
@@ -409,7 +408,7 @@ def test_from_evaluation_to_verification(run: Run, tmp_path: Path) -> None:
     code, made = _xpl("submit", "--check", str(EXPERT), str(run.folder), "--out", str(path))
     assert (code, made["problems"], made["path"]) == (0, [], str(path))
     code, told = _xpl("verify", str(path), "--sample", "2")
-    assert validate(told, "verification", spec.NEWEST) == []
+    assert validate(told, "verification") == []
     assert (
         told["audit"]["statement"]
         == made["audit"]["statement"]

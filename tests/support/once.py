@@ -62,7 +62,7 @@ def _compiled_once(compile_text: Any) -> Any:
 
 def _rendered_once(render: Any) -> Any:
     kept: dict[Any, template.Files] = {}
-    usual = (template.room, template.repairs, template.spec.lineage)
+    usual = (template.room, template.place)
     places = (template.room("templates"), template.room("spec"))
 
     @functools.wraps(render)
@@ -70,15 +70,14 @@ def _rendered_once(render: Any) -> Any:
         name: str,
         context: Mapping[str, Any],
         leave_out: Sequence[str] = (),
-        kind: str | None = None,
-        repaired: int | None = None,
+        variant: str | None = None,
     ) -> template.Files:
-        now = (template.room, template.repairs, template.spec.lineage)
+        now = (template.room, template.place)
         if now != usual or (template.room("templates"), template.room("spec")) != places:
-            return render(name, context, leave_out, kind, repaired)  # type: ignore[no-any-return]  # by other templates
-        key = (name, repr(sorted(context.items())), tuple(leave_out), kind, repaired)
+            return render(name, context, leave_out, variant)  # type: ignore[no-any-return]  # by other templates
+        key = (name, repr(sorted(context.items())), tuple(leave_out), variant)
         if key not in kept:
-            kept[key] = render(name, context, leave_out, kind, repaired)
+            kept[key] = render(name, context, leave_out, variant)
         return dict(kept[key])
 
     return rendered

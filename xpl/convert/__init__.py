@@ -4,7 +4,7 @@
     inputs = interface.batch([interface.encode(obs)])          # the model's names and numbers
     steps = interface.decode(answer, obs)                      # the standard's action steps
 
-Every word of the block is defined in spec/<version>/native.schema.json, with its formula and its source.
+Every word of the block is defined in spec/v1/native.schema.json, with its formula and its source.
 """
 
 from __future__ import annotations

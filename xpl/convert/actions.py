@@ -1,6 +1,6 @@
 """What a model answers as the standard's action steps, and back.
 
-Source: spec/<version>/native.schema.json, `action`. An answer loses its padding, is denormalised, and cut into parts;
+Source: spec/v1/native.schema.json, `action`. An answer loses its padding, is denormalised, and cut into parts;
 each part is counted from what its reference says; parts of one arm make joint angles or a pose.
 """
 

@@ -1,6 +1,6 @@
 """Images of the standard as a model's image input, and back.
 
-Source: spec/<version>/native.schema.json, `images`. Geometry first, on RGB; then colours, numbers, axes.
+Source: spec/v1/native.schema.json, `images`. Geometry first, on RGB; then colours, numbers, axes.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Normalisation: a vector's numbers as the model gets them, and back.
 
-Source: spec/<version>/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file.
+Source: spec/v1/native.schema.json#/$defs/normalize. The numbers come from the manifest or from a file.
 """
 
 from __future__ import annotations

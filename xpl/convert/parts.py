@@ -1,6 +1,6 @@
 """Parts of a model's vectors: what one arm, gripper, position or rotation is in the model's numbers, and back.
 
-Source: spec/<version>/native.schema.json#/$defs/part. A part reads its numbers out of a state, and writes those of a
+Source: spec/v1/native.schema.json#/$defs/part. A part reads its numbers out of a state, and writes those of a
 command into the fields of an arm; a position and a rotation of one arm make its pose together.
 """
 

@@ -1,6 +1,6 @@
 """Rotations in the forms that models write them, and the standard's unit quaternions ``[w, x, y, z]``.
 
-Source: spec/<version>/native.schema.json#/$defs/rotation; the tests hold every form against scipy's Rotation.
+Source: spec/v1/native.schema.json#/$defs/rotation; the tests hold every form against scipy's Rotation.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 An array is a map with bin keys `{b"nd": True, b"type": dtype.str, b"kind": b"", b"shape": [...], b"data": bytes}` in C
 order; numpy scalars have `b"nd": False`. Text keys are accepted when reading. Nothing is ever unpickled; object and
-date types are refused both ways. Decoded arrays are read-only. Source: spec/<version>/wire.yml.
+date types are refused both ways. Decoded arrays are read-only. Source: spec/v1/wire.yml.
 """
 
 from __future__ import annotations

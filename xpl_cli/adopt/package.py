@@ -154,7 +154,7 @@ def _sections(
         _put(sections, fact.key, likely(fact.value, *fact.evidence))
     for key, meaning in _required():
         _put(sections, key, Open(meaning))
-    sections[_VERSION] = spec.CURRENT if known.NATIVE not in sections else known.VERSION
+    sections[_VERSION] = spec.VERSION
     schema = spec.schema(_SCHEMA)["properties"]
     return {key: _ordered(sections[key], schema[key]) for key in schema if key in sections}, notes
 

@@ -62,11 +62,11 @@ def _folders() -> dict[str, str]:
     }
 
 
-def compile_source(version: str = spec.CURRENT) -> str:
-    """Return the source text of `xpl/_spec.py` for one spec version."""
-    conventions, wire, package = (spec.data(name, version) for name in ("conventions", "wire", "package"))
-    common = spec.schema("common", version)["$defs"]
-    observation, deploy = spec.schema("observation", version), spec.schema("deploy", version)
+def compile_source() -> str:
+    """Return the source text of `xpl/_spec.py`."""
+    conventions, wire, package = (spec.data(name) for name in ("conventions", "wire", "package"))
+    common = spec.schema("common")["$defs"]
+    observation, deploy = spec.schema("observation"), spec.schema("deploy")
     camera = observation["$defs"]["camera"]["properties"]
     state = observation["$defs"]["state"]["properties"]
     mobile = observation["$defs"]["mobile"]["properties"]
@@ -74,7 +74,7 @@ def compile_source(version: str = spec.CURRENT) -> str:
     paired = tuple(prefix for prefix in prefixes[2] if prefix)
     leaves = [name for name in state if not name.startswith(paired)]
     additional = observation["properties"]["additional_info"]["properties"]
-    trajectory = spec.schema("trajectory", version)
+    trajectory = spec.schema("trajectory")
     series = trajectory["$defs"]["series"]["properties"]
     stored = {**series, **series["mobile"]["properties"]}
     pictures = trajectory["properties"]["vision"]["additionalProperties"]["properties"]
@@ -86,11 +86,9 @@ def compile_source(version: str = spec.CURRENT) -> str:
         "Trajectory": [*trajectory["properties"], *pictures],
         "Deploy": list(deploy["properties"]),
         "File": [*package["files"]["required"], *package["files"]["training"], package["files"]["manifest"]],
-        "Frame": list(spec.schema("frame", version)["properties"]),
+        "Frame": list(spec.schema("frame")["properties"]),
         "Message": [*wire["answers"], *filter(None, wire["answers"].values()), wire["error_answer"]],
-        "Payload": sorted(
-            {key for entry in spec.schema("payload", version)["$defs"].values() for key in entry["properties"]}
-        ),
+        "Payload": sorted({key for entry in spec.schema("payload")["$defs"].values() for key in entry["properties"]}),
         "ErrorCode": list(wire["error_codes"]),
         "ErrorReason": list(wire["error_reasons"]),
         "Capability": list(wire["capabilities"]),
@@ -103,7 +101,7 @@ def compile_source(version: str = spec.CURRENT) -> str:
         ],
     }
     values: dict[str, Any] = {
-        "SPEC_VERSION": version,
+        "SPEC_VERSION": spec.VERSION,
         "DATA_FORMAT_VERSION": conventions["data_format_version"],
         "WIRE_VERSION": wire["wire_version"],
         "ARM_PREFIXES": prefixes,
@@ -143,11 +141,11 @@ def compile_source(version: str = spec.CURRENT) -> str:
         "LIMITS": dict(wire["limits"]),
         "SHARED_MEMORY": dict(wire["shared_memory"]),
         "CLOSE_CODES": dict(wire["close_codes"]),
-        "EMBODIMENTS": spec.embodiments(version),
+        "EMBODIMENTS": spec.embodiments(),
         "ROBOTS": robots.along(),
         "ROBOT_ALIASES": robots.words(),
     }
-    parts = [_HEADER.format(version=version)]
+    parts = [_HEADER.format(version=spec.VERSION)]
     parts += [_class(name, keys) for name, keys in classes.items()]
     parts.append("\n".join(_assignment(name, value) for name, value in values.items()) + "\n")
     return "\n\n".join(parts)

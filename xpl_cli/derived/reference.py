@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from xpl_cli.standard import robots, spec
@@ -20,82 +20,47 @@ NOTE = "<!-- Written by `xpl spec compile`. Do not edit. -->\n"
 _UNKNOWN = "not known"
 
 
-def pages(version: str = spec.CURRENT) -> dict[str, str]:
-    """Return every page of a version, file name to text."""
+def pages() -> dict[str, str]:
+    """Return every page, file name to text."""
     written = {
-        "README": _index(version),
-        "changelog": changelog(),
-        "embodiments": _embodiments(version),
-        "requirements": _requirements(version),
-        **{name: _part(name, version) for name in PARTS if name != "requirements"},
-        **{name: _schema(name, version) for name in spec.schema_names(version)},
+        "README": _index(),
+        "embodiments": _embodiments(),
+        "requirements": _requirements(),
+        **{name: _part(name) for name in PARTS if name != "requirements"},
+        **{name: _schema(name) for name in spec.schema_names()},
     }
     return {f"{name}.md": f"{NOTE}\n{text.strip()}\n" for name, text in sorted(written.items())}
 
 
-def changelog(versions: Sequence[str] | None = None) -> str:
-    """Return what versions changed and what that asks of an adapter, the newest first; all versions by default."""
-    lines = ["# What each version changed", "", "`xpl update` brings an adapter to a newer version."]
-    for version in sorted(versions or spec.versions(), key=spec.order, reverse=True):
-        about = spec.about(version)
-        frozen = "" if spec.is_frozen(version) else ", still being written"
-        lines += ["", f"## {version}{frozen}", ""]
-        if not about:
-            lines.append("The first version.")
-            continue
-        lines += [f"{about['date']}, after {about['extends']}. {about['summary']}"]
-        for change in about["changes"]:
-            lines += ["", *_change(change, version)]
-    return "\n".join(lines)
-
-
-def _change(change: Mapping[str, Any], version: str) -> Iterator[str]:
-    yield f"### {change['title']}"
-    yield ""
-    proven = spec.requirements(version)
-    names = ", ".join(f"{name} ({proven[name].level})" for name in change["requirements"])
-    keys = ", ".join(f"`{key}` in policy.yml" for key in change["keys"])
-    for heading, text in (
-        ("Why", change["why"]),
-        ("What an adapter must do", change["adapters"]),
-        ("What `xpl update` does", f"It {change['update']}."),
-        ("Requirements", names and f"{names}."),
-        ("New keys", keys and f"{keys}."),
-    ):
-        if text:
-            yield f"- **{heading}**: {text}"
-
-
-def _index(version: str) -> str:
+def _index() -> str:
     manifests = ("policy", "deploy", "env")
-    others = [name for name in spec.schema_names(version) if name not in manifests]
+    others = [name for name in spec.schema_names() if name not in manifests]
     groups = {
         "Manifests": manifests,
         "Rules of behaviour": ("requirements", *(name for name in PARTS if name != "requirements"), "embodiments"),
         "Documents and messages": others,
-        "History": ("changelog",),
     }
-    lines = [f"# Reference of the standard, {version}"]
+    lines = [f"# Reference of the standard, {spec.VERSION}"]
     for heading, names in groups.items():
-        lines += ["", f"## {heading}", "", *(f"- [{_title(name, version)}]({name}.md)" for name in names)]
+        lines += ["", f"## {heading}", "", *(f"- [{_title(name)}]({name}.md)" for name in names)]
     return "\n".join(lines)
 
 
-def _title(name: str, version: str) -> str:
-    if name in spec.schema_names(version):
-        return str(spec.schema(name, version)["title"])
+def _title(name: str) -> str:
+    if name in spec.schema_names():
+        return str(spec.schema(name)["title"])
     return f"{name.capitalize()}: {PARTS[name]}" if name in PARTS else name.capitalize()
 
 
-def _part(name: str, version: str) -> str:
-    text = spec.text(f"{name}.yml", version)
+def _part(name: str) -> str:
+    text = spec.text(f"{name}.yml")
     return f"# {name.capitalize()}\n\n{PARTS[name].capitalize()}.\n\n```yaml\n{text.rstrip()}\n```"
 
 
-def _schema(name: str, version: str) -> str:
-    schema = spec.schema(name, version)
+def _schema(name: str) -> str:
+    schema = spec.schema(name)
     lines = [f"# {schema['title']}", "", str(schema.get("description", ""))]
-    for section in sections(schema, version):
+    for section in sections(schema):
         lines += ["", *([f"## {section.name}", ""] if section.name else []), *_keys(section)]
         lines += ["", OPEN_MEANS] if any(row.kind.endswith(OPEN) for row in section.rows) else []
     for choice in choices(schema):
@@ -121,7 +86,7 @@ def _keys(section: Section) -> Iterator[str]:
     yield from table(("key", "required", "value", "meaning"), rows)
 
 
-def _requirements(version: str) -> str:
+def _requirements() -> str:
     """Write every requirement with the rules that prove it."""
     from xpl_cli.audit.rules.registry import own
 
@@ -129,9 +94,9 @@ def _requirements(version: str) -> str:
     for rule in (entry.load() for entry in own()):
         proofs.setdefault(rule.requirement, []).append(rule)
     areas: dict[str, list[tuple[str, ...]]] = {}
-    for entry in spec.requirements(version).values():
+    for entry in spec.requirements().values():
         told = ", ".join(f"{rule.code} {rule.slug}" for rule in proofs.get(entry.id, ()))
-        row = (entry.id, entry.level, _since(entry.id, version), entry.text, entry.source, told)
+        row = (entry.id, entry.level, entry.text, entry.source, told)
         areas.setdefault(entry.id.split("-")[1], []).append(row)
     lines = [
         "# Requirements",
@@ -140,16 +105,8 @@ def _requirements(version: str) -> str:
         "fault found in the field, or a decision of this standard (xpl). `xpl explain RULE` tells more.",
     ]
     for area, rows in areas.items():
-        lines += ["", f"## {area}", "", *table(("id", "level", "since", "requirement", "source", "rules"), rows)]
+        lines += ["", f"## {area}", "", *table(("id", "level", "requirement", "source", "rules"), rows)]
     return "\n".join(lines)
-
-
-def _since(name: str, version: str) -> str:
-    """Return the version from which on a requirement is as it is now."""
-    lineage = spec.lineage(version)
-    now = spec.requirements(version)[name]
-    same = [one for one in lineage if spec.requirements(one).get(name) == now]
-    return same[0]
 
 
 _ROBOTS = """\
@@ -157,8 +114,8 @@ Robots of the standard, and those that come along with `xpl` (`spec/robots`). A 
 form, in `embodiments/NAME.yml` ([robots](../robots.md)). `xpl spec show` lists all of them, with where each is from."""
 
 
-def _embodiments(version: str) -> str:
-    known = {**spec.embodiments(version), **robots.along()}
+def _embodiments() -> str:
+    known = {**spec.embodiments(), **robots.along()}
     words: dict[str, list[str]] = {}
     for word, name in robots.words().items():
         words.setdefault(name, []).append(word)
@@ -169,7 +126,7 @@ def _embodiments(version: str) -> str:
             f"{len(entry['arms'])} x {entry['arm']['dof']}",
             f"{entry['end_effector']['kind']}, {entry['end_effector']['dim']}",
             _UNKNOWN if entry["arm"]["joints"] is None else "known",
-            "the standard" if name in spec.embodiments(version) else "`xpl`",
+            "the standard" if name in spec.embodiments() else "`xpl`",
             entry.get("description", ""),
         )
         for name, entry in known.items()

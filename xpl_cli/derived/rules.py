@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.demonstrations.catalogue import CHECKS
@@ -34,8 +34,7 @@ _DATA: Final = (
 
 _INTRODUCTION = """\
 What `xpl audit` checks. Severity comes from the requirement that a rule proves: a MUST that does not hold fails, a
-SHOULD warns, and a dash stands where that version of the standard does not ask for it. `xpl explain CODE` prints an
-entry.
+SHOULD warns. `xpl explain CODE` prints an entry.
 """
 _RETIRED: Final = "Their codes and names are not used again. A waiver that names one may be deleted."
 
@@ -62,10 +61,10 @@ def _index(found: dict[str, list[Rule]]) -> str:
     for digit, members in found.items():
         name, title, _ = _PAGES[digit]
         rows = [
-            (f"[{rule.code}]({name}.md#{rule.code.lower()}-{rule.slug}) {rule.slug}", *_severities(rule), rule.summary)
+            (f"[{rule.code}]({name}.md#{rule.code.lower()}-{rule.slug}) {rule.slug}", rule.severity, rule.summary)
             for rule in members
         ]
-        lines += [f"## {title}", "", *table(("rule", *spec.published(), "finds"), rows), ""]
+        lines += [f"## {title}", "", *table(("rule", "severity", "finds"), rows), ""]
     name, title, introduction = _DATA
     told = [
         (f"[{check.code}]({name}.md#{check.code.lower()}-{check.slug}) {check.slug}", check.severity, check.summary)
@@ -84,16 +83,11 @@ def _index(found: dict[str, list[Rule]]) -> str:
     return "\n".join(lines)
 
 
-def _severities(rule: Rule) -> Sequence[str]:
-    return [rule.severity_in(version) if rule.is_in(version) else "-" for version in spec.published()]
-
-
 def _entry(rule: Rule) -> Iterator[str]:
     """Yield the lines of one rule: what it proves, then its documentation with headings that are no anchors."""
-    requirement = spec.requirement(rule.requirement)
+    requirement = spec.requirements()[rule.requirement]
     proves = f"proves [{requirement.id}](../reference/requirements.md)"
-    levels = ", ".join(f"{version} {told}" for version, told in zip(spec.published(), _severities(rule), strict=True))
-    yield from _described(rule, f"*{rule.gate.value} gate; {levels}; {proves}:* {prose(requirement.text)}")
+    yield from _described(rule, f"*{rule.gate.value} gate; {rule.severity}; {proves}:* {prose(requirement.text)}")
 
 
 def _described(rule: Rule | type[Check], what: str) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Names and limits of native code and its pairs, as the standard says them (spec/<version>/package.yml)."""
+"""Names and limits of native code and its pairs, as the standard says them (spec/v1/package.yml)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Final
 
 from xpl_cli.standard import spec
 
-_PACKAGE: Final = spec.data("package", spec.NEWEST)
+_PACKAGE: Final = spec.data("package")
 
 CODE: Final[str] = _PACKAGE["files"]["native"]
 """The file that answers as the authors' own code does."""

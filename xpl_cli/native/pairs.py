@@ -1,6 +1,6 @@
 """native_pairs.json: what a model answers through its authors' own code, written, read, and walked through.
 
-The file is spec/<version>/pairs.schema.json. It holds recipes of observations (`script`) and answers, no code and no
+The file is spec/v1/pairs.schema.json. It holds recipes of observations (`script`) and answers, no code and no
 pictures; equal recordings are equal bytes.
 """
 
@@ -173,7 +173,7 @@ def write(package: Path, pairs: Pairs) -> int:
         UserError: if it would be larger than the standard allows.
     """
     document = {
-        "schema": spec.schema(_SCHEMA, spec.NEWEST)["title"],
+        "schema": spec.schema(_SCHEMA)["title"],
         "provenance": dict(pairs.provenance),
         "script": pairs.script,
         "sessions": [_written(session) for session in pairs.sessions],
@@ -204,7 +204,7 @@ def read(package: Path) -> Pairs:
         raise PairsError(f"{path} cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:
         raise PairsError(f"{path} is no JSON: {error}", hint=again) from None
-    for problem in validate(document, _SCHEMA, spec.NEWEST):
+    for problem in validate(document, _SCHEMA):
         raise PairsError(f"{path}: {problem}", hint=again)
     if document["script"] != script.VERSION:
         told = f"it was recorded by version {document['script']} of the script, and this is version {script.VERSION}"

@@ -136,7 +136,7 @@ class Reading:
 @cache
 def vocabulary() -> Mapping[str, str]:
     """Return the conventions that there are, with their meanings."""
-    words = spec.schema("native", spec.NEWEST)["$defs"]["convention"]["oneOf"]
+    words = spec.schema("native")["$defs"]["convention"]["oneOf"]
     return {word["const"]: word["description"] for word in words}
 
 

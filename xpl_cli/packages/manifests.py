@@ -49,7 +49,7 @@ class ManifestError(UserError):
         }
 
 
-def read(path: Path, schema: str, version: str | None = None) -> dict[str, Any]:
+def read(path: Path, schema: str) -> dict[str, Any]:
     """Return the map in a manifest, in which everything that is there is right; an empty map if there is no such file.
 
     Keys may be missing: whoever runs a package has values for them, and the audit holds its author to all.
@@ -57,7 +57,6 @@ def read(path: Path, schema: str, version: str | None = None) -> dict[str, Any]:
     Args:
         path: the file.
         schema: name of its schema.
-        version: spec version; the one that the document declares by default.
 
     Raises:
         ManifestError: with every problem that the document has.
@@ -69,7 +68,7 @@ def read(path: Path, schema: str, version: str | None = None) -> dict[str, Any]:
     if content is None:
         return {}
     shown = _shown(path)
-    data, problems = validate_yaml(content, str(shown), schema, version)
+    data, problems = validate_yaml(content, str(shown), schema)
     wrong = [problem for problem in problems if problem.missing is None]
     if wrong:
         raise ManifestError(shown, schema, wrong)

@@ -118,7 +118,7 @@ def load(path: Path | str) -> Package:
     """
     folder = find_policy(path)
     manifest = Manifest.parse(manifests.read(folder / sdk.File.POLICY_YML, POLICY))
-    deploy = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY, spec.declared(manifest.data))
+    deploy = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY)
     return Package(path=folder, deploy=deploy, manifest=manifest)
 
 

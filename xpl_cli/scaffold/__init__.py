@@ -1,1 +1,1 @@
-"""New packages from templates, and old ones brought to a newer version with their author's work kept."""
+"""New packages from templates, and older ones brought to today's templates with their author's work kept."""

@@ -1,7 +1,7 @@
-"""Renders a package from a template of the standard and puts it in place in one step.
+"""Renders a package from a template and puts it in place in one step.
 
-A template is frozen per spec version and gets everything it says from that version of the spec. A render is a plain map
-from file names to contents: what `xpl new-policy` writes is what an update merges later.
+A template gets everything it says from the spec. A render is a plain map from file names to contents: what `xpl
+new-policy` writes is what an update merges later.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from xpl import _spec as sdk
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError, one_of
+from xpl_cli.packages.package import POLICY
 from xpl_cli.scaffold import context, kinds, lock
 from xpl_cli.scaffold import template as templates
 from xpl_cli.scaffold.answers import Answers
@@ -29,10 +30,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.scaffold.template import Files
 
-POLICY_TEMPLATE = f"policy/{spec.CURRENT}"
-"""Template of new adapters: kind of package and spec version."""
-
-_NATIVE = spec.data("package", spec.NEWEST)["files"]["native"]
+_NATIVE = spec.data("package")["files"]["native"]
 """The file that is written only where it was asked for."""
 
 State = Literal["written", "unchanged", "replaced"]
@@ -50,44 +48,32 @@ class Placeholder:
     text: str
 
 
-def policy_template(version: str | None) -> str:
-    """Return the template of adapters of a version, of the newest by default.
-
-    Raises:
-        UserError: if there is none.
-    """
-    template = POLICY_TEMPLATE if version is None else f"{templates.parts(POLICY_TEMPLATE)[0]}/{version}"
-    if not templates.exists(template):
-        one_of("--spec", str(version), spec.versions())
-    return template
-
-
-def defaults(template: str = POLICY_TEMPLATE) -> dict[str, Any]:
+def defaults() -> dict[str, Any]:
     """Return the default answers: those of the spec, and the template's own where the spec leaves the choice open."""
-    questions, version = templates.questions(template), templates.parts(template)[1]
-    temporal = spec.schema("policy", version)["properties"]["temporal"]["properties"]
-    settings = spec.schema("deploy", version)["properties"] | temporal
+    questions = templates.questions(POLICY)
+    temporal = spec.schema("policy")["properties"]["temporal"]["properties"]
+    settings = spec.schema("deploy")["properties"] | temporal
     of_spec = {key: settings[key]["default"] for key in questions if "default" in settings.get(key, ())}
     return of_spec | {key: entry["default"] for key, entry in questions.items() if "default" in entry}
 
 
-def choices(version: str = spec.CURRENT) -> dict[str, list[str]]:
+def choices() -> dict[str, list[str]]:
     """Return the answers that the spec allows, for the questions where it lists them."""
     return {
-        "embodiment": list(robots.known(version)),
-        sdk.Deploy.ACTION_TYPE: list(spec.data("conventions", version)["action"]["types"]),
-        "family": list(spec.schema("policy", version)["properties"]["family"]["enum"]),
+        "embodiment": list(robots.known()),
+        sdk.Deploy.ACTION_TYPE: list(spec.data("conventions")["action"]["types"]),
+        "family": list(spec.schema("policy")["properties"]["family"]["enum"]),
     }
 
 
-def check(answers: Answers, template: str = POLICY_TEMPLATE) -> None:
+def check(answers: Answers) -> None:
     """Check all answers.
 
     Raises:
         UserError: with every answer that is not allowed, and the nearest ones that are.
     """
     found: list[UserError] = []
-    for refuse in _checks(answers, template):
+    for refuse in _checks(answers):
         try:
             refuse()
         except UserError as error:
@@ -99,17 +85,15 @@ def check(answers: Answers, template: str = POLICY_TEMPLATE) -> None:
         raise found[0]
 
 
-def _checks(answers: Answers, template: str) -> Iterator[Callable[[], None]]:
+def _checks(answers: Answers) -> Iterator[Callable[[], None]]:
     """Yield a check for each thing that may be wrong with answers."""
     yield partial(check_name, answers.name)
-    for question in _not_asked(answers, template):
-        yield partial(_refuse_newer, question, template)
     for question, allowed in choices().items():
         yield partial(check_choice, _option(question), getattr(answers, question), allowed)
-    yield partial(kinds.check_kind, answers.kind, template)
-    if answers.kind in kinds.kinds(template):
+    yield partial(kinds.check_kind, answers.kind)
+    if answers.kind in kinds.kinds():
         for question in _chosen(answers):
-            yield partial(kinds.check_fits, answers.kind, template, question)
+            yield partial(kinds.check_fits, answers.kind, question)
     for question in ("chunk", "history"):
         yield partial(_check_count, question, getattr(answers, question))
     yield partial(kinds.check_ensembling, answers.ensembling, answers.chunk)
@@ -167,45 +151,28 @@ def suggest_name(name: str) -> str:
     return f"{words}_policy" if keyword.iskeyword(words) or words in _SHADOWED else words
 
 
-def render(answers: Answers, template: str = POLICY_TEMPLATE, repaired: int | None = None) -> Files:
-    """Render a template; the same answers and template always give the same bytes.
-
-    Args:
-        answers: what the author chose.
-        template: its name.
-        repaired: number of the last repair that takes part; None for all that there are.
+def render(answers: Answers) -> Files:
+    """Render the template of adapters; the same answers always give the same bytes.
 
     Returns:
         file name, relative to the package, to content; sorted.
     """
-    version = templates.parts(template)[1]
-    training = spec.data("package", version)["files"]["training"]
-    said = context.context(answers, template, _asked(answers, template))
+    training = spec.data("package")["files"]["training"]
+    said = context.context(answers)
     leave_out = [*(training if said["evaluation_only"] else ()), *([] if answers.native_reference else [_NATIVE])]
-    files = templates.render(template, said, leave_out, answers.kind, repaired)
-    return locked(files, template, _asked(answers, template), repaired)
+    files = templates.render(POLICY, said, leave_out, answers.kind)
+    return locked(files, POLICY, asdict(answers))
 
 
-def locked(files: Files, template: str, answers: Mapping[str, Any], repaired: int | None = None) -> Files:
-    """Return a render with the schemas for editors and the lock, where its template has them."""
+def locked(files: Files, template: str, answers: Mapping[str, Any]) -> Files:
+    """Return a render with what xpl keeps in the package: schemas for editors, the lock, and the render itself."""
     roles = templates.roles(template)
-    if not roles:
-        return files
-    version = templates.parts(template)[1]
-    for_editors = {schemas.path(name): schemas.render(name, version) for name in roles["schemas"]}
-    generated = {*roles["generated"], *for_editors}
-    files = {**files, **for_editors}
-    digests = {name: lock.digest(content) for name, content in files.items()}
-    kept = lock.Lock(
-        template,
-        answers,
-        {name: value for name, value in digests.items() if name in generated},
-        {name: value for name, value in digests.items() if name not in generated},
-        repairs=max(
-            (one.number for one in templates.repairs(template) if repaired is None or one.number <= repaired), default=0
-        ),
-    )
-    return dict(sorted({**files, lock.PATH: kept.text().encode()}.items()))
+    for_editors = {schemas.path(name): schemas.render(name) for name in roles["schemas"]}
+    whole = {**files, **for_editors}
+    generated = [name for name in whole if name in roles["generated"] or name in for_editors]
+    kept = lock.Lock(template, answers, {name: lock.digest(whole[name]) for name in generated})
+    whole |= {lock.PATH: kept.text().encode(), lock.RENDERED: lock.rendered_text(files)}
+    return dict(sorted(whole.items()))
 
 
 def answers_of(**given: Any) -> Answers:
@@ -214,14 +181,14 @@ def answers_of(**given: Any) -> Answers:
 
 
 def recorded(kept: lock.Lock) -> Answers:
-    """Return the answers of a package that was scaffolded; what its template did not ask has the default.
+    """Return the answers of a package that was scaffolded; what its template did not ask then has the default.
 
     Raises:
         UserError: if they are not answers.
     """
     with reading_answers("a package"):
-        answers = answers_of(**given(kept, Answers, defaults(kept.template)))
-        check(answers, kept.template)
+        answers = answers_of(**given(kept, Answers, defaults()))
+        check(answers)
     return answers
 
 
@@ -244,9 +211,9 @@ def reading_answers(kind: str) -> Iterator[None]:
         raise UserError(f"the recorded answers are not those of {kind}: {error}") from None
 
 
-def needs_environment(answers: Answers, template: str = POLICY_TEMPLATE) -> bool:
+def needs_environment(answers: Answers) -> bool:
     """Tell whether the package runs in a Python of its own."""
-    return bool(kinds.kinds(template)[answers.kind].python(answers.python)["manager"] != kinds.TOOLS_OWN)
+    return bool(kinds.kinds()[answers.kind].python(answers.python)["manager"] != kinds.TOOLS_OWN)
 
 
 def placeholders(files: Mapping[str, bytes]) -> list[Placeholder]:
@@ -255,6 +222,7 @@ def placeholders(files: Mapping[str, bytes]) -> list[Placeholder]:
     return [
         Placeholder(name, number, found.group(1).rstrip(" |"))
         for name, content in files.items()
+        if not name.startswith(f"{schemas.FOLDER}/")
         for number, line in enumerate(content.decode().splitlines(), start=1)
         if (found := marker.search(line))
     ]
@@ -318,32 +286,10 @@ def _is_file_with(path: Path, content: bytes) -> bool:
     return path.is_file() and path.read_bytes() == content
 
 
-def _asked(answers: Answers, template: str) -> dict[str, Any]:
-    """Return the answers to what a template asks."""
-    questions = templates.questions(template)
-    return {question: answer for question, answer in asdict(answers).items() if question in questions}
-
-
 _OPTIONAL = {field.name: field.default for field in fields(Answers) if field.default is not MISSING}
-"""What not every template asks, with what it is where it is not asked."""
+"""What an author may leave out, with what it is then."""
 
 
 def _chosen(answers: Answers) -> list[str]:
-    """Return the questions that not every template asks, and that were answered with something of their own."""
+    """Return the questions that may be left out, and that were answered with something of their own."""
     return [name for name, default in _OPTIONAL.items() if getattr(answers, name) != default]
-
-
-def _not_asked(answers: Answers, template: str) -> list[str]:
-    """Return the questions that were answered, and that the template does not ask."""
-    questions = templates.questions(template)
-    return [question for question in _chosen(answers) if question not in questions]
-
-
-def _refuse_newer(question: str, template: str) -> None:
-    kind, version = templates.parts(template)
-    asking = [one for one in spec.versions() if question in templates.questions(f"{kind}/{one}")]
-    current = spec.CURRENT in asking
-    raise UserError(
-        f"{_option(question)} needs a newer standard than {version}",
-        hint="leave --spec out" if current else f"--spec {asking[0]}" if asking else None,
-    )

@@ -20,9 +20,9 @@ def images(answers: Answers) -> list[dict[str, Any]]:
     return [{"input": name, "cameras": [name], "channels": "rgb", "layout": "hwc", "dtype": "uint8"} for name in names]
 
 
-def parts(answers: Answers, version: str) -> list[dict[str, Any]]:
+def parts(answers: Answers) -> list[dict[str, Any]]:
     """Return the parts of the standard's vector of an action, in the order of `xpl.action.pack`."""
-    robot = robots.known(version)[answers.embodiment]
+    robot = robots.known()[answers.embodiment]
     found: list[dict[str, Any]] = []
     for arm in robot["arms"]:
         if answers.action_type == sdk.ACTION_TYPES[0]:
@@ -34,9 +34,9 @@ def parts(answers: Answers, version: str) -> list[dict[str, Any]]:
     return found
 
 
-def keys(answers: Answers, version: str) -> list[str]:
+def keys(answers: Answers) -> list[str]:
     """Return the keys of an action step, in the order of `xpl.action.pack`."""
-    conventions = spec.data("conventions", version)
-    count = len(robots.known(version)[answers.embodiment]["arms"])
+    conventions = spec.data("conventions")
+    count = len(robots.known()[answers.embodiment]["arms"])
     names = conventions["action"]["types"][answers.action_type]
     return [f"{prefix}{name}" for prefix in conventions["arms"]["prefixes"][count] for name in names]

@@ -1,4 +1,4 @@
-"""What a template of adapters may say: the author's answers, and the facts of the version of the spec."""
+"""What the template of adapters may say: the author's answers, and the facts of the spec."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from xpl import _spec as sdk
 from xpl.manifest import Manifest
 from xpl_cli.packages.conventions import applying
 from xpl_cli.scaffold import block, kinds
-from xpl_cli.scaffold import template as templates
 from xpl_cli.scaffold.template import as_yaml
 from xpl_cli.standard import robots, spec
 
@@ -23,46 +22,38 @@ if TYPE_CHECKING:
 _GRIPPER = "parallel_gripper"
 
 
-def context(answers: Answers, template: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all that a template may say: the author's answers, and the facts of the spec.
-
-    Args:
-        answers: all answers.
-        template: its name, which ends in its spec version.
-        asked: those of the answers that the template asked for.
-    """
-    version = templates.parts(template)[1]
-    conventions, package = spec.data("conventions", version), spec.data("package", version)
-    manifest = spec.schema("policy", version)["properties"]
-    settings = _settings(version)
-    kind = kinds.kinds(template)[answers.kind]
+def context(answers: Answers) -> dict[str, Any]:
+    """Return all that the template may say: the author's answers, and the facts of the spec."""
+    conventions, package = spec.data("conventions"), spec.data("package")
+    manifest = spec.schema("policy")["properties"]
+    settings = _settings()
+    kind = kinds.kinds()[answers.kind]
     environment = kind.python(answers.python)
-    inputs = kinds.inputs(kind, answers.cameras, answers.embodiment, answers.action_type, version)
-    native = _native(answers, version) if answers.block and kind.block else None
+    inputs = kinds.inputs(kind, answers.cameras, answers.embodiment, answers.action_type)
+    native = _native(answers) if answers.block and kind.block else None
     scripts = {name: _arguments(names, settings) for name, names in package["scripts"].items()}
     return {
         **asdict(answers),
-        "answers_yaml": as_yaml({"spec": version, "template": template, **asked}),
         "yaml_name": as_yaml(answers.name),
-        "spec_version": version,
+        "spec_version": spec.VERSION,
         "placeholder": package["placeholder"],
         "model_class": package["model_class"],
         "eval_loop": package["loop"],
         "eval_env_type": package["eval_env_type"],
         "checkpoint_directory": conventions["checkpoint"]["directory"],
         "deploy": {key: entry.get("default") for key, entry in settings.items()},
-        "deploy_entries": _deploy_entries(answers, version, kind),
+        "deploy_entries": _deploy_entries(answers, kind),
         "evaluation_only": answers.eval_only or kind.evaluation_only,
         "camera_entries": [asdict(kinds.camera(text)) for text in answers.cameras],
         "families": manifest["family"]["enum"],
         "temporal_kinds": manifest["temporal"]["properties"]["kind"]["enum"],
         "managers": manifest["environment"]["properties"]["manager"]["enum"],
         "inputs": inputs,
-        "has_gripper": _has_gripper(answers, version),
+        "has_gripper": _has_gripper(answers),
         "native": native and {name: list(map(_flow, entries)) for name, entries in native.items()},
-        "conventions": _conventions(answers, version, inputs, native) if answers.native_reference else {},
-        "action_keys": ", ".join(map(json.dumps, block.keys(answers, version))),
-        "gripper_commands": _gripper_commands(version),
+        "conventions": _conventions(answers, inputs, native) if answers.native_reference else {},
+        "action_keys": ", ".join(map(json.dumps, block.keys(answers))),
+        "gripper_commands": _gripper_commands(),
         "environment": environment,
         "environment_as_json": {key: json.dumps(value, ensure_ascii=False) for key, value in environment.items()},
         "scripts": scripts,
@@ -70,30 +61,28 @@ def context(answers: Answers, template: str, asked: Mapping[str, Any]) -> dict[s
     }
 
 
-def _native(answers: Answers, version: str) -> dict[str, list[Any]]:
+def _native(answers: Answers) -> dict[str, list[Any]]:
     """Return the images and the parts of the native block."""
-    return {"images": block.images(answers), "parts": block.parts(answers, version)}
+    return {"images": block.images(answers), "parts": block.parts(answers)}
 
 
-def _conventions(
-    answers: Answers, version: str, inputs: Mapping[str, Any], native: Mapping[str, Any] | None
-) -> dict[str, str]:
+def _conventions(answers: Answers, inputs: Mapping[str, Any], native: Mapping[str, Any] | None) -> dict[str, str]:
     """Return the conventions that native.py has to name, with what each is about."""
     manifest: dict[str, Any] = {
         "inputs": inputs,
         "action_types": [answers.action_type],
-        "gripper": _has_gripper(answers, version),
+        "gripper": {"command": _gripper_commands()[0]} if _has_gripper(answers) else None,
         "temporal": {"history": answers.history},
     }
     if native is not None:
         vector, history = {"parts": native["parts"]}, {"length": answers.history}
         manifest["native"] = {"images": native["images"], "state": [vector], "history": history, "action": vector}
-    words = spec.schema("native", version)["$defs"]["convention"]["oneOf"]
+    words = spec.schema("native")["$defs"]["convention"]["oneOf"]
     return {word["const"]: word["description"] for word in words if word["const"] in applying(Manifest.parse(manifest))}
 
 
-def _has_gripper(answers: Answers, version: str) -> bool:
-    return bool(robots.known(version)[answers.embodiment]["end_effector"]["kind"] == _GRIPPER)
+def _has_gripper(answers: Answers) -> bool:
+    return bool(robots.known()[answers.embodiment]["end_effector"]["kind"] == _GRIPPER)
 
 
 def _flow(value: Any) -> str:
@@ -104,8 +93,8 @@ def _flow(value: Any) -> str:
     return text.strip()
 
 
-def _settings(version: str) -> dict[str, Any]:
-    properties: dict[str, Any] = spec.schema("deploy", version)["properties"]
+def _settings() -> dict[str, Any]:
+    properties: dict[str, Any] = spec.schema("deploy")["properties"]
     return properties
 
 
@@ -127,16 +116,16 @@ def _takes_text(entry: Mapping[str, Any]) -> bool:
     return "string" in ([types] if isinstance(types, str) else types)
 
 
-def _deploy_entries(answers: Answers, version: str, kind: kinds.Kind) -> list[dict[str, str]]:
+def _deploy_entries(answers: Answers, kind: kinds.Kind) -> list[dict[str, str]]:
     """Return the lines of deploy.yml: required keys, those that find a checkpoint, and those of the kind."""
-    settings = _settings(version)
+    settings = _settings()
     chosen = {
         sdk.Deploy.POLICY_NAME: answers.name,
         sdk.Deploy.ENV_CFG_TYPE: answers.embodiment,
         sdk.Deploy.ACTION_TYPE: answers.action_type,
     }
-    wanted = [key for key in settings if key in spec.schema("deploy", version)["required"]]
-    wanted += [key for key in spec.data("conventions", version)["checkpoint"]["run_name"] if key not in wanted]
+    wanted = [key for key in settings if key in spec.schema("deploy")["required"]]
+    wanted += [key for key in spec.data("conventions")["checkpoint"]["run_name"] if key not in wanted]
     told = {
         key: {"value": chosen.get(key, settings[key].get("default")), "description": settings[key]["description"]}
         for key in wanted
@@ -147,7 +136,6 @@ def _deploy_entries(answers: Answers, version: str, kind: kinds.Kind) -> list[di
     ]
 
 
-def _gripper_commands(version: str) -> list[str]:
-    """Return what a gripper's command may mean; nothing where the version does not ask."""
-    declared = spec.schema("policy", version)["$defs"].get("gripper")
-    return [] if declared is None else list(declared["properties"]["command"]["enum"])
+def _gripper_commands() -> list[str]:
+    """Return what a gripper's command may mean."""
+    return list(spec.schema("policy")["$defs"]["gripper"]["properties"]["command"]["enum"])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl.robots import has_frames
 from xpl_cli.basics.errors import UserError
+from xpl_cli.packages.package import ENV
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold import template as templates
 from xpl_cli.standard import robots, spec
@@ -15,9 +16,6 @@ from xpl_cli.standard import robots, spec
 if TYPE_CHECKING:
     from xpl_cli.scaffold.lock import Lock
     from xpl_cli.scaffold.template import Files
-
-ENV_TEMPLATE = f"env/{spec.CURRENT}"
-"""Template of new environments: kind of package and spec version."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +33,9 @@ class EnvAnswers:
     task: str
 
 
-def env_defaults(template: str = ENV_TEMPLATE) -> dict[str, Any]:
+def env_defaults() -> dict[str, Any]:
     """Return the template's default answers."""
-    return {key: entry["default"] for key, entry in templates.questions(template).items() if "default" in entry}
+    return {key: entry["default"] for key, entry in templates.questions(ENV).items() if "default" in entry}
 
 
 def movable() -> list[str]:
@@ -73,42 +71,34 @@ def check_env(answers: EnvAnswers) -> None:
     adapter.check_choice("--embodiment", answers.embodiment, movable())
 
 
-def render_env(answers: EnvAnswers, template: str = ENV_TEMPLATE, repaired: int | None = None) -> Files:
-    """Render the template; the same answers always give the same bytes.
-
-    Args:
-        answers: what the author chose.
-        template: its name.
-        repaired: number of the last repair that takes part; None for all that there are.
+def render_env(answers: EnvAnswers) -> Files:
+    """Render the template of environments; the same answers always give the same bytes.
 
     Returns:
         file name, relative to the package, to content; sorted.
     """
-    version = templates.parts(template)[1]
-    conventions = spec.data("conventions", version)
-    arms = len(robots.known(version)[answers.embodiment]["arms"])
+    conventions = spec.data("conventions")
+    arms = len(robots.known()[answers.embodiment]["arms"])
     context = {
         **asdict(answers),
-        "answers_yaml": templates.as_yaml({"spec": version, "template": template, **asdict(answers)}),
         "yaml_name": templates.as_yaml(answers.name),
-        "spec_version": version,
-        "placeholder": spec.data("package", version)["placeholder"],
+        "spec_version": spec.VERSION,
+        "placeholder": spec.data("package")["placeholder"],
         "action_types": list(conventions["action"]["types"]),
         "camera": conventions["cameras"]["by_arms"][arms][0],
         "class_name": class_name(answers.task),
     }
-    files = templates.render(template, context, repaired=repaired)
-    return adapter.locked(files, template, asdict(answers), repaired)
+    return adapter.locked(templates.render(ENV, context), ENV, asdict(answers))
 
 
 def recorded_env(kept: Lock) -> EnvAnswers:
-    """Return the answers of an environment that was scaffolded; what its template did not ask has the default.
+    """Return the answers of an environment that was scaffolded; what its template did not ask then has the default.
 
     Raises:
         UserError: if they are not answers.
     """
     with adapter.reading_answers("an environment"):
-        answers = EnvAnswers(**adapter.given(kept, EnvAnswers, env_defaults(kept.template)))
+        answers = EnvAnswers(**adapter.given(kept, EnvAnswers, env_defaults()))
         check_env(answers)
     return answers
 

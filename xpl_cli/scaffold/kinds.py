@@ -1,6 +1,6 @@
 """Kinds of adapters: what one is built on, which options fit it, and which Python it needs.
 
-A kind is data of a template: an entry of `kinds.yml`, and a folder with the files in which it differs from the others.
+A kind is data of the template: an entry of `kinds.yml`, and a folder with the files in which it differs from others.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 DEFAULT = "minimal"
-"""The kind of packages whose template does not ask."""
+"""The kind that is usual."""
 
 TOOLS_OWN = "none"
 """Manager of packages that run in the Python of the tool."""
@@ -81,32 +81,28 @@ class Camera:
     height: int | None = None
 
 
-def kinds(template: str) -> dict[str, Kind]:
-    """Return the kinds that a template offers; a template without any has the one that it renders."""
-    place, _, version = template.rpartition("/")
-    try:
-        path = spec.newest_path(room("templates") / place, version, "kinds.yml")
-    except FileNotFoundError:
-        return {DEFAULT: Kind("")}
+def kinds() -> dict[str, Kind]:
+    """Return the kinds of adapters that there are."""
+    path = room("templates") / "policy" / "kinds.yml"
     return {name: Kind(**told) for name, told in spec.read_yaml(path).items()}
 
 
-def check_kind(kind: str, template: str) -> None:
-    """Check that a template has a kind.
+def check_kind(kind: str) -> None:
+    """Check that there is such a kind.
 
     Raises:
         UnknownNameError: with the nearest one.
     """
-    one_of("--kind", kind, kinds(template))
+    one_of("--kind", kind, kinds())
 
 
-def check_fits(kind: str, template: str, option: str) -> None:
-    """Check that an option fits a kind of a template.
+def check_fits(kind: str, option: str) -> None:
+    """Check that an option fits a kind.
 
     Raises:
         UserError: with the reason, and the kinds that take the option.
     """
-    known = kinds(template)
+    known = kinds()
     reason = known[kind].refuses.get(option)
     if reason is not None:
         takes = ", ".join(name for name, other in known.items() if option not in other.refuses)
@@ -127,14 +123,14 @@ def camera(text: str) -> Camera:
     return Camera(found["name"], int(found["width"]), int(found["height"]))
 
 
-def check_cameras(texts: Sequence[str], embodiment: str, version: str = spec.CURRENT) -> None:
+def check_cameras(texts: Sequence[str], embodiment: str) -> None:
     """Check that a robot has these cameras, each named once.
 
     Raises:
         UserError: with the cameras that it has.
     """
-    arms = len(robots.known(version)[embodiment]["arms"])
-    offered = _cameras(version)
+    arms = len(robots.known()[embodiment]["arms"])
+    offered = _cameras()
     known = [*offered["by_arms"][arms], *offered["optional"]]
     names = [camera(text).name for text in texts]
     for name in names:
@@ -160,12 +156,12 @@ def check_ensembling(decay: float | None, chunk: int) -> None:
         raise UserError("--ensembling averages chunks that overlap, and chunks of one step do not", hint="--chunk 16")
 
 
-def inputs(kind: Kind, texts: Sequence[str], embodiment: str, action_type: str, version: str) -> dict[str, list[str]]:
+def inputs(kind: Kind, texts: Sequence[str], embodiment: str, action_type: str) -> dict[str, list[str]]:
     """Return what an adapter reads and ignores before its author has changed it: `required`, `optional`, `unused`."""
-    states = spec.data("conventions", version)["action"]["types"][action_type]
-    arms = len(robots.known(version)[embodiment]["arms"])
+    states = spec.data("conventions")["action"]["types"][action_type]
+    arms = len(robots.known()[embodiment]["arms"])
     read = [f"{sdk.Obs.VISION}.{camera(text).name}" for text in texts]
-    usual = [sdk.Obs.INSTRUCTION, *(f"{sdk.Obs.VISION}.{name}" for name in _cameras(version)["by_arms"][arms])]
+    usual = [sdk.Obs.INSTRUCTION, *(f"{sdk.Obs.VISION}.{name}" for name in _cameras()["by_arms"][arms])]
     return {
         "required": [*(f"{sdk.Obs.STATE}.{key}" for key in states), *read],
         "optional": list(kind.optional),
@@ -186,8 +182,8 @@ def check_python(python: str) -> None:
         )
 
 
-def _cameras(version: str) -> dict[str, Any]:
-    cameras: dict[str, Any] = spec.data("conventions", version)["cameras"]
+def _cameras() -> dict[str, Any]:
+    cameras: dict[str, Any] = spec.data("conventions")["cameras"]
     return cameras
 
 

@@ -1,12 +1,13 @@
-"""The lock of a package: what it was rendered from, and whose its files are.
+"""What a package keeps of how it was made, below `.xpl/`: the lock, and its files as they were rendered.
 
-Generated files stay as they were rendered. Seeded files are the author's, who started from what was rendered: an update
-merges. Free files are the author's alone. Everything that the lock does not name is free.
+Generated files stay as they were rendered. All others are the author's, who started from what was rendered: an update
+merges into them what the template changed since. Free files are the author's alone.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -22,17 +23,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PATH = f"{FOLDER}/lock.yml"
-OLD_PATH = ".xpl-answers.yml"
-"""Where packages of v1 keep their answers; they do not say whose their files are."""
+RENDERED = f"{FOLDER}/rendered.json"
+"""The texts that the template gave, by file: what an author's file is compared with when the template has changed."""
 
 _TEXT = """\
 # Kept by xpl, which updates this package by it. Only `free` is yours to write: a file that is named there is never
 # touched.
 {origin}
-generated: # as rendered; `xpl audit --fix` renders them again
+generated: # as rendered; `xpl audit --fix` brings them back
 {generated}
-seeded: # yours from the first day on; an update merges what the template changes
-{seeded}
 {free}
 """
 
@@ -42,32 +41,23 @@ class Lock:
     """What a package was rendered from.
 
     Attributes:
-        template: name of the template, which ends in its spec version.
+        template: name of the template: the kind of package.
         answers: what its author chose.
-        generated, seeded: file to digest of what was rendered.
+        generated: file to digest of what was rendered.
         free: files that the author took over.
-        repairs: number of the last repair of the template that took part; 0 for none, and where nobody wrote it down.
     """
 
     template: str
     answers: Mapping[str, Any]
     generated: Mapping[str, str] = field(default_factory=dict)
-    seeded: Mapping[str, str] = field(default_factory=dict)
     free: tuple[str, ...] = ()
-    repairs: int = 0
-
-    @property
-    def version(self) -> str:
-        """The spec version of its template."""
-        return self.template.rpartition("/")[2]
 
     def text(self) -> str:
         """Return the file's text."""
-        mended = {"repairs": self.repairs} if self.repairs else {}
         return _TEXT.format(
-            origin=as_yaml({"template": self.template, **mended, "answers": dict(self.answers)}),
-            generated=_listed(self.generated),
-            seeded=_listed(self.seeded),
+            origin=as_yaml({"template": self.template, "answers": dict(self.answers)}),
+            generated="\n".join(f"  {as_yaml(name)}: {kept}" for name, kept in sorted(self.generated.items()))
+            or "  {}",
             free=as_yaml({"free": list(self.free)}),
         )
 
@@ -83,39 +73,58 @@ def read(folder: Path) -> Lock | None:
     Raises:
         UserError: if it is not a lock any more.
     """
-    for name in (PATH, OLD_PATH):
-        if (folder / name).is_file():
-            return parse((folder / name).read_bytes(), f"{folder / name}")
-    return None
+    path = folder / PATH
+    return parse(path.read_bytes(), str(path)) if path.is_file() else None
 
 
 def parse(content: bytes | str, where: str) -> Lock:
-    """Return the lock that a text holds; that of a v1 package lists its answers beside the template.
+    """Return the lock that a text holds.
 
     Raises:
         UserError: if it does not tell template and answers; `where` names it.
     """
     try:
         told = spec.parse_yaml(content)
-        template = told.pop("template")
-        old_answers = {key: value for key, value in told.items() if key not in _KEYS}
-        answers = told.get("answers", old_answers)
-        files = {key: {str(name): str(kept) for name, kept in (told.get(key) or {}).items()} for key in _DIGESTED}
-        free = tuple(map(str, told.get("free") or ()))
-        result = Lock(template, answers, **files, free=free, repairs=int(told.get("repairs") or 0))
+        template, answers = told["template"], told["answers"]
+        generated = {str(name): str(kept) for name, kept in (told.get("generated") or {}).items()}
+        result = Lock(template, answers, generated, tuple(map(str, told.get("free") or ())))
     except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError):
-        raise UserError(
-            f"{where} is not what xpl wrote there, so that nothing can be told of what the package came from",
-            hint="bring it back as it was, for example from version control",
-        ) from None
+        raise _not_ours(where) from None
     if not isinstance(template, str) or not isinstance(answers, Mapping):
         raise UserError(f"{where} does not name the template and the answers of the package")
     return result
 
 
-_DIGESTED = ("generated", "seeded")
-_KEYS = frozenset(("spec", "template", "repairs", "answers", "free", *_DIGESTED))
+def read_rendered(folder: Path) -> dict[str, bytes]:
+    """Return the files of a package as they were rendered.
+
+    Raises:
+        UserError: if nothing tells any more how they were.
+    """
+    path = folder / RENDERED
+    try:
+        return parse_rendered(path.read_bytes())
+    except (OSError, ValueError, AttributeError):
+        raise _not_ours(str(path)) from None
 
 
-def _listed(files: Mapping[str, str]) -> str:
-    return "\n".join(f"  {as_yaml(name)}: {kept}" for name, kept in sorted(files.items())) or "  {}"
+def parse_rendered(content: bytes | str) -> dict[str, bytes]:
+    """Return the files that a text of `rendered.json` holds.
+
+    Raises:
+        ValueError, AttributeError: if it is another document.
+    """
+    return {str(name): text.encode() for name, text in json.loads(content).items()}
+
+
+def rendered_text(files: Mapping[str, bytes]) -> bytes:
+    """Return the text of `rendered.json` for files."""
+    texts = {name: content.decode() for name, content in sorted(files.items())}
+    return f"{json.dumps(texts, indent=2, ensure_ascii=False)}\n".encode()
+
+
+def _not_ours(where: str) -> UserError:
+    return UserError(
+        f"{where} is not what xpl wrote there, so that nothing can be told of what the package came from",
+        hint="bring it back as it was, for example from version control",
+    )

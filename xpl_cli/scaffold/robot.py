@@ -55,7 +55,7 @@ def render_robot(answers: EnvAnswers, driver: str) -> Files:
             "task": answers.task,
             "driver": driver,
             "yaml_name": templates.as_yaml(answers.name),
-            "spec_version": spec.CURRENT,
+            "spec_version": spec.VERSION,
             "placeholder": spec.data("package")["placeholder"],
             "camera": conventions["cameras"]["by_arms"][arms][0],
             "class_name": class_name(answers.task),

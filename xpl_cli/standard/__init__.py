@@ -1,1 +1,1 @@
-"""The standard: read from `spec/`, shown, checked, frozen, and what documents are held against."""
+"""The standard: read from `spec/`, shown, checked, and what documents are held against."""

@@ -62,18 +62,13 @@ def find(name: str) -> Answer:
     raise no_such(f"no command answers {name!r}", name, answers(), listing="xpl answers", kind=UnknownTargetError)
 
 
-def documents() -> frozenset[str]:
-    """Return the names of the standard's schemas that answers follow: the tool writes these by the newest version."""
-    return frozenset(entry[_STANDARD] for entry in _entries().values() if _STANDARD in entry)
-
-
 def schema(name: str) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of an answer, which refers to nothing but the standard's own schemas."""
     entry = _entries()[name]
     if _STANDARD in entry:
         from xpl_cli.standard import spec
 
-        return spec.schema(entry[_STANDARD], spec.NEWEST)
+        return spec.schema(entry[_STANDARD])
     properties = {"schema": {"const": name}, **entry["properties"], "next": _NEXT}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -91,10 +86,9 @@ def problems(document: Mapping[str, Any]) -> list[str]:
     """
     name = find(str(document.get("schema"))).name
     if standard := _entries()[name].get(_STANDARD):
-        from xpl_cli.standard import spec
         from xpl_cli.standard.validate import validate
 
-        return list(map(str, validate(document, standard, spec.NEWEST)))
+        return list(map(str, validate(document, standard)))
     from jsonschema import Draft202012Validator
 
     return [f"{error.json_path}: {error.message}" for error in Draft202012Validator(schema(name)).iter_errors(document)]

@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.standard import freeze, robots, spec
+from xpl_cli.standard import robots, spec
 from xpl_cli.standard.problems import Problem
 from xpl_cli.standard.validate import registry, validate
 from xpl_cli.standard.zoo import check as zoo
@@ -15,43 +15,36 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _REQUIREMENT = re.compile(r"XPL-[A-Z]{2,4}-[1-9][0-9]*")
-_ABOUT = "version.yml"
-_CHANGE = ("title", "requirements", "keys", "why", "adapters", "update")
-_MAY_BE_EMPTY = frozenset(("requirements", "keys"))
 _DATA_FILES = ("conventions", "package", "requirements", "wire")
 
 
 def check_all() -> Iterator[Problem]:
-    """Yield every fault of every version and of the zoo, and every change to a version that is frozen."""
-    for version in spec.versions():
-        for problem in check(version):
-            yield replace(problem, file=f"{version}/{problem.file}")
-        yield from freeze.changes(version)
-    yield from freeze.changes(freeze.REPAIRS)
+    """Yield every fault of the standard, of the robots that come along, and of the zoo."""
+    for problem in check():
+        yield replace(problem, file=f"{spec.VERSION}/{problem.file}")
     yield from robots.check()
     yield from zoo.check()
 
 
-def check(version: str = spec.CURRENT) -> Iterator[Problem]:
-    """Yield every fault of a version of the standard."""
-    for name in spec.schema_names(version):
-        yield from _schema(name, version)
-    yield from _orphans(version)
-    yield from _requirements(version)
-    yield from _embodiments(version)
-    yield from _agreements(version)
-    yield from _history(version)
+def check() -> Iterator[Problem]:
+    """Yield every fault of the standard."""
+    for name in spec.schema_names():
+        yield from _schema(name)
+    yield from _orphans()
+    yield from _requirements()
+    yield from _embodiments()
+    yield from _agreements()
 
 
-def _schema(name: str, version: str) -> Iterator[Problem]:
+def _schema(name: str) -> Iterator[Problem]:
     from jsonschema import Draft202012Validator
 
-    schema, file = spec.schema(name, version), f"{name}.schema.json"
+    schema, file = spec.schema(name), f"{name}.schema.json"
     for error in Draft202012Validator(Draft202012Validator.META_SCHEMA).iter_errors(schema):
         yield Problem(tuple(error.absolute_path), f"not a 2020-12 schema: {error.message}", file=file)
-    if schema.get("$id") != f"xpl:{version}/{name}":
-        yield Problem(("$id",), f"expected xpl:{version}/{name}, got {schema.get('$id')!r}", file=file)
-    resolver = registry(version).resolver(base_uri=schema["$id"])
+    if schema.get("$id") != f"xpl:{spec.VERSION}/{name}":
+        yield Problem(("$id",), f"expected xpl:{spec.VERSION}/{name}, got {schema.get('$id')!r}", file=file)
+    resolver = registry().resolver(base_uri=schema["$id"])
     for path, node in _nodes(schema):
         if "$ref" in node:
             try:
@@ -61,7 +54,7 @@ def _schema(name: str, version: str) -> Iterator[Problem]:
         if "x-array" in node and set(node["x-array"]) != {"shape", "dtype"}:
             yield Problem(path, "x-array takes exactly shape and dtype", file=file)
         if "default" in node and "properties" not in path[-1:]:
-            for problem in validate(node["default"], f"{name}#{_pointer(path)}", version):
+            for problem in validate(node["default"], f"{name}#{_pointer(path)}"):
                 yield Problem(path, f"its default is not valid: {problem.message}", file=file)
 
 
@@ -82,21 +75,21 @@ def _pointer(path: tuple[str | int, ...]) -> str:
     return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in path)
 
 
-def _orphans(version: str) -> Iterator[Problem]:
+def _orphans() -> Iterator[Problem]:
     """Yield what lies in the folder and belongs to no part of the standard, and what is missing there."""
-    folder, extends = spec.folder(version), len(spec.lineage(version)) > 1
+    folder = spec.folder()
     parts = {f"{name}.yml" for name in _DATA_FILES}
-    known = parts | {f"{name}.schema.json" for name in spec.schema_names(version)} | {"embodiments", _ABOUT}
+    known = parts | {f"{name}.schema.json" for name in spec.schema_names()} | {"embodiments"}
     for path in sorted(folder.iterdir()):
         if path.name not in known:
             yield Problem((), "no part of the standard", file=path.name)
-    for name in sorted([_ABOUT] if extends else parts):
+    for name in sorted(parts):
         if not (folder / name).is_file():
             yield Problem((), "missing", file=name)
 
 
-def _requirements(version: str) -> Iterator[Problem]:
-    for key, requirement in spec.requirements(version).items():
+def _requirements() -> Iterator[Problem]:
+    for key, requirement in spec.requirements().items():
         faults = [
             (_REQUIREMENT.fullmatch(key) is None, "an id is XPL-AREA-NUMBER"),
             (requirement.level not in ("MUST", "SHOULD"), f"level must be MUST or SHOULD, got {requirement.level!r}"),
@@ -108,13 +101,13 @@ def _requirements(version: str) -> Iterator[Problem]:
                 yield Problem((key,), message, file="requirements.yml")
 
 
-def _embodiments(version: str) -> Iterator[Problem]:
+def _embodiments() -> Iterator[Problem]:
     taken: dict[str, str] = {}
-    entries = spec.embodiment_entries(version)
+    entries = spec.embodiment_entries()
     for stem, data in entries.items():
         file = f"{stem}.yml"
         dof = {"DOF": data["arm"]["dof"]} if "dof" in data.get("arm", ()) else None
-        problems = validate(data, "embodiment", version, dof)
+        problems = validate(data, "embodiment", dof)
         yield from (replace(problem, file=file) for problem in problems)
         if problems:
             continue
@@ -131,11 +124,11 @@ def _embodiments(version: str) -> Iterator[Problem]:
             taken[name] = file
 
 
-def _agreements(version: str) -> Iterator[Problem]:
+def _agreements() -> Iterator[Problem]:
     """Yield names in the YAML parts that the schemas do not know."""
-    conventions, package = spec.data("conventions", version), spec.data("package", version)
-    state = spec.schema("observation", version)["$defs"]["state"]["properties"]
-    settings = spec.schema("deploy", version)["properties"]
+    conventions, package = spec.data("conventions"), spec.data("package")
+    state = spec.schema("observation")["$defs"]["state"]["properties"]
+    settings = spec.schema("deploy")["properties"]
     for action_type, keys in conventions["action"]["types"].items():
         for key in keys:
             for prefix in (prefix for names in conventions["arms"]["prefixes"].values() for prefix in names):
@@ -149,27 +142,3 @@ def _agreements(version: str) -> Iterator[Problem]:
     for script in package["scripts"]:
         if script not in files:
             yield Problem(("scripts", script), "the script is not among the files of a package", file="package.yml")
-
-
-def _history(version: str) -> Iterator[Problem]:
-    """Yield what a version changes of an older one, or says of it, without telling its readers."""
-    *older, _ = spec.lineage(version)
-    if not older:
-        return
-    parent, about = older[-1], spec.about(version)
-    changes = about.get("changes") or []
-    for index, change in enumerate(changes):
-        for key in _CHANGE:
-            if not change.get(key) and key not in _MAY_BE_EMPTY:
-                yield Problem(("changes", index, key), "missing: a change tells its readers all of it", file=_ABOUT)
-    told = {name for change in changes for name in change.get("requirements", ())}
-    was, now = spec.requirements(parent), spec.requirements(version)
-    different = {name for name, entry in now.items() if was.get(name) != entry}
-    for name in sorted(different - told):
-        yield Problem((name,), f"it differs from {parent}, and no change of {_ABOUT} names it", file="requirements.yml")
-    for name in sorted(told - different):
-        yield Problem(("changes",), f"{name} is as it was in {parent}", file=_ABOUT)
-    manifest = spec.schema("policy", version)
-    required = set(manifest["required"]) - set(spec.schema("policy", parent)["required"])
-    for key in sorted(required - {key for change in changes for key in change.get("keys", ())}):
-        yield Problem(("required",), f"{key} is new, and no change of {_ABOUT} names it", file="policy.schema.json")

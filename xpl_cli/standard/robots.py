@@ -1,7 +1,7 @@
 """Robots beyond the standard: those of `spec/robots/`, and what a file that describes one has to be.
 
-The versions of the standard are frozen, and so are their robots. What comes along later lies in `spec/robots/NAME.yml`,
-in the very form of the standard's own, and `spec/robots/aliases.yml` holds the words of benchmarks. Files of projects
+A robot that is no part of the standard lies in `spec/robots/NAME.yml`, in the very form of the standard's own, and
+`spec/robots/aliases.yml` holds the words of benchmarks. Files of projects
 (`embodiments/NAME.yml`) go through the same reader.
 """
 
@@ -49,9 +49,9 @@ def words() -> dict[str, str]:
     return dict(spec.read_yaml(folder() / _ALIASES))
 
 
-def known(version: str = spec.CURRENT) -> dict[str, Mapping[str, Any]]:
-    """Return every robot that there is: a version's, those that come along, and those of the project."""
-    return {**spec.embodiments(version), **robots.entries()}
+def known() -> dict[str, Mapping[str, Any]]:
+    """Return every robot that there is: the standard's, those that come along, and those of the project."""
+    return {**spec.embodiments(), **robots.entries()}
 
 
 def check() -> Iterator[Problem]:
@@ -88,7 +88,7 @@ def read(
         file: how problems name it; its stem has to be the robot's name.
         others: robots that it may be `like`.
     """
-    told, problems = validate_yaml(content, file, _SCHEMA, spec.CURRENT)
+    told, problems = validate_yaml(content, file, _SCHEMA)
     if not isinstance(told, dict):
         return None, problems
     base = others.get(str(told.get("like"))) if "like" in told else None

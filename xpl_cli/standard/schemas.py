@@ -40,74 +40,56 @@ def modeline(name: str) -> str:
     return f"# yaml-language-server: $schema={path(name)}\n"
 
 
-def render(name: str, version: str) -> bytes:
+def render(name: str) -> bytes:
     """Return a schema of the standard as a file for editors."""
-    return f"{json.dumps(bundle(name, version), indent=2)}\n".encode()
+    return f"{json.dumps(bundle(name), indent=2)}\n".encode()
 
 
-def write(folder: Path, version: str | None = None) -> list[str]:
+def write(folder: Path) -> list[str]:
     """Write the schemas of the manifests that a package has, and return their names.
-
-    Args:
-        folder: the package.
-        version: spec version; the one that the package declares by default.
 
     Raises:
         UserError: if it has no manifest, or the folder cannot be written.
     """
-    manifests = {name: folder / f"{name}.yml" for name in MANIFESTS}
-    there = {name: file for name, file in manifests.items() if file.is_file()}
+    there = [name for name in MANIFESTS if (folder / f"{name}.yml").is_file()]
     if not there:
-        raise UserError(f"{folder} has none of {', '.join(file.name for file in manifests.values())}")
-    if version is None:
-        version = spec.declared(next((told for file in there.values() if (told := _map(file))), {}))
+        raise UserError(f"{folder} has none of {', '.join(f'{name}.yml' for name in MANIFESTS)}")
     try:
         (folder / FOLDER).mkdir(exist_ok=True)
         for name in there:
-            atomic.write_file(folder / path(name), render(name, version))
+            atomic.write_file(folder / path(name), render(name))
     except OSError as error:
         raise UserError(f"{folder / FOLDER} cannot be written: {error.strerror or error}") from None
     return [path(name) for name in there]
 
 
-def _map(file: Path) -> dict[str, Any]:
-    """Return a manifest that names its version; empty for any other file."""
-    import yaml
-
-    try:
-        told = spec.read_yaml(file)
-    except (OSError, yaml.YAMLError):
-        return {}
-    return told if isinstance(told, dict) and "spec" in told else {}
-
-
-def bundle(name: str, version: str = spec.CURRENT) -> dict[str, Any]:
+def bundle(name: str) -> dict[str, Any]:
     """Return a schema with everything in it that it refers to, in the words of draft 7."""
-    schema = spec.schema(name, version)
+    schema = spec.schema(name)
     definitions: dict[str, Any] = {}
     body = {key: value for key, value in schema.items() if key not in _HEAD}
-    result = _plain(body, name, version, definitions, name)
+    result = _plain(body, name, definitions, name)
     return {"$schema": _DIALECT, **result, "definitions": dict(sorted(definitions.items()))}
 
 
-def _plain(value: Any, name: str, version: str, definitions: dict[str, Any], root: str) -> Any:
+def _plain(value: Any, name: str, definitions: dict[str, Any], root: str) -> Any:
     """Return a part of schema `name` without references to other files; what it refers to is added to `definitions`."""
     if isinstance(value, list):
-        return [_plain(entry, name, version, definitions, root) for entry in value]
+        return [_plain(entry, name, definitions, root) for entry in value]
     if not isinstance(value, dict):
         return value
     result = {}
     for key, entry in value.items():
         if key == "$ref":
-            result[key] = _referred(entry, name, version, definitions, root)
+            result[key] = _referred(entry, name, definitions, root)
         elif key == "x-array":
             result |= _array(entry)
         else:
-            result[key] = _plain(entry, name, version, definitions, root)
+            result[key] = _plain(entry, name, definitions, root)
     return result
 
 
-def _referred(reference: str, name: str, version: str, definitions: dict[str, Any], root: str) -> str:
+def _referred(reference: str, name: str, definitions: dict[str, Any], root: str) -> str:
     """Put what a reference leads to among the definitions, and return the reference to it there."""
     other, _, pointer = reference.partition("#")
     home = other.rpartition("/")[2] or name
@@ -115,12 +97,12 @@ def _referred(reference: str, name: str, version: str, definitions: dict[str, An
     label = key if home == root else f"{home}.{key}"
     if label not in definitions:
         definitions[label] = {}  # before its own references are followed: it may lead back to itself
-        target: Any = spec.schema(home, version)
+        target: Any = spec.schema(home)
         for part in pointer.split("/")[1:]:
             target = target[part]
         dropped = () if pointer else _HEAD
         target = {key: value for key, value in target.items() if key not in dropped}
-        definitions[label] = _plain(target, home, version, definitions, root)
+        definitions[label] = _plain(target, home, definitions, root)
     return f"#/definitions/{label}"
 
 

@@ -37,15 +37,12 @@ _OPEN = "policy"
 _KINDS = {"uint8": "u", "float": "f", "number": "iuf"}
 
 
-def validate(
-    instance: Any, schema_name: str, version: str = spec.CURRENT, bindings: Mapping[str, int] | None = None
-) -> list[Problem]:
+def validate(instance: Any, schema_name: str, bindings: Mapping[str, int] | None = None) -> list[Problem]:
     """Return the problems of a document, in the order of their places; none means it is valid.
 
     Args:
         instance: the document; arrays may be numpy arrays, nested lists, or bytes for 1-D uint8.
         schema_name: name of a schema, such as "observation"; a definition in it is "payload#/$defs/hello".
-        version: spec version.
         bindings: sizes of symbols that are known beforehand, for example `{"DOF": 6}`.
     """
     gaps: dict[unknown.Place, str] = {}
@@ -53,7 +50,7 @@ def validate(
         instance, gaps = unknown.split(instance)
     token = _scopes.set(_Scopes(document=dict(bindings or {})))
     try:
-        errors = list(_validator(schema_name, version).iter_errors(instance))
+        errors = list(_validator(schema_name).iter_errors(instance))
     except RecursionError:
         return [Problem((), "the document contains itself, or is nested too deeply")]
     finally:
@@ -63,22 +60,22 @@ def validate(
 
 
 @cache
-def _validator(schema_name: str, version: str) -> Validator:
+def _validator(schema_name: str) -> Validator:
     """Return the compiled validator of a schema."""
     name, _, fragment = schema_name.partition("#")
-    identifier = spec.schema(name, version)["$id"]
+    identifier = spec.schema(name)["$id"]
     schema = {"$ref": f"{identifier}#{fragment}" if fragment else identifier}
-    return _validator_class()(schema, registry=registry(version))
+    return _validator_class()(schema, registry=registry())
 
 
 @cache
-def registry(version: str = spec.CURRENT) -> Registry[Any]:
-    """Return all schemas of a version under their `$id`, so that references between them resolve."""
+def registry() -> Registry[Any]:
+    """Return all schemas under their `$id`, so that references between them resolve."""
     from referencing import Registry
     from referencing.jsonschema import DRAFT202012
 
     resources = []
-    for schema in (spec.schema(name, version) for name in spec.schema_names(version)):
+    for schema in map(spec.schema, spec.schema_names()):
         # With `$schema` in place the validator would change to the plain class of that dialect at every reference.
         contents = {key: value for key, value in schema.items() if key != "$schema"}
         resources.append((schema["$id"], DRAFT202012.create_resource(contents)))
@@ -238,9 +235,7 @@ def _dtype_fits(array: np.ndarray, instance: Any, dtype: str) -> bool:
 # -- YAML files --------------------------------------------------------------------------------------------------------
 
 
-def validate_yaml_file(
-    path: Path, schema_name: str, version: str | None = spec.CURRENT, bindings: Mapping[str, int] | None = None
-) -> list[Problem]:
+def validate_yaml_file(path: Path, schema_name: str, bindings: Mapping[str, int] | None = None) -> list[Problem]:
     """Return the problems of a YAML file with their lines and columns: syntax, repeated keys, and the schema's.
 
     Raises:
@@ -248,15 +243,11 @@ def validate_yaml_file(
     """
     with path.open("rb") as stream:
         content = stream.read(text.MOST_BYTES + 1)
-    return validate_yaml(content, str(path), schema_name, version, bindings)[1]
+    return validate_yaml(content, str(path), schema_name, bindings)[1]
 
 
 def validate_yaml(
-    content: bytes,
-    file: str,
-    schema_name: str,
-    version: str | None = spec.CURRENT,
-    bindings: Mapping[str, int] | None = None,
+    content: bytes, file: str, schema_name: str, bindings: Mapping[str, int] | None = None
 ) -> tuple[Any, list[Problem]]:
     """Return what a YAML document holds and its problems; what does not parse holds None.
 
@@ -264,7 +255,6 @@ def validate_yaml(
         content: the document.
         file: how problems name the file that it was read from.
         schema_name: its schema.
-        version: spec version; None for the one that the document itself declares.
         bindings: sizes of symbols that are known beforehand.
     """
     page = page_of(schema_name)
@@ -277,9 +267,7 @@ def validate_yaml(
         message = "the file is empty: expected a map"
         return None, [Problem((), message, "a map", "nothing", file=file, line=1, column=1, page=page)]
     data, root = document.data, document.root
-    if version is None:
-        version = spec.declared(data if isinstance(data, dict) else {})
-    problems = validate(data, schema_name, version, bindings)
+    problems = validate(data, schema_name, bindings)
     found = [*_repeated_keys(root), *((problem, mark_of(root, problem.path)) for problem in problems)]
     placed = [
         replace(problem, file=file, line=mark.line + 1, column=mark.column + 1, page=page_of(schema_name, problem))

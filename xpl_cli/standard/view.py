@@ -38,48 +38,48 @@ class View:
     text: Callable[[], str]
 
 
-def view(name: str | None, version: str = spec.CURRENT) -> View:
+def view(name: str | None) -> View:
     """Return the part of the standard that `name` names: schema, part, requirement or embodiment; None is the index.
 
     Raises:
         UnknownTargetError: with the nearest names.
     """
     if name is None:
-        index = _index(version)
+        index = _index()
         return View(index, lambda: _index_text(index))
     if name == "requirements":
-        rows = [asdict(entry) for entry in spec.requirements(version).values()]
+        rows = [asdict(entry) for entry in spec.requirements().values()]
         return View(rows, lambda: _table([(row["id"], row["level"], row["text"]) for row in rows]))
     if name in PARTS:
-        return View(spec.data(name, version), partial(spec.text, f"{name}.yml", version))
-    if name in spec.schema_names(version):
-        schema = spec.schema(name, version)
-        return View(schema, lambda: _schema_text(schema, version))
-    if name in spec.requirements(version):
-        requirement = spec.requirements(version)[name]
+        return View(spec.data(name), partial(spec.text, f"{name}.yml"))
+    if name in spec.schema_names():
+        schema = spec.schema(name)
+        return View(schema, lambda: _schema_text(schema))
+    if name in spec.requirements():
+        requirement = spec.requirements()[name]
         return View(
             asdict(requirement), lambda: f"{name} ({requirement.level}, {requirement.source}): {requirement.text}"
         )
-    return _robot(name, version)
+    return _robot(name)
 
 
-def _robot(name: str, version: str) -> View:
+def _robot(name: str) -> View:
     """Return a robot by any of its names."""
     robot = robots.canonical(name)
     if robot is None:
-        raise _unknown(name, version)
-    if robot in spec.embodiments(version):
-        entry: Mapping[str, Any] = spec.embodiments(version)[robot]
-        return View(entry, partial(_robot_text, robot, entry, version))
+        raise _unknown(name)
+    if robot in spec.embodiments():
+        entry: Mapping[str, Any] = spec.embodiments()[robot]
+        return View(entry, partial(_robot_text, robot, entry))
     entry = robots.entries()[robot]
     return View(entry, partial(_whole_text, entry, f"{robot}, from {_from(robot)}"))
 
 
-def _robot_text(stem: str, entry: Mapping[str, Any], version: str) -> str:
+def _robot_text(stem: str, entry: Mapping[str, Any]) -> str:
     """Return a robot as its file has it, and one that is described by another one with all that it has from there."""
     import yaml
 
-    text = spec.text(f"embodiments/{stem}.yml", version)
+    text = spec.text(f"embodiments/{stem}.yml")
     other = yaml.safe_load(text).get("like")
     if other is None:
         return text
@@ -99,23 +99,23 @@ def _from(robot: str) -> str:
     return "spec/robots (comes with xpl)" if where == robots.ALONG else where
 
 
-def _unknown(name: str, version: str) -> UnknownNameError:
-    known = [*PARTS, *spec.schema_names(version), *robots.entries(), *spec.requirements(version)]
+def _unknown(name: str) -> UnknownNameError:
+    known = [*PARTS, *spec.schema_names(), *robots.entries(), *spec.requirements()]
     sentence = f"the standard has no {name!r}"
     return no_such(sentence, name, known, listing="xpl spec show", kind=UnknownTargetError)
 
 
-def _index(version: str) -> dict[str, Any]:
+def _index() -> dict[str, Any]:
     return {
-        "version": version,
+        "version": spec.VERSION,
         "parts": PARTS,
-        "schemas": {name: spec.schema(name, version)["title"] for name in spec.schema_names(version)},
-        "embodiments": {name: entry.get("description", "") for name, entry in spec.embodiments(version).items()},
+        "schemas": {name: spec.schema(name)["title"] for name in spec.schema_names()},
+        "embodiments": {name: entry.get("description", "") for name, entry in spec.embodiments().items()},
         "robots": {
             name: {"description": entry.get("description", ""), "from": _from(name)}
             for name, entry in robots.entries().items()
         },
-        "requirements": len(spec.requirements(version)),
+        "requirements": len(spec.requirements()),
     }
 
 
@@ -156,9 +156,9 @@ class Section:
     summary: str = ""
 
 
-def sections(schema: Mapping[str, Any], version: str) -> list[Section]:
+def sections(schema: Mapping[str, Any]) -> list[Section]:
     """Return a schema as people read it: its keys, or those of its alternatives and definitions."""
-    resolver = registry(version).resolver(base_uri=schema["$id"])
+    resolver = registry().resolver(base_uri=schema["$id"])
     if "properties" in schema:
         return [Section(None, tuple(_rows(schema, resolver)))]
     options = schema.get("oneOf") or [{"$ref": f"#/$defs/{name}"} for name in schema.get("$defs", ())]
@@ -170,10 +170,10 @@ def sections(schema: Mapping[str, Any], version: str) -> list[Section]:
     return found or [Section(None, (), _kind(schema, resolver))]
 
 
-def _schema_text(schema: Mapping[str, Any], version: str) -> str:
+def _schema_text(schema: Mapping[str, Any]) -> str:
     """Write a schema as an outline; `*` marks required keys."""
     lines = [f"{schema['title']}: {schema.get('description', '')}", ""]
-    for section in sections(schema, version):
+    for section in sections(schema):
         margin = "" if section.name is None else "  "
         rows = [
             (
@@ -185,7 +185,7 @@ def _schema_text(schema: Mapping[str, Any], version: str) -> str:
         ]
         lines += [section.name] if section.name is not None else []
         lines.append(_table(rows) if rows else f"{margin * 2}{section.summary}")
-    if any(row.kind.endswith(OPEN) for section in sections(schema, version) for row in section.rows):
+    if any(row.kind.endswith(OPEN) for section in sections(schema) for row in section.rows):
         lines += ["", OPEN_MEANS]
     for choice in choices(schema):
         lines += [

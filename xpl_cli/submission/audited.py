@@ -43,7 +43,7 @@ def problems(target: Mapping[str, Any], adapter: Path) -> Iterator[str]:
         yield f"the audit is not green: its rules make it {verdict.word} ({_listed(open_rules) or 'nothing passed'})"
     yield from _overstated(target, verdict, adapter)
     for gate in report.gates:
-        yield from _incomplete(gate, report.spec)
+        yield from _incomplete(gate)
     yield from _unbound(report, target, adapter)
 
 
@@ -78,18 +78,18 @@ def _overstated(target: Mapping[str, Any], verdict: Verdict, adapter: Path) -> I
 
 def _report(target: Mapping[str, Any]) -> TargetReport:
     """Return the report that follows from what the rules found."""
-    report = TargetReport(str(target["path"]), str(target["name"]), POLICY, spec=str(target["spec"]))
+    report = TargetReport(str(target["path"]), str(target["name"]), POLICY)
     for told in target["gates"]:
         gate = GateReport(Gate(told["name"]), digest=told.get("digest"), served=_served(told))
-        gate.results += [_result(one, report.spec) for one in told["results"]]
+        gate.results += [_result(one) for one in told["results"]]
         report.gates.append(gate)
     return report
 
 
-def _result(told: Mapping[str, Any], version: str) -> Result:
+def _result(told: Mapping[str, Any]) -> Result:
     """Return the result of a rule: findings that count make it fail, or warn, whatever it says of itself."""
     rule = next((entry.load() for entry in entries() if entry.code == told["code"]), None)
-    severity = told["severity"] if rule is None else rule.severity_in(version)
+    severity = told["severity"] if rule is None else rule.severity
     outcome = Outcome(told["outcome"])
     if told["findings"]:
         outcome = Outcome.FAIL if severity == _MUST else max(outcome, Outcome.WARN, key=_gravity)
@@ -112,12 +112,12 @@ def _served(told: Mapping[str, Any]) -> Choice | None:
     return Choice(Profile(told["profile"]))
 
 
-def _incomplete(gate: GateReport, version: str) -> Iterator[str]:
-    """Yield which rules of a gate the report leaves out, as far as its version asks for them, or names twice."""
+def _incomplete(gate: GateReport) -> Iterator[str]:
+    """Yield which rules of a gate the report leaves out, or names twice."""
     told = [result.code for result in gate.results]
     known = [entry for entry in own() if entry.target == POLICY and not entry.is_advice]
     here = [entry for entry in known if not (entry.closes or entry.needs_demonstrations) and entry.runs_in(gate.name)]
-    wanted = {entry.code for entry in here if entry.load().is_in(version)}
+    wanted = {entry.code for entry in here}
     if lacking := sorted(wanted.difference(told)):
         yield f"the audit's {gate.name} gate is without the rules {_listed(lacking)}"
     if twice := sorted({code for code in told if told.count(code) > 1}):

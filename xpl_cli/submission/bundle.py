@@ -55,7 +55,7 @@ def manifest(
         files: every other file of the bundle.
     """
     return {
-        "schema": spec.schema("submission", spec.NEWEST)["title"],
+        "schema": spec.schema("submission")["title"],
         "tool": {"name": "xpl", "version": __version__},
         "policy": dict(policy),
         "audit": dict(audit),
@@ -114,7 +114,7 @@ class Bundle:
             if name not in self.digests:
                 yield f"{name} is missing"
                 continue
-            for problem in validate(self.read(name), schema, spec.NEWEST):
+            for problem in validate(self.read(name), schema):
                 yield f"{name}: {problem}"
 
 
@@ -133,7 +133,7 @@ def opened(path: Path, folder: Path, *, limit: int) -> Bundle:
     if MANIFEST not in digests:
         raise UserError(f"{path} is no bundle: it holds no {MANIFEST}")
     told = _json(folder / MANIFEST, MANIFEST)
-    found = validate(told, "submission", spec.NEWEST)
+    found = validate(told, "submission")
     if found:
         raise UserError(f"{path} is no bundle that this version knows: {MANIFEST}: {found[0]}")
     return Bundle(folder, digests[MANIFEST], told, digests)

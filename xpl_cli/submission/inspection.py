@@ -73,9 +73,9 @@ def verdict(found: Bundle, checks: Sequence[Check]) -> Verdict | None:
 
 def _target(found: Bundle) -> dict[str, Any]:
     """Return what the audit report says of the adapter of the bundle; nothing if it is of another one."""
-    policy, targets = found.manifest["policy"], found.read(bundle.AUDIT)["targets"]
-    target: dict[str, Any] = targets[0] if len(targets) == 1 else {}
-    return target if (target.get("name"), target.get("spec")) == (policy["name"], policy["spec"]) else {}
+    policy, report = found.manifest["policy"], found.read(bundle.AUDIT)
+    target: dict[str, Any] = report["targets"][0] if len(report["targets"]) == 1 else {}
+    return target if (target.get("name"), report["spec"]) == (policy["name"], policy["spec"]) else {}
 
 
 def _shown(problem: str, found: Bundle) -> str:

@@ -112,7 +112,7 @@ class Report:
             episodes = [pair.as_json(run) for run, pair in self.pairs]
             played = {"drawn_with": self.seed, **self.finding.as_json(), "episodes": episodes}
         return {
-            "schema": spec.schema("verification", spec.NEWEST)["title"],
+            "schema": spec.schema("verification")["title"],
             "bundle": self.digest,
             "policy": self.policy,
             "runs": list(self.runs),

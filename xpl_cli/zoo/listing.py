@@ -52,7 +52,7 @@ def listed(wanted: Wanted) -> list[Policy]:
     if wanted.robot is not None:
         from xpl_cli.standard import spec
 
-        one_of("--robot", wanted.robot, spec.embodiments(spec.NEWEST))
+        one_of("--robot", wanted.robot, spec.embodiments())
     return [policy for policy in policies.policies() if wanted.fits(policy)]
 
 

@@ -23,6 +23,7 @@ from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.git import place
 from xpl_cli.packages import package
+from xpl_cli.standard import spec
 from xpl_cli.standard.zoo import policies
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def proof(
         "tool": {"name": "xpl", "version": xpl_cli.__version__, "commit": _own_commit()},
         "command": shlex.join(["xpl", "zoo", "prove", name, "CHECKOUT", *arguments]),
         "adapter": {"folder": adapter.folder, "commit": adapter.commit, "files": Source(adapter.path).record()},
-        "spec": report.spec,
+        "spec": spec.VERSION,
         "verdict": verdict.word.value,
         "statement": _short(str(verdict)),
         "gates": [_gate(gate) for gate in report.gates],

@@ -11,7 +11,6 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
 from xpl_cli.audit.served.probe import Probe
 from xpl_cli.native.kinematics import declared, witness
 from xpl_cli.native.kinematics.witness import Verdict
-from xpl_cli.standard import spec
 
 
 @rule(code="XPL262", requirement="XPL-NAT-7")
@@ -37,7 +36,7 @@ def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
     """
     package = probe.package
     try:
-        found = declared.verdicts(package.manifest, spec.declared(package.manifest.data), [package.path])
+        found = declared.verdicts(package.manifest, [package.path])
     except declared.NoWitnessError as error:
         raise NotApplicable(str(error)) from None
     except NativeError as error:

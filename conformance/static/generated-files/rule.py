@@ -31,8 +31,8 @@ def generated_files(source: Source) -> Iterator[Finding]:
     `generated` to `free` in `.xpl/lock.yml`: xpl then never touches it.
 
     ## Fix safety
-    Safe: renders the file again, from the template and the answers that are recorded. What was edited in it is lost
-    unless version control has it.
+    Safe: writes the file again as it was rendered, from `.xpl/rendered.json`. What was edited in it is lost unless
+    version control has it.
     """
     if not source.has(LOCK):
         raise NotApplicable(f"there is no {LOCK}: the package does not tell which of its files are generated")
@@ -50,7 +50,7 @@ def generated_files(source: Source) -> Iterator[Finding]:
         )
         return
     edited = generated.edited(source, kept)
-    rendered = generated.rendered(kept) if edited else {}
+    rendered = generated.rendered(source) if edited else {}
     for name in edited:
         edit = generated.undone(source, name, rendered.get(name), kept.generated[name])
         yield Finding(
@@ -58,7 +58,7 @@ def generated_files(source: Source) -> Iterator[Finding]:
             path=name,
             line=1,
             column=1,
-            expected=f"the file of {kept.template}, or its name under free in {LOCK}",
+            expected=f"the file as it was rendered, or its name under free in {LOCK}",
             got="an edited file",
             fix=Fix("advice", f"bring {name} back as it was, or list it under free in {LOCK}")
             if edit is None

@@ -33,7 +33,6 @@ from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
-from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
@@ -140,7 +139,7 @@ def test_success_is_reported_with_its_interval(package: Callable[..., Path]) -> 
     told = "0 of 2 episodes succeed (0% to 66%), mean score 0.00 (0.00 to 0.66)"
     assert told in render("text", [report], Context())
     document = as_json([report], Context())
-    assert validate(document, "audit", spec.NEWEST) == []
+    assert validate(document, "audit") == []
     (entry,) = document["targets"][0]["gates"][0]["figures"]
     assert entry["success_interval"] == pytest.approx([0, 0.6576], abs=1e-4)
 
@@ -209,7 +208,7 @@ def test_every_episode_is_filmed(package: Callable[..., Path], tmp_path: Path) -
             frame.load()
             lasts += frame.info["duration"]  # equal pictures are one frame that lasts longer
     assert lasts == 1000 * 2 / 25 * (64 // 2 + 1)
-    assert validate(json.loads(done.stdout), "audit", spec.NEWEST) == []
+    assert validate(json.loads(done.stdout), "audit") == []
 
 
 @pytest.mark.slow

@@ -106,7 +106,7 @@ def test_a_draft_is_a_native_block_and_what_is_open_says_why() -> None:
     motions, how = TUNED["pose xyzw beside joints"]
     found = probe(write([motion(*one) for one in motions], how))
     made = yaml.safe_load(draft.text(found))
-    assert not validate.validate(made["native"], "native", "v1.2")
+    assert not validate.validate(made["native"], "native")
     parts = made["native"]["action"]["parts"]
     assert made["native"]["action"]["reference"] == "absolute"
     assert parts[1]["rotation"]["form"] == "quaternion_xyzw"

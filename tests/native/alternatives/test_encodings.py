@@ -8,7 +8,7 @@ from xpl.embodiment import get_embodiment
 from xpl_cli.native.alternatives.encodings import Encoding, convention_of, encodings
 from xpl_cli.standard import spec
 
-VOCABULARY = {option["const"] for option in spec.schema("native", spec.NEWEST)["$defs"]["convention"]["oneOf"]}
+VOCABULARY = {option["const"] for option in spec.schema("native")["$defs"]["convention"]["oneOf"]}
 
 
 def _all(robot: str = "franka", **more: bool) -> list[Encoding]:

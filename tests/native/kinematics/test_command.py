@@ -31,7 +31,7 @@ def _made(folder: Path, form: str, *, samples: bool = True, **changes: Any) -> P
     manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
     joints, single = [{"joints": {"arm": "single"}}], {"arm": "single"}
     pose = [{"position": single}, {"rotation": {**single, "form": form}}]
-    manifest.update(spec="v1.2", **changes)
+    manifest.update(spec="v1", **changes)
     manifest["native"] = {
         "state": [{"input": "pose", "parts": pose}],
         "action": {"reference": "absolute", "parts": [*pose, {"gripper": {**single, "closed": 0.0, "open": 1.0}}]},
@@ -81,12 +81,12 @@ def test_without_a_witness_that_is_said(changes: dict[str, Any], words: str, tmp
     folder = _made(tmp_path / "P", "quaternion_wxyz", **changes)
     manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
     with pytest.raises(declared.NoWitnessError, match=words):
-        declared.verdicts(manifest, "v1.2", [folder])
+        declared.verdicts(manifest, [folder])
 
 
 def test_rows_are_of_the_robot_that_they_fit(tmp_path: Path) -> None:
     """An adapter may be for several; data are of one."""
     folder = _made(tmp_path / "P", "quaternion_xyzw", embodiments=["piper_single", ROBOT])
     manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
-    found = declared.verdicts(manifest, "v1.2", [folder])
+    found = declared.verdicts(manifest, [folder])
     assert {verdict.outcome for verdict in found} == {"agrees"}

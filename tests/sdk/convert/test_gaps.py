@@ -68,7 +68,7 @@ def test_the_rest_of_an_open_block_converts() -> None:
     assert step["arm_joint_state"] == pytest.approx(obs["state"]["arm_joint_state"], abs=1e-6)
 
 
-VALID = jsonschema.Draft202012Validator(spec.schema("native", "v1.2"))
+VALID = jsonschema.Draft202012Validator(spec.schema("native"))
 
 
 def opened(native: dict[str, Any], path: tuple[Any, ...]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from tests.support.adapters.native import CAMERAS, CASES, Case, observation, ste
 from xpl import rotation
 from xpl_cli.standard import spec
 
-SCHEMA = spec.schema("native", "v1.2")
+SCHEMA = spec.schema("native")
 NAMES = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 SEEDS = st.integers(0, 10_000)
 SIZES = dict.fromkeys(CAMERAS, (24, 32))

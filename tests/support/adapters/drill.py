@@ -151,7 +151,7 @@ def environment(
     place = folder / "envs" / "drill"
     place.mkdir(parents=True)
     facts = {
-        "spec": "v1.1", "name": "drill", "title": "Drill", "embodiments": ["franka_single"], "action_types": ["joint"],
+        "spec": "v1", "name": "drill", "title": "Drill", "embodiments": ["franka_single"], "action_types": ["joint"],
         "cameras": {"cam_third_view": {"width": 16, "height": 12}}, "control_frequency": 25, "client": "client.py",
         "settings": list(settings),
         "tasks": {task: {"instruction": task, "max_steps": STEPS, "dimension": "patience"} for task in tasks},

@@ -131,7 +131,7 @@ def block(**changes: Any) -> dict[str, Any]:
 def manifest(name: str, native: dict[str, Any] | None, **changes: Any) -> dict[str, Any]:
     """Return the policy.yml of the adapter."""
     told = {
-        "spec": "v1.2",
+        "spec": "v1",
         "name": name,
         "summary": "A small network that reads one camera, the state and the instruction.",
         "family": "other",

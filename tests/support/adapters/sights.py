@@ -77,7 +77,7 @@ def made(folder: Path, native: dict[str, Any] | None, model: str = MODEL) -> Pat
     answers = {**adapter.defaults(), "name": folder.name, "embodiment": "arx_x5", "action_type": "joint"}
     adapter.write(adapter.render(Answers(**answers)), folder)
     manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
-    manifest.update({"spec": "v1.2", "temporal": {"kind": "chunk", "chunk": 4}})
+    manifest.update({"spec": "v1", "temporal": {"kind": "chunk", "chunk": 4}})
     manifest.pop("native", None)
     manifest.update({} if native is None else {"native": native})
     (folder / "policy.yml").write_text(yaml.safe_dump(manifest, sort_keys=False), encoding="utf-8")

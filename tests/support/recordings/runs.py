@@ -1,4 +1,4 @@
-"""Recorded runs that nobody played: lines of `xpl.record/1` (spec/v1.1/record.schema.json) drawn from a seed."""
+"""Recorded runs that nobody played: lines of `xpl.record/1` (spec/v1/record.schema.json) drawn from a seed."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def synthetic(  # noqa: PLR0917 - what most tests vary
     traces: int = 0,
     films: int = 0,
     played: int | None = None,
-    spec: str = "v1.1",
+    spec: str = "v1",
     first_seed: int = 0,
 ) -> Path:
     """Write `records.jsonl` of a run into a folder and return the folder.

@@ -14,13 +14,12 @@ from xpl_cli.adopt.checkpoints import block, registry
 from xpl_cli.adopt.checkpoints.told import Told, Tree, certain, likely, plain
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError, one_of
-from xpl_cli.standard import robots, spec
+from xpl_cli.standard import robots
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
     from xpl_cli.adopt.checkpoints.trained import Trained
 
-VERSION: Final = spec.NEWEST
 """The standard of what is read from a checkpoint: the first that has a native block."""
 NATIVE: Final = "native"
 ENVIRONMENTS: Final = {
@@ -124,7 +123,7 @@ def _robot(trained: Trained, given: str | None) -> tuple[Embodiment, Told]:
     Raises:
         UserError: with the robots that have as many numbers, if nothing says which it is.
     """
-    known = robots.known(VERSION)
+    known = robots.known()
     if given is not None:
         one_of("--embodiment", given, known)
         return get_embodiment(given), certain([given], Evidence("", None, "given with --embodiment"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl_cli.adopt import field
 from xpl_cli.adopt.checkpoints import block, known, second, writing
-from xpl_cli.adopt.checkpoints.known import ENVIRONMENTS, VERSION, Known
+from xpl_cli.adopt.checkpoints.known import ENVIRONMENTS, Known
 from xpl_cli.adopt.checkpoints.told import findings, likely, plain
 from xpl_cli.adopt.facts import Fact, Question
 from xpl_cli.basics.content import room
@@ -129,13 +130,12 @@ def _rendered(name: str, found: Known) -> Files:
     """Return the package as the template has it."""
     from xpl_cli.scaffold import adapter, kinds
 
-    template = adapter.policy_template(VERSION)
     trained = found.trained
     whole = trained.maker in ENVIRONMENTS
     chunk, ensembling = plain(trained.chunk), trained.ensembling
     answers = adapter.answers_of(
         **{
-            **adapter.defaults(template),
+            **adapter.defaults(),
             "name": name,
             "embodiment": found.robot.name,
             sdk.Deploy.ACTION_TYPE: found.action_type,
@@ -149,17 +149,14 @@ def _rendered(name: str, found: Known) -> Files:
         }
     )
     if whole:
-        adapter.check(answers, template)
-    return adapter.render(answers, template)
+        adapter.check(answers)
+    return adapter.render(answers)
 
 
 def _naming(text: str, checkpoint: str) -> str:
-    """Return deploy.yml with the name of the checkpoint."""
-    from xpl_cli.basics.yaml.edit import Document
-
-    document = Document(text)
-    document.set(sdk.Deploy.CKPT_NAME, checkpoint)
-    return document.result()
+    """Return deploy.yml, as it was rendered, with the name of the checkpoint."""
+    key = sdk.Deploy.CKPT_NAME
+    return re.sub(rf"^{key}: \S+", lambda _: f"{key}: {checkpoint}", text, flags=re.MULTILINE)
 
 
 def _code(name: str, found: Known, notes: list[str]) -> Files:
@@ -167,7 +164,7 @@ def _code(name: str, found: Known, notes: list[str]) -> Files:
     maker = found.trained.maker
     said = {
         "name": name,
-        "model_class": spec.data("package", VERSION)["model_class"],
+        "model_class": spec.data("package")["model_class"],
         "checkpoints": sdk.CHECKPOINT_DIRECTORY,
         "draws": found.draws,
         "history": found.history,
@@ -193,7 +190,7 @@ def _shapes(found: Known) -> dict[str, Any]:
     text = block_.get(sdk.Obs.INSTRUCTION)
     return {
         "about": found.trained.about,
-        "placeholder": spec.data("package", VERSION)["placeholder"],
+        "placeholder": spec.data("package")["placeholder"],
         "inputs": [*names, *([str(text["input"])] if text else [])],
         "chunk": chunk if isinstance(chunk, int) else 1,
         "width": pad if isinstance(pad, int) else found.trained.action.numbers.width or 1,
@@ -204,7 +201,7 @@ def _template(maker: str, name: str, said: Mapping[str, Any]) -> bytes:
     """Return a file of the template of what is begun from a checkpoint."""
     import jinja2
 
-    place = room("templates") / "policy" / VERSION / "from" / maker
+    place = room("templates") / "policy" / "from" / maker
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(place),
         undefined=jinja2.StrictUndefined,

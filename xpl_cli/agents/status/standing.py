@@ -36,7 +36,6 @@ class Standing:
 
     Attributes:
         target: the package.
-        version: of the standard, to which it is held.
         steps: all of them, in order.
         verdict: what the last audits come to, as far as they are of the files that are there now; `red` also where
             another step failed, and `incomplete` where one is left.
@@ -44,7 +43,6 @@ class Standing:
     """
 
     target: Target
-    version: str
     steps: tuple[Step, ...]
     verdict: Verdict
     runs: tuple[Recorded, ...] = ()
@@ -75,7 +73,6 @@ class Standing:
             "path": self.target.shown,
             "name": self.target.path.name,
             "kind": self.target.kind,
-            "spec": self.version,
             **self.verdict.as_json(),
             "stage": self.stage,
             "steps": [_step_json(step) for step in self.steps],
@@ -91,7 +88,7 @@ def standing(target: Target) -> Standing:
     remembered = {} if folder is None else recall(folder, target.path)
     found = recorded(target) if target.kind == package.POLICY else ()
     taken = tuple(steps(target, source, remembered))
-    return Standing(target, source.version, taken, _verdict(target, source, taken, remembered), found)
+    return Standing(target, taken, _verdict(target, source, taken, remembered), found)
 
 
 def _verdict(target: Target, source: Source, taken: Sequence[Step], remembered: Mapping[str, Remembered]) -> Verdict:
@@ -143,9 +140,8 @@ def text(standings: Sequence[Standing]) -> str:
 
 
 def _detailed(one: Standing) -> list[str]:
-    shown = [step for step in one.steps if step.name != "update" or not step.is_settled]
-    lines = ["  ".join(map(one_line, (one.target.path.name, one.target.shown, str(one.version))))]
-    for step in shown:
+    lines = ["  ".join(map(one_line, (one.target.path.name, one.target.shown)))]
+    for step in one.steps:
         when = f" ({step.when})" if step.when else ""
         lines.append(f"  {_MARKS[step.state]:<7}  {step.name:<12}  {one_line(step.detail)}{when}")
     for run in one.runs[:_MOST_RUNS]:

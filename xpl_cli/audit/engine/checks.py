@@ -30,13 +30,11 @@ class Checks:
 
     Args:
         facts: what rules may ask for.
-        version: the version of the standard that the target is held to; it gives rules their severity.
         shelf: passes of earlier audits of the same content; None to run every rule.
     """
 
-    def __init__(self, facts: Facts, version: str, shelf: Shelf | None = None) -> None:
+    def __init__(self, facts: Facts, shelf: Shelf | None = None) -> None:
         self._facts = facts
-        self._version = version
         self._shelf = shelf
         self._results: dict[str, Result] = {}
         self._left = LONGEST_S
@@ -98,7 +96,7 @@ class Checks:
             return self._result(rule, Outcome.NOT_RUN, reason=reason)
         findings = tuple(item for item in told if isinstance(item, Finding))
         proof = None if findings else next((item.numbers for item in told if isinstance(item, Proof)), None)
-        return self._result(rule, outcome_of(findings, rule.severity_in(self._version)), findings, proof=proof)
+        return self._result(rule, outcome_of(findings, rule.severity), findings, proof=proof)
 
     @contextmanager
     def _hurried(self) -> Iterator[None]:
@@ -111,15 +109,12 @@ class Checks:
             self._left -= time.process_time() - began
 
     def _require(self, rule: Rule) -> None:
-        """Stop a rule that the target's version of the standard or the profile of this run does not require.
+        """Stop a rule that the profile of this run does not require.
 
         Raises:
-            NotApplicable: if the version does not have its requirement, or if it judges the model itself, and the run
-                has none.
+            NotApplicable: if it judges the model itself, and the run has none.
             NotRun: if the adapter cannot be served, so that the profile is not known.
         """
-        if not rule.is_in(self._version):
-            raise NotApplicable(f"{self._version} of the standard does not ask for it: {rule.requirement} is newer")
         if rule.profile is Profile.FULL and self._facts.get("profile").name is Profile.SHADOW:
             raise NotApplicable("only the real model can satisfy or break it, and in shadow mode there is none")
 
@@ -140,8 +135,7 @@ class Checks:
         reason: str | None = None,
         proof: Mapping[str, Any] | None = None,
     ) -> Result:
-        severity = rule.severity_in(self._version)
-        return Result(rule.code, rule.slug, rule.requirement, severity, outcome, findings, reason, proof=proof)
+        return Result(rule.code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason, proof=proof)
 
 
 def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:

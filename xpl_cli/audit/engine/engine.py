@@ -31,14 +31,10 @@ from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages.package import ENV
-from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.packages.targets import Target
-
-_ALL_COUNT_UP_TO = "v1.1"
-"""Up to this version what it brought counts in digests of older adapters, too: those that were told shall repeat."""
 
 
 def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) -> TargetReport:
@@ -51,7 +47,7 @@ def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) 
         shown: how reports name the folder; the path itself by default.
     """
     source = Source(path)
-    report = TargetReport(path=shown or str(path), name=path.name, kind=kind, spec=source.version)
+    report = TargetReport(path=shown or str(path), name=path.name, kind=kind)
     report.circumstances = circumstances(source, kind, options, report.path)
     _carry(report, path, options)
     return report
@@ -113,7 +109,7 @@ def _carry(report: TargetReport, path: Path, options: Options) -> None:
             blocked = _withheld(path, selected, options)
         if blocked is not None:
             waiting = [entry for entry in selected if not entry.closes]
-            report.gates.append(_not_started(gate, waiting, blocked, report.spec))
+            report.gates.append(_not_started(gate, waiting, blocked))
             continue
         options.progress.step(f"{path.name}: {gate} gate, {len(selected)} rules")
         if gate is Gate.STATIC:
@@ -132,7 +128,7 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
     shelf = Shelf.of(options.cache, path) if options.cache is not None and gate is Gate.STATIC else None
     given = {"path": path, "kind": target.kind, "gate": gate, "options": _as_before(target, options)}
     with Facts(given, providers.all_providers()) as facts:
-        checks = Checks(facts, target.spec, shelf)
+        checks = Checks(facts, shelf)
         facts.give("checks", checks)
         waivers = facts.get("waivers") if target.kind == "policy" else ()
         for entry in sorted(selected, key=lambda entry: entry.closes):
@@ -150,7 +146,7 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
         if gate is Gate.STATIC:  # which reads the files anyway, unless it knows that they are as they were
             report.source = (shelf.record if shelf is not None else "") or facts.get("source").whole()
         records = [f"source {report.source}"] if gate is Gate.STATIC else facts.records()
-        report.digest = _digest(report, target.spec, records)
+        report.digest = _digest(report, records)
         if shelf is not None:
             shelf.save(facts.get("source"))
     report.results.sort(key=lambda result: result.code)
@@ -190,16 +186,12 @@ def _note_contents(target: TargetReport, report: GateReport, source: Source) -> 
                 target.contents[edit.path] = source.text(edit.path)
 
 
-def _digest(report: GateReport, version: str, records: list[str]) -> str:
+def _digest(report: GateReport, records: list[str]) -> str:
     """Return a hash of the outcomes and of what the adapter did, as far as the gate's facts recorded it.
 
-    What a later version of the standard asks for is left out, so that its rules change no digest of an older adapter;
-    and so are rules of installed packages, which others need not have.
+    Rules of installed packages are left out, which others need not have.
     """
-    known = spec.requirements(max(version, _ALL_COUNT_UP_TO, key=spec.order))
-    newer = spec.requirements(spec.versions()[-1]).keys() - known.keys()
-    ours = [result for result in report.results if result.code.startswith(OUR_CODES)]
-    counted = [result for result in ours if result.requirement not in newer]
+    counted = [result for result in report.results if result.code.startswith(OUR_CODES)]
     lines = [f"{result.code} {result.outcome} {len(result.findings)}" for result in counted]
     return hashlib.sha256("\n".join([*lines, *records]).encode()).hexdigest()[:16]
 
@@ -222,10 +214,9 @@ def _blocker(report: TargetReport) -> str | None:
     return None
 
 
-def _not_started(gate: Gate, selected: list[Entry], reason: str, version: str) -> GateReport:
+def _not_started(gate: Gate, selected: list[Entry], reason: str) -> GateReport:
     rules = [entry.load() for entry in selected]
     results = [
-        Result(item.code, item.slug, item.requirement, item.severity_in(version), Outcome.NOT_RUN, reason=reason)
-        for item in rules
+        Result(item.code, item.slug, item.requirement, item.severity, Outcome.NOT_RUN, reason=reason) for item in rules
     ]
     return GateReport(name=gate, results=results, reason=reason)

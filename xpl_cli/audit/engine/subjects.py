@@ -5,7 +5,6 @@ scaffolded adapter or, for rules about environments, environment; an optional `o
 
     scaffold: {embodiment: franka_single, action_type: ee}   # its options; `false`: start from nothing; by default it
                                                              # has no native block, so that methods can convert
-    spec: v1.2                                               # version of the scaffold; the newest that is frozen
     remove: [install.sh]                                     # files of the scaffold that are left out
     edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold
     append: {deploy.yml: "horizon: null"}                    # text added at the end of a file
@@ -51,7 +50,6 @@ class Subject:
     good: bool
     target: str = package.POLICY
     scaffold: dict[str, Any] | None = field(default_factory=dict)
-    spec: str = spec.CURRENT
     remove: tuple[str, ...] = ()
     edit: dict[str, dict[str, str]] = field(default_factory=dict)
     append: dict[str, str] = field(default_factory=dict)
@@ -86,7 +84,7 @@ def build(subject: Subject, target: Path) -> Path:
 
         given = sorted(subject.scaffold.items())
         options = tuple((name, tuple(value) if isinstance(value, list) else value) for name, value in given)
-        scaffold.write(_rendered(subject.target, subject.spec, options, target.name), target)
+        scaffold.write(_rendered(subject.target, options, target.name), target)
     for name in subject.remove:
         (target / name).unlink()
     for name, replacements in subject.edit.items():
@@ -116,19 +114,17 @@ def build(subject: Subject, target: Path) -> Path:
 
 
 @cache
-def _rendered(kind: str, version: str, options: tuple[tuple[str, Any], ...], name: str) -> dict[str, bytes]:
+def _rendered(kind: str, options: tuple[tuple[str, Any], ...], name: str) -> dict[str, bytes]:
     """Return a scaffold; many subjects share one."""
     from xpl_cli.scaffold import adapter as scaffold
     from xpl_cli.scaffold import environment
     from xpl_cli.scaffold.answers import Answers
 
     if kind == package.ENV:
-        template = f"{package.ENV}/{version}"
-        given = {**environment.env_defaults(template), **dict(options), "name": name}
-        return environment.render_env(environment.EnvAnswers(**given), template)
-    template = scaffold.policy_template(version)
-    given = {**scaffold.defaults(template), "block": False, **dict(options), "name": name}
-    return scaffold.render(Answers(**given), template)
+        given = {**environment.env_defaults(), **dict(options), "name": name}
+        return environment.render_env(environment.EnvAnswers(**given))
+    given = {**scaffold.defaults(), "block": False, **dict(options), "name": name}
+    return scaffold.render(Answers(**given))
 
 
 def _read(folder: Path, *, good: bool, target: str) -> Subject:
@@ -140,7 +136,6 @@ def _read(folder: Path, *, good: bool, target: str) -> Subject:
         good=good,
         target=target,
         scaffold=None if scaffold is False else scaffold,
-        spec=told.get("spec", spec.CURRENT),
         remove=tuple(told.get("remove", ())),
         edit=told.get("edit", {}),
         append=told.get("append", {}),

@@ -1,4 +1,4 @@
-"""`json`: the whole report, versioned (`xpl.audit/1`, spec/<version>/audit.schema.json)."""
+"""`json`: the whole report, versioned (`xpl.audit/1`, spec/v1/audit.schema.json)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def as_json(reports: Sequence[TargetReport], context: Context) -> dict[str, Any]
     return {
         "schema": spec.schema("audit")["title"],
         "tool": {"name": "xpl", "version": __version__},
-        "spec": spec.CURRENT,
+        "spec": spec.VERSION,
         "targets": [_target(report, entries, context) for report in reports],
         "summary": {outcome.value: totals[outcome] for outcome in Outcome},
         "exit_code": int(exit_code(reports, context.fail_on)),
@@ -67,7 +67,6 @@ def _target(report: TargetReport, entries: Iterator[Listed], context: Context) -
         "path": report.path,
         "name": report.name,
         "kind": report.kind,
-        "spec": report.spec,
         **judged(report).as_json(),
         "gates": [_gate(gate, entries, folder) for gate in report.gates],
     }

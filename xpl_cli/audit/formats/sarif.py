@@ -86,7 +86,7 @@ def _documented(rule: Rule | type[Check]) -> dict[str, Any]:
     level = _LEVELS[rule.severity]
     proves = ""
     if rule.requirement:  # checks of demonstrations prove none
-        requirement = spec.requirement(rule.requirement)
+        requirement = spec.requirements()[rule.requirement]
         proves = f"Proves {requirement.id} ({requirement.level}): {requirement.text}"
     return {
         "id": rule.code,

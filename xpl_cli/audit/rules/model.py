@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -246,7 +245,6 @@ class TargetReport:
     Attributes:
         circumstances: what its verdict (`verdict.judged`) depends on besides the results.
         contents: text of the files that fixes edit, as the rules read it; no fix is applied to anything else.
-        spec: version of the standard that the target is held to.
     """
 
     path: str
@@ -254,7 +252,6 @@ class TargetReport:
     kind: str
     gates: list[GateReport] = field(default_factory=list)
     contents: dict[str, str] = field(default_factory=dict)
-    spec: str = sdk.SPEC_VERSION
     circumstances: Circumstances = field(default_factory=Circumstances)
 
     @property

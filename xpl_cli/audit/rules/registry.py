@@ -65,18 +65,8 @@ class Rule:
 
     @property
     def severity(self) -> str:
-        """`must` or `should`, from the requirement of the newest version."""
-        return spec.requirement(self.requirement).level.lower()
-
-    def severity_in(self, version: str) -> str:
-        """Return `must` or `should`, from the requirement as a version of the standard has it."""
-        if not self.is_in(version):
-            return self.severity
-        return spec.requirements(version)[self.requirement].level.lower()
-
-    def is_in(self, version: str) -> bool:
-        """Tell whether a version of the standard has the requirement."""
-        return self.requirement in spec.requirements(version)
+        """`must` or `should`, from the requirement."""
+        return spec.requirements()[self.requirement].level.lower()
 
     @property
     def documentation(self) -> str:

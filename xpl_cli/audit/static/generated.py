@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.model import Edit
-from xpl_cli.basics.errors import UserError
 from xpl_cli.scaffold import lock
+from xpl_cli.standard import schemas
 
 if TYPE_CHECKING:
     from xpl_cli.audit.static.source import Source
@@ -30,16 +30,14 @@ def edited(source: Source, kept: lock.Lock) -> list[str]:
     return [name for name in names if lock.digest(source.text(name).encode()) != kept.generated[name]]
 
 
-def rendered(kept: lock.Lock) -> dict[str, bytes]:
-    """Render a package again; nothing where its template or its answers are not known here."""
-    from xpl_cli.scaffold import adapter, template
-
+def rendered(source: Source) -> dict[str, bytes]:
+    """Return the files of a package as they were rendered, as far as it still tells."""
+    for_editors = {schemas.path(name): schemas.render(name) for name in schemas.MANIFESTS}
     try:
-        if not template.exists(kept.template):
-            return {}
-        return adapter.render(adapter.recorded(kept), kept.template, kept.repairs)
-    except UserError:
-        return {}
+        told = lock.parse_rendered(source.text(lock.RENDERED)) if source.has(lock.RENDERED) else {}
+    except (ValueError, AttributeError):
+        told = {}
+    return {**told, **for_editors}
 
 
 def undone(source: Source, name: str, content: bytes | None, digest: str) -> Edit | None:
@@ -48,8 +46,8 @@ def undone(source: Source, name: str, content: bytes | None, digest: str) -> Edi
     Args:
         source: the package.
         name: the file.
-        content: how it is rendered now.
-        digest: of how it was rendered.
+        content: how it was rendered, None where nothing tells.
+        digest: of how it was rendered, as the lock has it.
     """
     if content is None or lock.digest(content) != digest:
         return None

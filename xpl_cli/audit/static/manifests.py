@@ -29,7 +29,7 @@ def schema_findings(source: Source, name: str, schema: str, consequence: str) ->
     from xpl_cli.standard.problems import path_text
     from xpl_cli.standard.validate import validate_yaml_file
 
-    for problem in validate_yaml_file(source.path / name, schema, source.version):
+    for problem in validate_yaml_file(source.path / name, schema):
         yield Finding(
             f"{consequence.format(path_text(problem.path) or name)}: {problem.told}",
             path=name,

@@ -21,8 +21,7 @@ from xpl_cli.audit.static.limits import TooMuchError, measured
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.shell import Command, parse
 from xpl_cli.basics.yaml import text as yaml_text
-from xpl_cli.packages.package import ENV
-from xpl_cli.standard import spec, unknown
+from xpl_cli.standard import unknown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -240,11 +239,6 @@ class Source:
         """The map in policy.yml without what is unknown; empty for an adapter of the ecosystem, which has none."""
         known: dict[str, Any] = unknown.known(self.manifest_of(sdk.File.POLICY_YML))
         return known
-
-    @cached_property
-    def version(self) -> str:
-        """The version of the standard that the package is held to."""
-        return spec.declared(self.manifest or self.manifest_of(f"{ENV}.yml"))
 
     @property
     def is_ecosystem(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Show, check and compile the standard.", no_args_is_help=True)
 
-_SPEC = typer.Option(None, "--spec", metavar="VERSION", help="Version of the standard; the newest by default.")
 _TRAJECTORY = "trajectory"
 _JSON = typer.Option(False, "--json", help="Print a JSON object.")
 
@@ -26,19 +25,18 @@ def show(
     name: str | None = typer.Argument(
         None, metavar="[NAME]", help="A schema, embodiment, requirement, or part of the standard."
     ),
-    version: str | None = _SPEC,
     as_json: bool = _JSON,
 ) -> None:
     """Show a part of the standard; without NAME, list what there is."""
     from xpl_cli.basics import console
     from xpl_cli.packages import robots
-    from xpl_cli.standard import view
+    from xpl_cli.standard import spec, view
 
     robots.learn()
-    answer = view.view(name, _known(version))
+    answer = view.view(name)
     if as_json:
         following = ["xpl spec show policy"] if name is None else []
-        console.answer("xpl.spec-show/1", {"version": _known(version), "name": name, "value": answer.value}, following)
+        console.answer("xpl.spec-show/1", {"version": spec.VERSION, "name": name, "value": answer.value}, following)
     else:
         console.data(answer.text())
 
@@ -51,20 +49,17 @@ def validate(
     schema: str | None = typer.Option(
         None, metavar="NAME", help="Schema to validate by; the file's name decides by default."
     ),
-    version: str | None = typer.Option(
-        None, "--spec", metavar="VERSION", help="Version to validate by; the one that a file declares by default."
-    ),
     as_json: bool = _JSON,
 ) -> None:
-    """Check files against the standard, or the standard against itself: all versions, none of the frozen changed."""
+    """Check files against the standard, or the standard against itself."""
     from xpl_cli.basics import console
     from xpl_cli.standard.check import check_all
     from xpl_cli.standard.problems import problem_json
 
-    problems = list(_file_problems(files, schema, version) if files else check_all())
+    problems = list(_file_problems(files, schema) if files else check_all())
     if as_json:
         told = {"problems": [problem_json(problem) for problem in problems]}
-        keys = dict.fromkeys(f"xpl spec show {_schema_of(file, schema, version)}" for file in files or ())
+        keys = dict.fromkeys(f"xpl spec show {_schema_of(file, schema)}" for file in files or ())
         console.answer("xpl.spec-validate/1", told, list(keys) if problems else [])
     elif problems:
         console.data("\n".join(map(str, problems)))
@@ -76,8 +71,8 @@ def validate(
 
 @app.command()
 def check(as_json: bool = _JSON) -> None:
-    """Check the standard against itself: every version, and that the frozen ones are as they were."""
-    validate(None, schema=None, version=None, as_json=as_json)
+    """Check the standard against itself, with the robots that come along and the zoo."""
+    validate(None, schema=None, as_json=as_json)
 
 
 @app.command("compile")
@@ -116,50 +111,11 @@ def compile_(
 
 
 @app.command()
-def freeze(
-    version: str = typer.Argument(..., metavar="VERSION", help="Version of the standard, or `repairs` of templates."),
-    again: bool = typer.Option(False, "--again", help="Also if it was frozen otherwise: only before its release."),
-    as_json: bool = _JSON,
-) -> None:
-    """Freeze a version: record the digests of its files, which must not change from then on (in a checkout only)."""
-    from xpl_cli.basics import console
-    from xpl_cli.standard import freeze as freezing
-
-    root = _checkout()
-    written = freezing.freeze(version if version == freezing.REPAIRS else _known(version), again=again)
-    name = freezing.record(version).relative_to(root)
-    if as_json:
-        told = {"version": version, "file": str(name), "state": "written" if written else "unchanged"}
-        console.answer("xpl.spec-freeze/1", told, ["xpl spec check"])
-    else:
-        console.data(f"{name}: {'written' if written else 'frozen already, unchanged'}")
-
-
-@app.command()
-def changelog(
-    version: str | None = typer.Argument(None, metavar="[VERSION]", help="One version; all by default."),
-    as_json: bool = _JSON,
-) -> None:
-    """Tell what a version changed, and what that asks of an adapter."""
-    from xpl_cli.basics import console
-    from xpl_cli.derived import reference
-    from xpl_cli.standard import spec
-
-    versions = spec.versions() if version is None else (_known(version),)
-    if as_json:
-        told = [{"version": one, "frozen": spec.is_frozen(one), **spec.about(one)} for one in versions]
-        console.answer("xpl.changelog/1", {"versions": [_plain(entry) for entry in told]})
-    else:
-        console.data(reference.changelog(versions))
-
-
-@app.command()
 def schemas(
     folders: list[Path] | None = typer.Argument(
         None, metavar="[FOLDER]...", help="Packages whose manifests editors shall complete; none: print one schema."
     ),
     name: str = typer.Option("policy", "--schema", metavar="NAME", help="Schema to print."),
-    version: str | None = _SPEC,
     as_json: bool = _JSON,
 ) -> None:
     """Write JSON Schemas into packages, by which editors complete and check deploy.yml, policy.yml and env.yml."""
@@ -172,10 +128,10 @@ def schemas(
     document: bytes | None = None
     written: list[str] = []
     if not folders:
-        one_of("--schema", name, spec.schema_names(_known(version)))
-        document = render(name, _known(version))
+        one_of("--schema", name, spec.schema_names())
+        document = render(name)
     for folder in folders or ():
-        written += [str(folder / file) for file in write(folder, version and _known(version))]
+        written += [str(folder / file) for file in write(folder)]
     if as_json:
         told = {"written": written, "document": None if document is None else json.loads(document)}
         console.answer("xpl.spec-schemas/1", told)
@@ -204,43 +160,21 @@ def _holds(path: Path, content: bytes) -> bool:
     return path.is_file() and path.read_bytes() == content
 
 
-def _plain(entry: Any) -> Any:
-    """Return a value of a YAML document as JSON has it: a date as text."""
-    if isinstance(entry, dict):
-        return {key: _plain(value) for key, value in entry.items()}
-    if isinstance(entry, list):
-        return [_plain(value) for value in entry]
-    return entry if isinstance(entry, (str, int, float, bool, type(None))) else str(entry)
-
-
-def _known(version: str | None) -> str:
-    """Return a version of the standard that was asked for, or the newest.
-
-    Raises:
-        UserError: if there is no such version.
-    """
-    from xpl_cli.standard import spec
-
-    if version is not None and version not in spec.versions():
-        raise no_such(f"there is no version {version!r} of the standard", version, spec.versions())
-    return version or spec.CURRENT
-
-
-def _file_problems(files: list[Path], schema: str | None, version: str | None) -> Iterator[Problem]:
+def _file_problems(files: list[Path], schema: str | None) -> Iterator[Problem]:
     """Yield the problems of each file by its schema."""
     from xpl_cli.basics.errors import NotFoundError
     from xpl_cli.standard.validate import validate_yaml_file
 
     for file in files:
-        chosen = _schema_of(file, schema, version)
+        chosen = _schema_of(file, schema)
         if not file.is_file():
             raise NotFoundError(f"there is no file {file}")
         if chosen == _TRAJECTORY:
             from xpl_cli.data.sets import held
 
-            yield from held.problems(file, _known(version))
+            yield from held.problems(file)
             continue
-        if chosen == "embodiment" and version is None:  # which may be like another one: what counts is the whole
+        if chosen == "embodiment":  # which may be like another one: what counts is the whole
             from xpl import robots as known
             from xpl_cli.packages.manifests import content_of
             from xpl_cli.standard import robots
@@ -248,19 +182,12 @@ def _file_problems(files: list[Path], schema: str | None, version: str | None) -
             yield from robots.read(content_of(file) or b"", str(file), known.entries())[1]
             continue
         try:
-            yield from validate_yaml_file(file, chosen, _known(version) if version else _written_by(chosen))
+            yield from validate_yaml_file(file, chosen)
         except OSError as error:
             raise UserError(f"{file} cannot be read: {error.strerror}") from None
 
 
-def _written_by(schema: str) -> str | None:
-    """Return the version that documents of the tool follow; None for a document that declares its own."""
-    from xpl_cli.standard import answers, spec
-
-    return spec.NEWEST if schema in answers.documents() else None
-
-
-def _schema_of(file: Path, schema: str | None, version: str | None) -> str:
+def _schema_of(file: Path, schema: str | None) -> str:
     """Return the name of the schema that was asked for, or that a file's name tells.
 
     Raises:
@@ -268,7 +195,7 @@ def _schema_of(file: Path, schema: str | None, version: str | None) -> str:
     """
     from xpl_cli.standard import spec
 
-    known = spec.schema_names(_known(version))
+    known = spec.schema_names()
     if schema is not None:
         if schema not in known:
             raise no_such(f"there is no schema {schema!r}", schema, known)

@@ -291,7 +291,7 @@ def _requirement(rule: Rule | type[Check] | Retired) -> Requirement | None:
     from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.standard import spec
 
-    return None if isinstance(rule, Retired) or not rule.requirement else spec.requirement(rule.requirement)
+    return None if isinstance(rule, Retired) or not rule.requirement else spec.requirements()[rule.requirement]
 
 
 def _explained(rule: Rule | type[Check] | Retired, requirement: Requirement | None) -> dict[str, Any]:

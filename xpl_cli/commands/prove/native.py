@@ -173,11 +173,10 @@ def kinematics(
     from xpl_cli.basics.errors import ExitCode, UserError
     from xpl_cli.native.kinematics import declared, witness
     from xpl_cli.packages import package as packages
-    from xpl_cli.standard import spec
 
     adapter = packages.load(policy)
     try:
-        found = declared.verdicts(adapter.manifest, spec.declared(adapter.manifest.data), [adapter.path])
+        found = declared.verdicts(adapter.manifest, [adapter.path])
     except (declared.NoWitnessError, NativeError) as error:
         raise UserError(f"{adapter.path}: {error}", code=ExitCode.NOT_RUN) from None
     if as_json:

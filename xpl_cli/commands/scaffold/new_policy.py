@@ -37,7 +37,7 @@ def new_policy(
         None, metavar="NAME,...", help="Cameras that it reads, with the smallest image: cam_head:640x480, or any size."
     ),
     code: bool = typer.Option(
-        False, "--code", help="Convert in encode and decode, not by the native block of policy.yml (v1.2)."
+        False, "--code", help="Convert in encode and decode, not by the native block of policy.yml."
     ),
     native_reference: bool = typer.Option(
         False, "--native-reference", help="Also write native.py, by which the adapter is compared with the model."
@@ -52,9 +52,6 @@ def new_policy(
     gripper: str | None = GRIPPER,
     camera: list[str] = CAMERA,
     statistics: str | None = STATISTICS,
-    version: str | None = typer.Option(
-        None, "--spec", metavar="VERSION", help="Version of the standard; the newest by default."
-    ),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that differ; files of your own are kept."),
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
@@ -82,12 +79,10 @@ def new_policy(
             code=code or None,
             native_reference=native_reference or None,
             python=python,
-            spec=version,
         )
         from_checkpoint.begin(name, sources, parent, given, overwrite=overwrite, dry_run=dry_run, as_json=as_json)
         return
     from_checkpoint.choices(gripper, camera, statistics, given=False)
-    template = adapter.policy_template(version)
     chosen = _given(
         embodiment=embodiment,
         action_type=action_type,
@@ -105,13 +100,13 @@ def new_policy(
     if not as_json and not dry_run and _is_asked():
         adapter.check_name(name)
         chosen.update(_ask(chosen))
-    answers = adapter.answers_of(name=name, **{**adapter.defaults(template), **chosen})
-    adapter.check(answers, template)
+    answers = adapter.answers_of(name=name, **{**adapter.defaults(), **chosen})
+    adapter.check(answers)
 
-    files = adapter.render(answers, template)
+    files = adapter.render(answers)
     target = parent / name
     state = new_package.put(files, target, overwrite=overwrite, dry_run=dry_run)
-    following = _next(target, install=adapter.needs_environment(answers, template))
+    following = _next(target, install=adapter.needs_environment(answers))
     new_package.report(files, target, state, following, schema=_SCHEMA, as_json=as_json)
 
 

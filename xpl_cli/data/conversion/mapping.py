@@ -1,7 +1,7 @@
 """What is which part of a set, and under which conventions: the words of a policy's `native:` block, with columns.
 
 An `input` of the block is the name of a column or camera. What only sets have stands beside it: which columns make the
-action, and by how many steps they come late. Source: spec/mappings/, and spec/v1.2/native.schema.json.
+action, and by how many steps they come late. Source: spec/mappings/, and spec/v1/native.schema.json.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def _read(path: Path, name: str) -> dict[str, Any]:
             faults.append("action has columns, a list, and perhaps shift")
         faults += [
             f"native.{'.'.join(map(str, problem.path))}: {problem.message}"
-            for problem in validate(document["native"], "native", spec.NEWEST)
+            for problem in validate(document["native"], "native")
         ]
     if faults:
         raise DataError(f"{path}: {faults[0]}", hint="`xpl spec show native` has the words", code=ExitCode.USAGE)

@@ -43,7 +43,7 @@ def _apart(value: Any) -> Any:
 
 
 def block(found: Found) -> dict[str, Any]:
-    """Return a `native` block (spec/v1.2/native.schema.json)."""
+    """Return a `native` block (spec/v1/native.schema.json)."""
     made: dict[str, Any] = {}
     images = [_image(found, name) for name in _cameras(found)]
     if images:

@@ -28,26 +28,25 @@ _JSON: Final = (sdk.Trajectory.INSTRUCTIONS, sdk.Trajectory.SUBTASKS)
 _SERIES: Final = (sdk.Trajectory.STATE, sdk.Trajectory.ACTION)
 
 
-def problems(file: Path, version: str) -> list[Problem]:
+def problems(file: Path) -> list[Problem]:
     """Return how a trajectory differs from its schema, each problem with its dataset; none means it is valid.
 
     Args:
         file: the trajectory.
-        version: of the standard.
 
     Raises:
         DataError: it cannot be read at all.
     """
     try:
         with trajectory.read(file) as found:
-            told = [*_of_schema(found.datasets, version), *_of_series(found.datasets), *_of_images(found)]
+            told = [*_of_schema(found.datasets), *_of_series(found.datasets), *_of_images(found)]
     except (trajectory.TrajectoryError, ImportError) as error:
         raise DataError(str(error)) from None
     placed = (replace(one, file=str(file), page=page_of(SCHEMA)) for one in told)
     return sorted(placed, key=lambda one: [str(part) for part in one.path])
 
 
-def _of_schema(datasets: Mapping[names.Place, Any], version: str) -> Iterator[Problem]:
+def _of_schema(datasets: Mapping[names.Place, Any]) -> Iterator[Problem]:
     document: dict[str, Any] = {}
     for path, dataset in datasets.items():
         *groups, leaf = path
@@ -55,7 +54,7 @@ def _of_schema(datasets: Mapping[names.Place, Any], version: str) -> Iterator[Pr
         for name in groups:
             inner = inner.setdefault(name, {})
         inner[leaf] = _stood_for(path, dataset)
-    for problem in validate(document, SCHEMA, version):
+    for problem in validate(document, SCHEMA):
         yield replace(problem, path=tuple(["/".join(map(str, problem.path))] if problem.path else ()))
 
 

@@ -79,14 +79,14 @@ def write(folder: Path, played: Played, layouts: Sequence[Layout]) -> None:
             "schema": records.SCHEMA,
             "policy": {
                 "name": package.name,
-                "spec": spec.declared(package.manifest.data),
+                "spec": spec.VERSION,
                 "digest": package_digest(package.path),
                 "config": dict(config),
                 "checkpoint": checkpoint_of(package, config),
             },
             "environment": {
                 "name": facts.name,
-                "spec": spec.declared(facts.data),
+                "spec": spec.VERSION,
                 "digest": package_digest(played.environment),
             },
             "embodiment": robot,

@@ -61,7 +61,7 @@ class Outcome:
 
     Attributes:
         job: the job.
-        line: what the episode's line says of how it went (`spec/v1.1/record.schema.json`): all but its key, its place
+        line: what the episode's line says of how it went (`spec/v1/record.schema.json`): all but its key, its place
             in the plan, whether it is final, its machine and its files.
         facts: the machine on which it was played; empty where that is not known.
         trace: an .npz with its curves, or None.

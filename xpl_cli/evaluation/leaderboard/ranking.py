@@ -1,4 +1,4 @@
-"""The ranking of a field: `xpl.leaderboard/1` (spec/v1.1/leaderboard.schema.json)."""
+"""The ranking of a field: `xpl.leaderboard/1` (spec/v1/leaderboard.schema.json)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run's record: one append-only file of lines (`spec/v1.1/record.schema.json`), read strictly and written for good.
+"""A run's record: one append-only file of lines (`spec/v1/record.schema.json`), read strictly and written for good.
 
     runs/foo/records.jsonl     the plan, machines, and one line for every attempt at an episode
     runs/foo/traces/, films/   what episodes looked like

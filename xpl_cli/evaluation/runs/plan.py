@@ -90,10 +90,10 @@ def make(
         "schema": records.SCHEMA,
         "policy": {
             "name": package.name,
-            "spec": spec.declared(package.manifest.data),
+            "spec": spec.VERSION,
             **_served_from(package, {**config, **robots.described(robot)}, manner or Manner()),
         },
-        "environment": {"name": facts.name, "spec": spec.declared(facts.data), "digest": package_digest(folder)},
+        "environment": {"name": facts.name, "spec": spec.VERSION, "digest": package_digest(folder)},
         "embodiment": robot,
         sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
         "control": {"horizon": wishes.horizon, "attempts": ATTEMPTS},

@@ -1,4 +1,4 @@
-"""Which of two runs is better, on the episodes that both played: `xpl.comparison/1` (spec/v1.1/comparison.schema.json).
+"""Which of two runs is better, on the episodes that both played: `xpl.comparison/1` (spec/v1/comparison.schema.json).
 
 Equal tasks, settings and seeds are equal cases, so that luck with easy seeds helps both alike. What is tested is in how
 many cases only one of the two succeeded.

@@ -1,4 +1,4 @@
-"""What a run found: `xpl.summary/1` (spec/v1.1/summary.schema.json), from its record and nothing else.
+"""What a run found: `xpl.summary/1` (spec/v1/summary.schema.json), from its record and nothing else.
 
 Rows over several cells are means of the cells' values: each weighs the same, however many of its episodes were played.
 Where all cells have equally many, that is what all episodes together would give.

@@ -22,12 +22,11 @@ class NoWitnessError(Exception):
     """There is nothing to judge; the text says why."""
 
 
-def verdicts(manifest: Manifest, version: str, folders: Sequence[Path]) -> list[Verdict]:
+def verdicts(manifest: Manifest, folders: Sequence[Path]) -> list[Verdict]:
     """Return what kinematics says of a manifest's samples.
 
     Args:
         manifest: policy.yml.
-        version: of the standard that it is held to.
         folders: where files may lie: the package.
 
     Raises:
@@ -37,7 +36,7 @@ def verdicts(manifest: Manifest, version: str, folders: Sequence[Path]) -> list[
     native = manifest.native
     if not native:
         raise NoWitnessError("policy.yml has no native block")
-    if validate.validate(native, "native", version):
+    if validate.validate(native, "native"):
         raise NoWitnessError("the native block is not what its schema asks for; XPL104 says where")
     if not native.get("samples"):
         raise NoWitnessError("native names no samples: no rows that hold joints and poses together")

@@ -15,7 +15,6 @@ from xpl_cli.native import names, pairs
 from xpl_cli.native.kinematics import declared
 from xpl_cli.native.show import numbers, robot, views, watched
 from xpl_cli.native.show.scene import Scene
-from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -250,7 +249,7 @@ def _witness(what: Subject) -> list[str]:
         return []
     manifest, folder = what.package.manifest, what.package.path
     try:
-        return [verdict.sentence for verdict in declared.verdicts(manifest, spec.declared(manifest.data), [folder])]
+        return [verdict.sentence for verdict in declared.verdicts(manifest, [folder])]
     except (declared.NoWitnessError, NativeError) as error:
         return [str(error)]
 

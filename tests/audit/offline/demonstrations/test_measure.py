@@ -32,7 +32,7 @@ HORIZON = 4
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A package that names six demonstrations."""
     folder = tmp_path_factory.mktemp("package")
-    (folder / "policy.yml").write_text("spec: v1.2\n")
+    (folder / "policy.yml").write_text("spec: v1\n")
     scripted.write(folder, ROBOT, 6)
     return folder
 
@@ -233,7 +233,7 @@ def test_without_the_weights_nothing_is_told(package: Path) -> None:
 
 def test_declaring_writes_what_is_read(package: Path, tmp_path: Path) -> None:
     """Relative to the policy's folder; a folder that is no policy is refused."""
-    (tmp_path / "policy.yml").write_text("spec: v1.2\n")
+    (tmp_path / "policy.yml").write_text("spec: v1\n")
     path, digests = declared.declare(tmp_path, package / "demonstrations")
     assert path == tmp_path / declared.FILE
     assert declared.read(tmp_path) == ((package / "demonstrations").resolve(), digests)

@@ -125,4 +125,4 @@ class Judged:
     def _checked(self, slug: str) -> Result:
         facts = {"path": self.package, "demonstrations": self.fact, "options": self.probe.options}
         with mock.patch.object(blocks, "answers", self.probe.blocks):
-            return Checks(Facts(facts, {}), "v1.2")._checked(find(slug))  # type: ignore[arg-type]
+            return Checks(Facts(facts, {}))._checked(find(slug))  # type: ignore[arg-type]

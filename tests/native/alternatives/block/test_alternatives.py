@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-SCHEMA = spec.schema("native", spec.NEWEST)
+SCHEMA = spec.schema("native")
 VOCABULARY = {option["const"] for option in SCHEMA["$defs"]["convention"]["oneOf"]}
 NAMES = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.native.alternatives.signals.fields import Change
 
-VOCABULARY = {option["const"] for option in spec.schema("native", spec.NEWEST)["$defs"]["convention"]["oneOf"]}
+VOCABULARY = {option["const"] for option in spec.schema("native")["$defs"]["convention"]["oneOf"]}
 CAMERAS = ("cam_head", "cam_left_wrist", "cam_right_wrist")
 FEW = settings(max_examples=25, derandomize=True, deadline=None)
 ROBOTS = ("franka", "piper_single", "tianji_marvin_wuji")

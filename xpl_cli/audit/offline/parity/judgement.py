@@ -25,7 +25,7 @@ _ROUNDING = 4 * float(np.finfo(np.float32).eps)
 
 def tolerance(manifest: Manifest) -> float:
     """Return the share of the span that answers may be off by: what the native block says, or the default."""
-    usual: float = spec.schema("native", spec.NEWEST)["properties"]["tolerance"]["default"]
+    usual: float = spec.schema("native")["properties"]["tolerance"]["default"]
     return float((manifest.native or {}).get("tolerance", usual))
 
 

@@ -119,4 +119,4 @@ def _is_valid(block: Mapping[str, Any]) -> bool:
 def _validator() -> Any:
     import jsonschema_rs
 
-    return jsonschema_rs.validator_for(spec.schema("native", spec.versions()[-1]))
+    return jsonschema_rs.validator_for(spec.schema("native"))
