@@ -15,10 +15,10 @@ import yaml
 
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from xpl import _spec as spec
 from xpl import get_embodiment, robots
 from xpl.embodiment import UnknownEmbodimentError
 from xpl.robots import registry
+from xpl.robots import shipped as known
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages import robots as projects
 from xpl_cli.packages.manifests import ManifestError
@@ -196,5 +196,5 @@ def test_words_of_benchmarks_stand_for_robots() -> None:
 def test_robots_that_come_along_hold_what_the_standard_asks_of_its_own() -> None:
     """Schema, names of their own, and a source for their numbers."""
     assert list(shipped.check()) == []
-    assert shipped.along() == spec.ROBOTS
-    assert not set(spec.ROBOTS) & set(spec.EMBODIMENTS)
+    assert shipped.along() == known.along()
+    assert not set(known.along()) & set(known.standard())

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from tests.support.work import calls
-from xpl import _spec as spec
 from xpl import get_embodiment, robots, rotation
 from xpl.kinematics import Chain, KinematicsError
 from xpl.poses import compose, invert, pose, transform
+from xpl.robots import shipped
 from xpl_cli.basics.content import load_module, room
 
-STANDARD = sorted(name for name, entry in spec.EMBODIMENTS.items() if entry["arm"]["joints"])
-ALONG = sorted(name for name, entry in spec.ROBOTS.items() if "like" not in entry and robots.has_frames(entry))
+STANDARD = sorted(name for name, entry in shipped.standard().items() if entry["arm"]["joints"])
+ALONG = sorted(name for name, entry in shipped.along().items() if "like" not in entry and robots.has_frames(entry))
 
 
 @pytest.fixture(params=[*STANDARD, *ALONG])
@@ -173,11 +173,11 @@ def test_frames_compose_and_invert() -> None:
 def test_dimensions_without_frames_have_no_kinematics() -> None:
     """An embodiment of which only dimensions are known is refused by name."""
     with pytest.raises(KinematicsError, match="tianji_marvin_wuji"):
-        Chain.from_embodiment(spec.EMBODIMENTS["tianji_marvin_wuji"])
+        Chain.from_embodiment(shipped.standard()["tianji_marvin_wuji"])
 
 
 @pytest.mark.parametrize("bad", [[0.0] * 5, [np.nan] * 6])
 def test_malformed_joints_are_refused(bad: Any) -> None:
     """The error says what was expected."""
     with pytest.raises(KinematicsError, match="6 finite numbers"):
-        Chain.from_embodiment(spec.EMBODIMENTS["arx_x5"]).flange(bad)
+        Chain.from_embodiment(shipped.standard()["arx_x5"]).flange(bad)

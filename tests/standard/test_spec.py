@@ -15,10 +15,11 @@ import pytest
 from tests.support import forked
 from tests.support.places import ROOT, tracked
 from xpl import _spec as sdk
+from xpl.robots import shipped
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.derived import reference
 from xpl_cli.derived.compiler import compile_source
-from xpl_cli.standard import check, spec, view
+from xpl_cli.standard import check, robots, spec, view
 from xpl_cli.standard.validate import validate_yaml_file
 from xpl_cli.standard.words import choices
 
@@ -113,7 +114,7 @@ def _words() -> set[str]:
     classes = [value for value in vars(sdk).values() if isinstance(value, type) and value.__module__ == sdk.__name__]
     words = {word for entry in classes for name, word in vars(entry).items() if name.isupper()}
     words.update(*sdk.CAMERAS.values(), sdk.OPTIONAL_CAMERAS, sdk.CHECKPOINT_KEYS, sdk.CONTRACT_METHODS, sdk.HOOKS)
-    for name, robot in sdk.EMBODIMENTS.items():
+    for name, robot in shipped.standard().items():
         words.update([name, *robot.get("aliases", ())])
     for schema in ("observation", "action", "trajectory"):
         words.update(_keys(spec.schema(schema)))
@@ -195,8 +196,13 @@ def test_every_exception_is_needed() -> None:
 
 
 def test_the_compiled_constants_are_up_to_date() -> None:
-    """`xpl/_spec.py` is what `xpl spec compile` makes of the spec."""
+    """What the SDK knows is what `xpl spec compile` makes of the spec."""
     assert (ROOT / "xpl" / "_spec.py").read_text(encoding="utf-8") == compile_source()
+    assert (shipped.standard(), shipped.along(), shipped.words()) == (
+        spec.embodiments(),
+        robots.along(),
+        robots.words(),
+    )
 
 
 def test_the_standard_has_no_fault() -> None:

@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from xpl import _spec as spec
 from xpl import registry
+from xpl.robots import shipped
 from xpl.robots.entry import faults, inherit
 
 STANDARD, ALONG = "the standard", "xpl"
@@ -32,7 +32,7 @@ class RobotError(ValueError):
 def entries() -> dict[str, Mapping[str, Any]]:
     """Return what is known of every robot, by name: the standard's first, then ours, then a project's."""
     _listen()
-    return {**spec.EMBODIMENTS, **spec.ROBOTS, **{name: entry for name, (_, entry) in _offered.items()}}
+    return {**shipped.standard(), **shipped.along(), **{name: entry for name, (_, entry) in _offered.items()}}
 
 
 def names() -> dict[str, str]:
@@ -58,9 +58,9 @@ def origin(name: str) -> str:
     Raises:
         KeyError: if there is no robot of this name.
     """
-    if name in spec.EMBODIMENTS:
+    if name in shipped.standard():
         return STANDARD
-    if name in spec.ROBOTS:
+    if name in shipped.along():
         return ALONG
     _listen()
     return _offered[name][0]
@@ -187,8 +187,8 @@ def _known(word: str) -> str | None:
 @cache
 def _fixed() -> dict[str, str]:
     """Return the words for robots that are always there."""
-    known = {**spec.EMBODIMENTS, **spec.ROBOTS}
-    return {**spec.ROBOT_ALIASES, **{word: name for name, entry in known.items() for word in _words(name, entry)}}
+    known = {**shipped.standard(), **shipped.along()}
+    return {**shipped.words(), **{word: name for name, entry in known.items() for word in _words(name, entry)}}
 
 
 def _words(name: str, entry: Mapping[str, Any]) -> tuple[str, ...]:

@@ -1,11 +1,13 @@
-"""Compile `spec/` into what follows from it: `xpl/_spec.py`, the constants of the SDK, and pages of documentation.
+"""Compile `spec/` into what follows from it: what the SDK knows of the standard, and pages of documentation.
 
-The SDK runs where only numpy is installed: it can read neither YAML nor JSON Schema at a reasonable price. So the facts
-it needs are written once as Python literals. The file is committed and a test compiles it again and compares.
+The SDK runs where only numpy is installed: it can read neither YAML nor JSON Schema at a reasonable price. So it gets
+names and numbers as a module of constants (`xpl/_spec.py`), and robots as JSON, which it reads when one is asked for.
+Both are committed, and a test compiles them again and compares.
 """
 
 from __future__ import annotations
 
+import json
 import pprint
 import re
 from pathlib import Path
@@ -40,7 +42,8 @@ def derived(root: Any) -> dict[str, bytes]:
     from xpl_cli.derived import commands, zoo
 
     pages = {**_folders(), **zoo.pages(), commands.PAGE: commands.page(root)}
-    return {"xpl/_spec.py": compile_source().encode(), **{name: text.encode() for name, text in pages.items()}}
+    sdk = {"xpl/_spec.py": compile_source(), "xpl/robots/robots.json": compile_robots()}
+    return {name: text.encode() for name, text in {**sdk, **pages}.items()}
 
 
 def left_over(root: Path) -> list[str]:
@@ -141,14 +144,25 @@ def compile_source() -> str:
         "LIMITS": dict(wire["limits"]),
         "SHARED_MEMORY": dict(wire["shared_memory"]),
         "CLOSE_CODES": dict(wire["close_codes"]),
-        "EMBODIMENTS": spec.embodiments(),
-        "ROBOTS": robots.along(),
-        "ROBOT_ALIASES": robots.words(),
     }
     parts = [_HEADER.format(version=spec.VERSION)]
     parts += [_class(name, keys) for name, keys in classes.items()]
     parts.append("\n".join(_assignment(name, value) for name, value in values.items()) + "\n")
     return "\n\n".join(parts)
+
+
+def compile_robots() -> str:
+    """Return the text of `xpl/robots/robots.json`: the standard's robots, those that come along, and words for them."""
+    known: dict[str, Mapping[str, Any]] = {
+        "standard": spec.embodiments(),
+        "along": robots.along(),
+        "words": robots.words(),
+    }
+    parts = []
+    for part, entries in known.items():
+        lines = [f"  {json.dumps(name)}: {json.dumps(entry, ensure_ascii=False)}" for name, entry in entries.items()]
+        parts.append("\n".join([f'"{part}": {{', ",\n".join(lines), "}"]))
+    return "\n".join(["{", ",\n".join(parts), "}", ""])
 
 
 def _stored(name: str, known: Mapping[str, Any], readers: Mapping[str, list[str]]) -> str:
@@ -175,8 +189,7 @@ def _constant(name: str) -> str:
 
 
 def _assignment(name: str, value: Any) -> str:
-    annotation = "dict[str, dict[str, Any]]" if name in ("EMBODIMENTS", "ROBOTS") else _annotation(value)
-    return f"{name}: {annotation} = {pprint.pformat(value, width=116, compact=True, sort_dicts=False)}"
+    return f"{name}: {_annotation(value)} = {pprint.pformat(value, width=116, compact=True, sort_dicts=False)}"
 
 
 def _annotation(value: Any) -> str:

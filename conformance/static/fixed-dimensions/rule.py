@@ -9,6 +9,7 @@ from functools import cache
 from itertools import accumulate
 
 from xpl import _spec as sdk
+from xpl.robots import shipped
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import Adapter
 from xpl_cli.audit.static.function import Function
@@ -27,7 +28,7 @@ _ROBOT = re.compile(r"robot|embodiment|env_cfg", re.IGNORECASE)
 def _layouts() -> list[tuple[str, frozenset[int], int]]:
     """Return, for each robot: its arms in words, where values begin and end in its packed vectors, and their length."""
     found = []
-    for robot in sdk.EMBODIMENTS.values():
+    for robot in shipped.standard().values():
         sizes = [(robot["arm"]["dof"], robot["end_effector"]["dim"])] * len(robot["arms"])
         packed = [size for pair in sizes for size in pair]
         grouped = [pair[0] for pair in sizes] + [pair[1] for pair in sizes]

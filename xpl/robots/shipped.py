@@ -1,0 +1,30 @@
+"""Robots that come with `xpl`, from `robots.json`, which `xpl spec compile` writes; read when one is asked for."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+
+def standard() -> dict[str, dict[str, Any]]:
+    """Return what is known of every robot of the standard, by name."""
+    return _read("standard")
+
+
+def along() -> dict[str, dict[str, Any]]:
+    """Return what is known of every robot that comes along, by name."""
+    return _read("along")
+
+
+def words() -> dict[str, str]:
+    """Return what benchmarks call robots where no entry says so, with the robot's name."""
+    return _read("words")
+
+
+@cache
+def _read(part: str) -> dict[str, Any]:
+    content = Path(__file__).with_name("robots.json").read_bytes()
+    found: dict[str, Any] = json.loads(content)[part]
+    return found
