@@ -64,6 +64,7 @@ USUAL: dict[str, list[str] | None] = {
     "zoo show": ["ACT"],
     "zoo prove": ["ACT", "policy/Foo", "--gate", "static", "--dry-run"],
     "env list": ["mujoco"],
+    "env path": ["mujoco"],
     "env check": ["no_such"],
     "env render": ["no_such", "picture.png"],
     "env sheet": ["no_such", "picture.png"],

@@ -14,6 +14,7 @@ from xpl.convert import NativeError
 from xpl.convert.frames import mount, tool
 from xpl.embodiment import embodiment_names, get_embodiment
 from xpl.kinematics import Chain
+from xpl.manifest import Manifest
 from xpl_cli.native import pictures, script
 from xpl_cli.standard.validate import validate
 
@@ -126,14 +127,14 @@ def test_pictures_are_the_same_on_every_machine() -> None:
 )
 def test_images_are_as_large_as_a_manifest_asks_for(declared: dict[str, Any], size: tuple[int, int]) -> None:
     """And larger where that is allowed: what shrinks images has to shrink them here, too."""
-    manifest = {"inputs": {"required": ["vision.cam_front"]}, "cameras": {"cam_front": declared}}
+    manifest = Manifest.parse({"inputs": {"required": ["vision.cam_front"]}, "cameras": {"cam_front": declared}})
     assert script.cameras(manifest, get_embodiment("piper_single"))["cam_front"] == size
 
 
 def test_privileged_observations_cannot_be_scripted() -> None:
     """Only a simulator has them."""
     with pytest.raises(NativeError, match="privileged"):
-        script.cameras({"inputs": {"required": ["privileged"]}}, get_embodiment("piper_single"))
+        script.cameras(Manifest.parse({"inputs": {"required": ["privileged"]}}), get_embodiment("piper_single"))
 
 
 @pytest.mark.parametrize("calls", [script.whole(1), script.whole(5), script.whole(1000), script.brief()])

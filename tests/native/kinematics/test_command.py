@@ -12,6 +12,7 @@ import yaml
 from tests.support.peer import xpl
 from tests.support.recordings.arms import moments, rows
 from xpl import get_embodiment
+from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.native.kinematics import declared
 from xpl_cli.scaffold import adapter
@@ -79,7 +80,7 @@ def test_what_agrees_is_clean(tmp_path: Path) -> None:
 def test_without_a_witness_that_is_said(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
     """And nothing is judged."""
     folder = _made(tmp_path / "P", "quaternion_wxyz", **changes)
-    manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
+    manifest = Manifest.parse(yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8")))
     with pytest.raises(declared.NoWitnessError, match=words):
         declared.verdicts(manifest, [folder])
 
@@ -87,6 +88,6 @@ def test_without_a_witness_that_is_said(changes: dict[str, Any], words: str, tmp
 def test_rows_are_of_the_robot_that_they_fit(tmp_path: Path) -> None:
     """An adapter may be for several; data are of one."""
     folder = _made(tmp_path / "P", "quaternion_xyzw", embodiments=["piper_single", ROBOT])
-    manifest = yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8"))
+    manifest = Manifest.parse(yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8")))
     found = declared.verdicts(manifest, [folder])
     assert {verdict.outcome for verdict in found} == {"agrees"}

@@ -202,7 +202,6 @@ def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (("--task", "lift_cube"), "--task is of an environment"),
-        (("--environment", "mujoco", "--from", "x"), "both say what is shown"),
         (("--image", "photo.png"), "--image takes CAMERA=FILE"),
     ],
 )

@@ -15,6 +15,7 @@ import yaml
 
 from xpl import get_embodiment
 from xpl.convert import NativeError, compile_interface
+from xpl.manifest import Manifest
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[3]
@@ -72,10 +73,9 @@ class Trained:
         return ROOT / str(self.told["package"])
 
     @cached_property
-    def manifest(self) -> dict[str, Any]:
+    def manifest(self) -> Manifest:
         """The right adapter's policy.yml."""
-        found: dict[str, Any] = yaml.safe_load((self.package / "policy.yml").read_text())
-        return found
+        return Manifest.parse(yaml.safe_load((self.package / "policy.yml").read_text()))
 
     @cached_property
     def subjects(self) -> list[Subject]:
