@@ -15,13 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xpl.process import link
-from xpl.process.link import Channel, Inbox, LinkError
+from xpl.process.link import Channel, Inbox
+from xpl.wire import frame
+from xpl.wire.frame import PackingError
 
 
 def message(header: int, body: int) -> bytes:
     """Return a message of these lengths, with content that tells where it was."""
     content = (np.arange(header + body) % 251).astype(np.uint8).tobytes()
-    return struct.pack("<4sIQ", b"XPLL", header, body) + content
+    return struct.pack("<4sIQ", b"XPL1", header, body) + content
 
 
 def sent(head: Any, *buffers: bytes) -> tuple[Any, list[bytes]]:
@@ -78,7 +80,7 @@ def test_buffers_are_not_copied() -> None:
 )
 def test_a_head_that_json_does_not_know_cannot_be_sent(head: Any) -> None:
     """Never a TypeError, which would end the server."""
-    with pytest.raises(LinkError):
+    with pytest.raises(PackingError):
         link.encode([{"head": head}])
 
 
@@ -86,27 +88,27 @@ def test_a_head_that_contains_itself_cannot_be_sent() -> None:
     """Nor one that is too large."""
     loop: list[Any] = []
     loop.append(loop)
-    with pytest.raises(LinkError):
+    with pytest.raises(PackingError):
         link.encode(loop)
 
 
 def test_a_head_over_the_limit_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """The other side would take it for a stream that is out of step."""
-    monkeypatch.setattr(link, "HEADER_LIMIT", 100)
-    with pytest.raises(LinkError, match="over the limits"):
+    monkeypatch.setattr(frame, "HEADER_LIMIT", 100)
+    with pytest.raises(PackingError, match="over the limits"):
         link.encode("x" * 200)
 
 
 def headed(text: bytes, body: int = 0) -> bytes:
     """Return a message with a header of our own making."""
     text += b" " * (-len(text) % 16)
-    return struct.pack("<4sIQ", b"XPLL", len(text), body) + text + bytes(body)
+    return struct.pack("<4sIQ", b"XPL1", len(text), body) + text + bytes(body)
 
 
 @pytest.mark.parametrize(
     "data",
     [
-        b"", b"XPLL", headed(b""), headed(b"{}"), headed(b"[]"), headed(b"[1]"), headed(b"[1,2]"), headed(b"[1,[16]]"),
+        b"", b"XPL1", headed(b""), headed(b"{}"), headed(b"[]"), headed(b"[1]"), headed(b"[1,2]"), headed(b"[1,[16]]"),
         headed(b"[1,[]]", 16), headed(b"[1,[8]]", 32), headed(b"[1,[-16,32]]", 16), headed(b"[1,[1.5]]", 16),
         headed(b'[1,["16"]]', 16), headed(b"[1,[null]]", 16), headed(b"\xff\xfe"), headed(b"[" * 20_000),
         headed(b"[1,[%d]]" % 2**80, 16), headed(b"[1,[16]]", 16)[:-1], headed(b"[1,[16]]", 16) + b"0",
@@ -115,7 +117,7 @@ def headed(text: bytes, body: int = 0) -> bytes:
 )  # fmt: skip
 def test_what_is_no_message_is_refused(data: bytes) -> None:
     """With the one error that the ends of a link know."""
-    with pytest.raises(LinkError):
+    with pytest.raises(PackingError):
         link.decode(data)
 
 
@@ -174,8 +176,8 @@ def test_messages_stay_as_they_are_while_more_is_read() -> None:
     [
         b"\xff" * 16,
         b"XPL2" + bytes(12),
-        struct.pack("<4sIQ", b"XPLL", link.HEADER_LIMIT + 1, 0),
-        struct.pack("<4sIQ", b"XPLL", 2**32 - 1, 2**64 - 1),
+        struct.pack("<4sIQ", b"XPL1", frame.HEADER_LIMIT + 1, 0),
+        struct.pack("<4sIQ", b"XPL1", 2**32 - 1, 2**64 - 1),
         message(16, 4) + b"Traceback (most recent call last)",
     ],
 )
@@ -184,7 +186,7 @@ def test_a_stream_out_of_step_is_a_link_error(noise: bytes) -> None:
     inbox = Inbox()
 
     def read() -> None:
-        with pytest.raises(LinkError, match="out of step"):
+        with pytest.raises(PackingError, match="out of step"):
             list(fed(inbox, noise, [7]))
 
     assert peak(read) < 100_000
@@ -193,7 +195,7 @@ def test_a_stream_out_of_step_is_a_link_error(noise: bytes) -> None:
 def test_a_long_message_takes_memory_as_it_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not as it is announced; and it arrives whole."""
     monkeypatch.setattr(link, "_STEP", 1 << 17)
-    inbox, announced = Inbox(), struct.pack("<4sIQ", b"XPLL", 16, link.BODY_LIMIT)
+    inbox, announced = Inbox(), struct.pack("<4sIQ", b"XPL1", 16, frame.BODY_LIMIT)
     assert peak(lambda: list(fed(inbox, announced + bytes(200_000), [70_000]))) < 2_000_000
     whole = message(16, 3_000_000)
     assert list(fed(Inbox(), whole, [100_000])) == [whole]
@@ -259,14 +261,14 @@ def test_noise_is_a_link_error(ends: tuple[Channel, socket.socket]) -> None:
     """It is not waited for more."""
     channel, other = ends
     other.sendall(b"a print on the wrong descriptor\n")
-    with pytest.raises(LinkError, match="out of step"):
+    with pytest.raises(PackingError, match="out of step"):
         channel.receive()
 
 
 def test_what_cannot_be_sent_leaves_the_link_as_it_was(ends: tuple[Channel, socket.socket]) -> None:
     """Nothing of it was sent."""
     channel, other = ends
-    with pytest.raises(LinkError):
+    with pytest.raises(PackingError):
         channel.send({"object": object()}, [bytes(100_000)])
     channel.send("next")
     assert link.decode(other.recv(1000)) == ("next", [])

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 from xpl.process import link
 from xpl.process.link import Channel
+from xpl.wire.frame import PackingError
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data
@@ -104,7 +105,7 @@ def serve(descriptor: int, handle: Handle, leave: Callable[[], None] | None = No
     try:
         stream = joined(descriptor, leaving)
         _answer(stream, handle)
-    except link.LinkError as error:
+    except PackingError as error:
         sys.stderr.write(f"[worker] {error}\n")
     except (OSError, _Ended):
         pass

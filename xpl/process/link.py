@@ -1,38 +1,24 @@
 """The private stream between the server's front end and a worker: a little JSON and raw buffers, one after the other.
 
-    <"XPLL"><header length: u32><body length: u64>   little endian
-    <header: JSON [head, [length of each buffer]], UTF-8, padded with spaces>
-    <body: the buffers, each at a multiple of 16 bytes>
-
-The buffers are packed values (`xpl.wire.packed`), which the front end passes on without reading them.
+One message is a frame (`xpl.wire.frame`) whose header is `[head, [length of each buffer]]`. The buffers are packed
+values (`xpl.wire.packed`), which the front end passes on without reading them.
 """
 
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+
+from xpl.wire.frame import BODY_LIMIT, PREFIX_BYTES, PackingError, begun, gap, lengths
 
 if TYPE_CHECKING:
     import socket
 
     from xpl.wire.arrays import Data
 
-_PREFIX = struct.Struct("<4sIQ")
-PREFIX_BYTES = _PREFIX.size
-_MAGIC = b"XPLL"
-_ALIGN = 16
-_ZEROS = bytes(_ALIGN)
 _SCRATCH = 1 << 16
 _STEP = 1 << 26
-HEADER_LIMIT = 1 << 26
-BODY_LIMIT = 1 << 33
-"""Bytes; more than any frame unpacks to. Only a stream that is out of step asks for more."""
-
-
-class LinkError(ValueError):
-    """A message cannot be sent, or what arrived is none."""
 
 
 def _refuse(value: Any) -> Any:
@@ -48,25 +34,22 @@ def encode(head: Any, buffers: Sequence[Data] = ()) -> list[Data]:
     """Return the pieces of one message; the buffers are not copied.
 
     Raises:
-        LinkError: if the head is not made of what JSON knows, or is too large.
+        PackingError: if the head is not made of what JSON knows, or is too large.
     """
     sizes = [len(buffer) for buffer in buffers]
     try:
         text = _to_json([head, sizes]).encode()
     except RecursionError:
-        raise LinkError("the value contains itself, or is nested too deeply to be sent") from None
+        raise PackingError("the value contains itself, or is nested too deeply to be sent") from None
     except (TypeError, ValueError) as error:
-        raise LinkError(str(error)) from None
-    text += b" " * (-len(text) % _ALIGN)
-    body = sum(size + -size % _ALIGN for size in sizes)
-    if len(text) > HEADER_LIMIT or body > BODY_LIMIT:
-        raise LinkError(f"a message of {len(text)} and {body} bytes is over the limits of {HEADER_LIMIT}, {BODY_LIMIT}")
-    pieces: list[Data] = [_PREFIX.pack(_MAGIC, len(text), body) + text]
-    for buffer, size in zip(buffers, sizes):
-        pieces.append(buffer)
-        if size % _ALIGN:
-            pieces.append(_ZEROS[size % _ALIGN :])
-    return pieces
+        raise PackingError(str(error)) from None
+    body: list[Data] = []
+    for buffer in buffers:
+        body.append(buffer)
+        rest = gap(len(buffer))
+        if rest:
+            body.append(rest)
+    return [begun(text, sum(map(len, body))), *body]
 
 
 def joined(pieces: Sequence[Data]) -> Sequence[Data]:
@@ -78,31 +61,21 @@ def decode(message: Data) -> tuple[Any, list[memoryview]]:
     """Return the head and the buffers of one message; the buffers are read-only views of it.
 
     Raises:
-        LinkError: if it is not exactly one message.
+        PackingError: if it is not exactly one message.
     """
     view = memoryview(message).toreadonly()
-    end = PREFIX_BYTES + _lengths(view)[0]
+    end = PREFIX_BYTES + lengths(view)[0]
     try:
         head, sizes = json.loads(str(view[PREFIX_BYTES:end], "utf-8"))
         buffers = []
         for size in sizes:
             buffers.append(view[end : end + size])
-            end += size + -size % _ALIGN
+            end += size + len(gap(size))
     except (ValueError, TypeError, RecursionError):
-        raise LinkError("the header of a message is none: the stream is out of step") from None
+        raise PackingError("the header of a message is none: the stream is out of step") from None
     if end != len(view) or any(size < 0 for size in sizes):
-        raise LinkError(f"a message of {end} bytes was announced, got {len(view)}: the stream is out of step")
+        raise PackingError(f"a message of {end} bytes was announced, got {len(view)}: the stream is out of step")
     return head, buffers
-
-
-def _lengths(prefix: Data) -> tuple[int, int]:
-    """Return the lengths of header and body that a message's first bytes announce."""
-    if len(prefix) < PREFIX_BYTES:
-        raise LinkError(f"a message begins with {PREFIX_BYTES} bytes, got {len(prefix)}")
-    magic, header, body = _PREFIX.unpack_from(prefix)
-    if magic != _MAGIC or header > HEADER_LIMIT or body > BODY_LIMIT:
-        raise LinkError(f"{bytes(prefix[:PREFIX_BYTES])!r} begins no message: the stream is out of step")
-    return header, body
 
 
 class Inbox:
@@ -135,7 +108,7 @@ class Inbox:
         """Return the messages that `count` more bytes complete.
 
         Raises:
-            LinkError: if the stream is out of step.
+            PackingError: if the stream is out of step.
         """
         if self._message is None:
             return self._cut(memoryview(self._scratch)[: self._kept + count])
@@ -149,9 +122,9 @@ class Inbox:
         messages: list[Data] = []
         self._kept = 0
         while len(view) >= PREFIX_BYTES:
-            header, body = _lengths(view)
+            header, body = lengths(view)
             if body > self._largest:
-                raise LinkError(f"a message of {body} bytes was announced, more than the {self._largest} it may have")
+                raise PackingError(f"a message of {body} bytes was announced, over the {self._largest} it may have")
             total = PREFIX_BYTES + header + body
             if total > len(view):
                 if total > _SCRATCH:
@@ -179,7 +152,7 @@ class Channel:
         """Send a message.
 
         Raises:
-            LinkError: if it cannot be sent; nothing was sent then.
+            PackingError: if it cannot be sent; nothing was sent then.
             OSError: if the other end is gone.
         """
         for piece in joined(encode(head, buffers)):
@@ -189,7 +162,7 @@ class Channel:
         """Return the bytes of the next message, or None at the end of the stream.
 
         Raises:
-            LinkError: if what arrives is not a message.
+            PackingError: if what arrives is not a message.
         """
         while not self._ready:
             try:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl.process import child, link
+from xpl.wire.frame import BODY_LIMIT, PackingError
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data
@@ -64,7 +65,7 @@ class Process:
         prefix: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
         is_silent: bool = False,
-        largest: int = link.BODY_LIMIT,
+        largest: int = BODY_LIMIT,
     ) -> None:
         self._channel, theirs = socket.socketpair()
         for end in (self._channel, theirs):
@@ -134,13 +135,13 @@ class Process:
                 count = 0
             except OSError:
                 count = 0
-            except link.LinkError as error:
+            except PackingError as error:
                 raise self._broken(error) from None
             if not count:
                 raise self._lost(self._ended())
         try:
             return link.decode(self._ready.pop(0))
-        except link.LinkError as error:
+        except PackingError as error:
             raise self._broken(error) from None
 
     def kill(self) -> None:

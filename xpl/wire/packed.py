@@ -1,13 +1,10 @@
 """Values as bytes without msgpack: a JSON header and raw buffers.
 
 What a worker is asked and answers is in this form, and so are payloads on the wire where both sides announced it:
-arrays are neither wrapped nor copied one by one, and the front end passes on what it need not read. One value is
+arrays are neither wrapped nor copied one by one, and the front end passes on what it need not read. One value is a
+frame (`xpl.wire.frame`).
 
-    <"XPL1"><header length: u32><body length: u64>   little endian
-    <header: JSON, UTF-8, padded with spaces>
-    <body: buffers in the order of the header, each at a multiple of 16 bytes>
-
-In the header an array is `{"@array": [offset, dtype, shape]}`, a numpy scalar the same with shape null, a byte string
+In its header an array is `{"@array": [offset, dtype, shape]}`, a numpy scalar the same with shape null, a byte string
 `{"@bytes": [offset, length]}`. An array that lies in shared memory is `{"@shared": [block, offset, dtype, shape]}`. A
 list of maps that hold arrays of equal keys, types and shapes, as action chunks do, is `{"@rows": {key: [offset, dtype,
 shape]}}`, with the length of the list as the first size. A text key that starts with `@` has it doubled. No pickle.
@@ -17,7 +14,6 @@ from __future__ import annotations
 
 import json
 import re
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter, itemgetter
@@ -27,19 +23,25 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.wire.arrays import Data, as_array, check_dtype, data_of, describe_dtype, from_data, parse_dtype
+from xpl.wire.frame import BODY_LIMIT, PREFIX_BYTES, PackingError, begun, gap, lengths
 
-_PREFIX = struct.Struct("<4sIQ")
-PREFIX_BYTES = _PREFIX.size
-_MAGIC = b"XPL1"
-_ALIGN = 16
+__all__ = [
+    "PREFIX_BYTES",
+    "Find",
+    "Limits",
+    "PackingError",
+    "Place",
+    "decode",
+    "encode",
+    "lengths",
+    "map_key",
+    "size_of",
+]
+
 _ESCAPE, _ARRAY, _BYTES, _SHARED, _ROWS = "@", "@array", "@bytes", "@shared", "@rows"
 _MARKS = frozenset((_ARRAY, _BYTES, _SHARED, _ROWS))
 _SMALL = 1 << 12
-_ZEROS = bytes(_ALIGN)
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
-HEADER_LIMIT = 64 * 1024 * 1024
-BODY_LIMIT = 8 * 1024**3
-"""Bytes; more than any frame unpacks to. Only a stream that is out of step asks for more."""
 
 _dtype_of, _shape_of = attrgetter("dtype"), attrgetter("shape")
 # Not as ASCII: a lone surrogate, which no other encoder takes, is then refused here, too.
@@ -70,10 +72,6 @@ Find = Callable[[int, int, "np.dtype[Any]", Any], np.ndarray]
 """Returns the array of a block, an offset, a dtype and a shape in shared memory."""
 
 
-class PackingError(ValueError):
-    """A value cannot be packed, or what arrived is not a packed value."""
-
-
 def encode(value: Any, place: Place | None = None, limits: Limits = _NO_LIMITS) -> list[Data]:
     """Return the pieces of one message; arrays are not copied unless they are small or not contiguous.
 
@@ -93,30 +91,7 @@ def encode(value: Any, place: Place | None = None, limits: Limits = _NO_LIMITS) 
         raise PackingError("the value contains itself, or is nested too deeply to be sent") from None
     except ValueError as error:
         raise PackingError(str(error)) from None
-    if len(text) > HEADER_LIMIT:
-        raise PackingError(f"lists and text of {len(text)} bytes are over the limit of {HEADER_LIMIT}: use arrays")
-    text += b" " * (-len(text) % _ALIGN)
-    return [_PREFIX.pack(_MAGIC, len(text), writer.size) + text, *writer.pieces]
-
-
-def lengths(prefix: Data) -> tuple[int, int]:
-    """Return the lengths of the header and the body that follow the first `PREFIX_BYTES` bytes of a message.
-
-    Raises:
-        PackingError: if it is no prefix, or one beyond any sensible size.
-    """
-    try:
-        magic, header, body = _PREFIX.unpack_from(prefix)
-    except struct.error:
-        raise PackingError(f"a packed value begins with {PREFIX_BYTES} bytes, got {len(prefix)}") from None
-    if magic != _MAGIC:
-        raise PackingError(f"a packed value begins with {_MAGIC!r}, got {bytes(magic)!r}: the stream is out of step")
-    if header > HEADER_LIMIT or body > BODY_LIMIT:
-        raise PackingError(
-            f"a packed value of {header} and {body} bytes is over the limits of {HEADER_LIMIT} and {BODY_LIMIT}: the "
-            "stream is out of step"
-        )
-    return header, body
+    return [begun(text, writer.size), *writer.pieces]
 
 
 def decode(message: Data, find: Find | None = None) -> Any:
@@ -240,13 +215,13 @@ class _Writer:
     def _add(self, data: Data) -> int:
         offset = self.size
         size = len(data)
-        gap = -size % _ALIGN
+        rest = gap(size)
         if offset + size > self._limits.size:
             raise PackingError(f"its arrays take more than the {self._limits.size} bytes that a message may have")
         self.pieces.append(data)
-        if gap:
-            self.pieces.append(_ZEROS[:gap])
-        self.size = offset + size + gap
+        if rest:
+            self.pieces.append(rest)
+        self.size = offset + size + len(rest)
         return offset
 
 

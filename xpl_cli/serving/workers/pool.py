@@ -9,7 +9,7 @@ import time
 from typing import TYPE_CHECKING, Any, Protocol
 
 from xpl import _spec as spec
-from xpl.process.link import LinkError
+from xpl.wire.frame import PackingError
 from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.serving.logbook import log
 from xpl_cli.serving.session import RequestError
@@ -111,7 +111,7 @@ class Worker:
         self._busy, self._started = True, time.monotonic()
         try:
             answer = await self.process.ask(**self._loading)
-        except (WorkerDiedError, LinkError) as error:
+        except (WorkerDiedError, PackingError) as error:
             raise LoadError(f"the model could not be loaded: {error}") from None
         if "error" in answer:
             raised = answer["error"]
@@ -194,7 +194,7 @@ class Worker:
             self._look_again(self._started)
         try:
             self.process.send(head, buffers, on_answer)
-        except (WorkerDiedError, LinkError) as error:
+        except (WorkerDiedError, PackingError) as error:
             self._loop.call_soon(self.fail, str(error))
 
     def _jobs_done(self, head: dict[str, Any], buffers: list[memoryview]) -> None:

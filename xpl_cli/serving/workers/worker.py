@@ -17,6 +17,7 @@ import xpl
 from xpl.process import link
 from xpl.process.child import KEPT_START, SDK_START
 from xpl.process.link import Inbox
+from xpl.wire.frame import PackingError
 from xpl_cli.basics import exits
 from xpl_cli.isolation import family
 
@@ -118,7 +119,7 @@ class WorkerProcess:
         """Send a message; the answer arrives later, or never if the worker dies.
 
         Raises:
-            LinkError: if the message cannot travel; nothing was sent then.
+            PackingError: if the message cannot travel; nothing was sent then.
             WorkerDiedError: if the link is broken already.
         """
         pieces = [memoryview(piece) for piece in link.encode(head, buffers)]
@@ -134,7 +135,7 @@ class WorkerProcess:
         """Send a message and return the answer.
 
         Raises:
-            LinkError: if the message cannot travel.
+            PackingError: if the message cannot travel.
             WorkerDiedError: if the worker dies first.
         """
         answer: asyncio.Future[dict[str, Any]] = self._loop.create_future()
@@ -229,7 +230,7 @@ class WorkerProcess:
         except OSError:  # what was unread when the worker died
             self._break(None)
             return
-        except link.LinkError as error:
+        except PackingError as error:
             self._break(f"the link to the worker broke: {error}")
             return
         if messages is None:
@@ -241,7 +242,7 @@ class WorkerProcess:
         on_answer, self._on_answer = self._on_answer, None
         try:
             head, buffers = link.decode(message)
-        except link.LinkError as error:
+        except PackingError as error:
             self._break(f"the link to the worker broke: {error}")
             return
         if on_answer is None:
