@@ -10,21 +10,20 @@ from typing import Any
 
 def standard() -> dict[str, dict[str, Any]]:
     """Return what is known of every robot of the standard, by name."""
-    return _read("standard")
+    return _all()["standard"]
 
 
 def along() -> dict[str, dict[str, Any]]:
     """Return what is known of every robot that comes along, by name."""
-    return _read("along")
+    return _all()["along"]
 
 
-def words() -> dict[str, str]:
+def words() -> dict[str, Any]:
     """Return what benchmarks call robots where no entry says so, with the robot's name."""
-    return _read("words")
+    return _all()["words"]
 
 
 @cache
-def _read(part: str) -> dict[str, Any]:
-    content = Path(__file__).with_name("robots.json").read_bytes()
-    found: dict[str, Any] = json.loads(content)[part]
-    return found
+def _all() -> dict[str, dict[str, Any]]:
+    parts: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("robots.json").read_bytes())
+    return parts
