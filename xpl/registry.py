@@ -5,7 +5,7 @@ A package adds to a group in its pyproject.toml, and no file of `xpl` is touched
     [project.entry-points."xpl.wires"]
     tiny = "my_package.wire:WIRE"
 
-Wires and formats are objects, which are imported when they are used. Rules, environments and robots are content: their
+Wires are objects, which are imported when they are used. Rules, environments and robots are content: their
 entry points name a folder within a package, in which they are found by path, and which is never imported.
 """
 
@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-RULES, WIRES, ENVS, ROBOTS, FORMATS = "xpl.rules", "xpl.wires", "xpl.envs", "xpl.robots", "xpl.formats"
+RULES, WIRES, ENVS, ROBOTS = "xpl.rules", "xpl.wires", "xpl.envs", "xpl.robots"
 OURS = "xpl"
 """The distribution of what is built in."""
 
@@ -150,5 +150,5 @@ def _found() -> Iterator[Entry]:
             continue
         known.add(name)
         for point in distribution.entry_points:
-            if point.group in (RULES, WIRES, ENVS, ROBOTS, FORMATS):
+            if point.group in (RULES, WIRES, ENVS, ROBOTS):
                 yield Entry(point.group, point.name, point.value, f"{name} {distribution.version}")
