@@ -6,7 +6,6 @@ import itertools
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl.registry import EntryPointError
 from xpl_cli.basics.errors import ExitCode, UserError, no_such
 
 if TYPE_CHECKING:
@@ -62,6 +61,8 @@ def of_usage(error: Any) -> UserError:
 
 def of_other(error: Exception) -> UserError:
     """Return what a command did not foresee as an error: of the system, of an installed package, or our own fault."""
+    from xpl.registry import EntryPointError
+
     if isinstance(error, EntryPointError):
         hint = "the fault is the named package's: mend or uninstall it"
         return UserError(str(error), hint=hint, code=ExitCode.NOT_RUN)
