@@ -55,7 +55,7 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
                     got=ast.unparse(node.body[0]).split("\n")[0],
                     fix=Fix("advice", f"raise where {_KEY} is one that the policy cannot serve"),
                 )
-    if adapter.is_sdk and len(source.manifest.get("action_types") or ()) == 1:
+    if adapter.is_sdk and len(source.manifest.action_types) == 1:
         return  # the base class refuses the other type
     idle = _idle(functions)
     if not adapter.config_escapes and not any(_mentions(function, idle) for function in functions):

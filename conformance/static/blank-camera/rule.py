@@ -40,9 +40,8 @@ def blank_camera(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    declared = source.manifest.get("inputs")
-    optional = declared.get("optional") if isinstance(declared, dict) else None
-    if isinstance(optional, list) and any(str(entry).startswith(f"{sdk.Obs.VISION}.") for entry in optional):
+    inputs = source.manifest.inputs
+    if inputs is not None and any(entry.startswith(f"{sdk.Obs.VISION}.") for entry in inputs.optional):
         raise NotApplicable("the manifest declares an optional camera, for which a stand-in may be meant")
     for function in Adapter.of(source).reach(*OBSERVING, *ACTING):
         for blank in blanks(function):

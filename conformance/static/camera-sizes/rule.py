@@ -37,14 +37,9 @@ def camera_sizes(source: Source) -> Iterator[Finding]:
     """
     if source.is_ecosystem:
         raise NotApplicable("an adapter without policy.yml declares nothing")
-    inputs = source.manifest.get("inputs") or {}
-    read = [
-        camera
-        for group in ("required", "optional")
-        for kind, _, camera in (str(name).partition(".") for name in inputs.get(group) or ())
-        if kind == sdk.Obs.VISION
-    ]
-    declared = source.manifest.get(_KEY) or {}
+    parts = (name.partition(".") for name in source.manifest.read)
+    read = [camera for kind, _, camera in parts if kind == sdk.Obs.VISION]
+    declared = source.manifest.cameras
     for camera in read:
         if camera not in declared:
             yield _finding(

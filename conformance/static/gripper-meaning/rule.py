@@ -39,9 +39,9 @@ def gripper_meaning(source: Source) -> Iterator[Finding]:
     if source.is_ecosystem:
         raise NotApplicable("an adapter without policy.yml declares nothing")
     kinds = {word: known.entries()[name]["end_effector"]["kind"] for word, name in known.names().items()}
-    robots = [str(robot) for robot in source.manifest.get("embodiments") or ()]
+    robots = source.manifest.embodiments
     with_gripper = [robot for robot in robots if kinds.get(robot, _HAND) != _HAND]
-    declared = source.manifest.get(_KEY)
+    declared = source.manifest.gripper
     if with_gripper and declared is None:
         yield _finding(
             source,
@@ -54,15 +54,15 @@ def gripper_meaning(source: Source) -> Iterator[Finding]:
             source,
             f"commands of a gripper are declared, and {', '.join(robots)} have hands",
             expected="null",
-            got=str(declared),
+            got=f"command: {declared.command}",
         )
-    native = (declared or {}).get("native") or {}
-    if native and native.get("closed") == native.get("open"):
+    native = None if declared is None else declared.native
+    if native is not None and native.closed == native.open:
         yield _finding(
             source,
             "closed and open are one value for the model: no gripper command can be told from another",
             expected="two values",
-            got=f"closed {native.get('closed')}, open {native.get('open')}",
+            got=f"closed {native.closed}, open {native.open}",
         )
 
 

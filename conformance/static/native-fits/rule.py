@@ -13,6 +13,7 @@ from xpl import _spec as sdk
 from xpl import checkpoint, get_embodiment
 from xpl.convert import Interface, NativeError, compile_interface
 from xpl.convert.gaps import filled
+from xpl.manifest import CameraNeeds
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
 from xpl_cli.audit.rules.names import robots
 from xpl_cli.audit.static.manifests import place_in
@@ -46,8 +47,8 @@ def native_fits(source: Source) -> Iterator[Finding | Proof]:
     ## Fix safety
     No automatic fix.
     """
-    native = source.manifest.get(_BLOCK)
-    if not isinstance(native, dict):
+    native = source.manifest.native
+    if native is None:
         raise NotApplicable("policy.yml has no native block")
     folders = _folders(source)
     lacking = _lacking(source, native, folders)
@@ -55,14 +56,14 @@ def native_fits(source: Source) -> Iterator[Finding | Proof]:
     yield from _undeclared(source, native)
     seen: set[str] = set()
     manifest = source.manifest
-    for robot, action_type in product(manifest["embodiments"], manifest["action_types"]):
+    for robot, action_type in product(manifest.embodiments, manifest.action_types):
         if robot not in robots():  # which the rule on manifests reports
             continue
         try:
             embodiment = get_embodiment(robot)
             block = filled(native, embodiment, action_type, lacking)
-            interface = compile_interface(block, embodiment, action_type, folders, manifest["temporal"]["chunk"])
-            _convert(interface, manifest.get("cameras") or {}, block)
+            interface = compile_interface(block, embodiment, action_type, folders, manifest.temporal.chunk)
+            _convert(interface, manifest.cameras, block)
         except NativeError as error:
             if str(error) not in seen:
                 seen.add(str(error))
@@ -74,7 +75,7 @@ def native_fits(source: Source) -> Iterator[Finding | Proof]:
     yield Proof({"statistics_absent": len(lacking)})
 
 
-def _convert(interface: Interface, cameras: Mapping[str, Any], block: Mapping[str, Any]) -> None:
+def _convert(interface: Interface, cameras: Mapping[str, CameraNeeds], block: Mapping[str, Any]) -> None:
     """Put black images of the declared sizes through a block.
 
     Raises:
@@ -82,9 +83,8 @@ def _convert(interface: Interface, cameras: Mapping[str, Any], block: Mapping[st
     """
     for image, entry in zip(interface.images, block.get("images", ()), strict=True):
         targets = [how["to"] for step in entry.get("steps", ()) for how in step.values() if "to" in _map(how)]
-        sizes: list[Any] = [
-            (_map(cameras.get(name)).get("height"), _map(cameras.get(name)).get("width")) for name in image.cameras
-        ]
+        needs = [cameras.get(name, CameraNeeds()) for name in image.cameras]
+        sizes: list[Any] = [(need.height, need.width) for need in needs]
         numbers = [number for size in (*sizes, *targets) for number in size]
         if all(isinstance(number, int) and number <= _MOST_PIXELS for number in numbers):
             views = {
@@ -130,8 +130,7 @@ def _outside(source: Source, native: Mapping[str, Any]) -> Iterator[Finding]:
 
 def _undeclared(source: Source, native: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield a finding for all that the block reads and the manifest does not list."""
-    inputs = source.manifest["inputs"]
-    listed = {str(name) for group in ("required", "optional") for name in inputs.get(group) or ()}
+    listed = set(source.manifest.read)
     for name, path in dict(_read(native)).items():
         if name not in listed:
             yield Finding(

@@ -35,8 +35,8 @@ def native_open(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    native = source.manifest.get(_BLOCK)
-    if not isinstance(native, dict):
+    native = source.manifest.native
+    if native is None:
         raise NotApplicable("policy.yml has no native block")
     found = gaps(native)
     if found:

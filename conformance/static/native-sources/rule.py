@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-from xpl.manifest import Manifest
 from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, Proof, rule
 from xpl_cli.audit.static.native.places import standing
 from xpl_cli.audit.static.reading import inside, read
@@ -50,7 +49,7 @@ def native_sources(source: Source) -> Iterator[Finding | Proof]:
         message = f"{names.CODE} has no {names.CONVENTIONS}: nobody can look up what it assumes"
         yield _finding(source, message, None, "no such map")
         return
-    applies = applying(Manifest.parse(source.manifest))
+    applies = applying(source.manifest)
     yield from _findings(source, reading, applies)
     granted = reading.taken_for_granted(applies)
     yield Proof({"conventions": len(reading.agreed(applies)), "assumed": len(granted)})

@@ -32,7 +32,7 @@ def required_files(source: Source) -> Iterator[Finding]:
     """
     files = spec.data("package")["files"]
     required = list(files["required"])
-    if not source.is_ecosystem and not source.manifest.get("evaluation_only", False):
+    if not source.is_ecosystem and not source.manifest.evaluation_only:
         required += files["training"]
     for name in required:
         if not source.has(name):

@@ -67,10 +67,9 @@ def unpinned_install(source: Source) -> Iterator[Finding]:
         loose = [(name, number) for number, line in enumerate(lines, start=1) for name in _loose(line.split(" #")[0])]
         if loose:
             yield _finding({"path": REQUIREMENTS, "line": loose[0][1], "column": 1}, [name for name, _ in loose])
-    declared = source.manifest.get("environment")
-    wanted = declared.get("requirements") if isinstance(declared, dict) and declared.get("manager") != "none" else None
-    texts = [entry for entry in wanted if isinstance(entry, str)] if isinstance(wanted, list) else []
-    loose_names = [name for text in texts for name in _loose(text)]
+    declared = source.manifest.environment
+    wanted = declared.requirements if declared.manager != "none" else ()
+    loose_names = [name for text in wanted for name in _loose(text)]
     if loose_names:
         line = key_line(source, sdk.File.POLICY_YML, "environment")
         yield _finding({"path": sdk.File.POLICY_YML, "line": line, "column": 1}, loose_names)

@@ -38,8 +38,7 @@ def wire_operations(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    declared = source.manifest.get("methods")
-    known = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *(map(str, declared) if isinstance(declared, list) else ())}
+    known = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *source.manifest.methods}
     for function in loops(source):
         first: ast.Call | None = None
         for node, name in sorted(asked(function), key=lambda entry: (entry[0].lineno, entry[0].col_offset)):

@@ -72,7 +72,7 @@ def places(source: Source) -> Iterator[str]:
 
 def unknown(source: Source) -> Iterator[str]:
     """Yield every value of the native block that its author says is unknown, as `images[0].channels`."""
-    native = source.manifest.get("native")
+    native = source.manifest.native
     if native is not None:
         from xpl.convert.gaps import gaps  # which needs numpy
 

@@ -61,7 +61,7 @@ def read(source: Source) -> tuple[Waiver, ...]:
             return ()
     except NotRun:  # there is none, or it is too large
         return ()
-    entries = source.manifest.get(_KEY)
+    entries = source.manifest.data.get(_KEY)
     return tuple(_waivers(entries)) if isinstance(entries, list) else ()
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl.manifest import Manifest
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.static import reading
 from xpl_cli.audit.static.function import Function, Symbols
@@ -235,10 +236,9 @@ class Source:
         return self.manifest_of(sdk.File.DEPLOY_YML)
 
     @cached_property
-    def manifest(self) -> dict[str, Any]:
-        """The map in policy.yml without what is unknown; empty for an adapter of the ecosystem, which has none."""
-        known: dict[str, Any] = unknown.known(self.manifest_of(sdk.File.POLICY_YML))
-        return known
+    def manifest(self) -> Manifest:
+        """What policy.yml says, without what is unknown; false for an adapter of the ecosystem, which has none."""
+        return Manifest.parse(unknown.known(self.manifest_of(sdk.File.POLICY_YML)))
 
     @property
     def is_ecosystem(self) -> bool:

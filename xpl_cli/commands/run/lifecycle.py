@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from xpl.manifest import PythonEnvironment
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.run.serve import POLICY, SETTINGS
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from xpl.manifest import PythonEnvironment
 
 _GPU = typer.Option(None, help="Device made visible to the script.")
 _JSON = typer.Option(False, "--json", help="Print a JSON object; what the script prints goes to stderr.")

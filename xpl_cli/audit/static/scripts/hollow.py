@@ -74,7 +74,7 @@ def hollow(source: Source) -> list[Hollow]:
     Raises:
         NotRun: if a script is too large to be read.
     """
-    if source.manifest.get("evaluation_only", False):
+    if source.manifest.evaluation_only:
         return []
     names = [name for name in spec.data("package")["files"]["training"] if source.has(name)]
     found = (_judged(source, name) for name in names)
