@@ -44,7 +44,6 @@ PROGRAMS = {
     "python",
     "sha256sum",
     "sort",
-    "ssh-keygen",
     "tr",
     "xargs",
 }

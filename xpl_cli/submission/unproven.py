@@ -25,6 +25,5 @@ def sentences(report: Report) -> Iterator[str]:
         )
     elif played < judged:
         yield f"that the other {judged - played} of {judged} episodes come out as recorded: --sample {judged} plays all"
-    if not report.is_signed:
-        yield "who made the bundle: anybody can; --signer asks for the signature of somebody you know"
+    yield "who made the bundle: anybody can"
     yield "how the policy came about: on which data it was trained, and how many others were tried before it"

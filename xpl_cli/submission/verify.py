@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.standard import spec
-from xpl_cli.submission import bundle, inspection, replay, signature
-from xpl_cli.submission.inspection import Check
+from xpl_cli.submission import bundle, inspection, replay
 from xpl_cli.submission.replaying import Player
 
 if TYPE_CHECKING:
@@ -26,10 +25,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.submission.bundle import Bundle
-
-
-SIGNATURE = "signature"
-"""The check that is there where a signature was asked for, and fits."""
+    from xpl_cli.submission.inspection import Check
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,6 @@ class Request:
         python, env, gpu: interpreter and device of the adapter.
         eval_env: interpreter of the environment.
         isolate: keep the adapter from the network and from writing while it is played.
-        signer: public keys, one of which must have signed the bundle; None to ask for no signature.
         progress: where to say what is being done.
     """
 
@@ -61,7 +56,6 @@ class Request:
     gpu: str | None = None
     eval_env: str | None = None
     isolate: bool = False
-    signer: Path | None = None
     progress: Progress = field(default_factory=Progress)
 
 
@@ -90,11 +84,6 @@ class Report:
     pairs: tuple[tuple[str, replay.Pair], ...] = ()
     finding: replay.Finding | None = None
     unplayed: str | None = None
-
-    @property
-    def is_signed(self) -> bool:
-        """Whether one of the keys that were named signed the bundle."""
-        return any(check.name == SIGNATURE for check in self.checks)
 
     @property
     def code(self) -> ExitCode:
@@ -129,18 +118,12 @@ def verify(request: Request) -> Report:
 
     Raises:
         NotFoundError: there is no such bundle.
-        UserError: it is no bundle, none of the signers signed it, or the folder to unpack into is there already.
+        UserError: it is no bundle, or the folder to unpack into is there already.
     """
-    signed: tuple[Check, ...] = ()
-    if request.signer is not None:
-        key = signature.verify(request.path, request.signer)
-        request.progress.step(f"{request.path.name}: signed by {key}")
-        signed = (Check(SIGNATURE),)
     with _folder(request.folder) as name:
         request.progress.step(f"{request.path.name}: unpacking")
         found = bundle.opened(request.path, Path(name), limit=request.limit)
         checks, runs = inspection.inspect(found, request.progress)
-        checks = (*signed, *checks)
         told = tuple(found.manifest["runs"])
         report = Report(found.digest, found.manifest["policy"]["name"], told, checks, inspection.verdict(found, checks))
         if not request.sample:

@@ -35,9 +35,6 @@ def submit(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Folders that `xpl eval --out` wrote."),
     check: bool = typer.Option(False, "--check", help="Check what a submission needs, and write the bundle."),
     out: Path | None = typer.Option(None, metavar="FILE", help="The bundle; POLICY.xpl.zip here by default."),
-    key: Path | None = typer.Option(
-        None, "--sign", metavar="KEY", help="Sign it with this key of OpenSSH; the signature goes into FILE.sig."
-    ),
     extras: list[str] = typer.Option([], "--with", metavar="KIND", help="Pack these, too: trace, film."),
     python: str | None = _PYTHON,
     policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
@@ -52,7 +49,7 @@ def submit(
     from xpl_cli.basics.errors import UserError, one_of
     from xpl_cli.basics.progress import progress
     from xpl_cli.packages import package
-    from xpl_cli.submission import prepare, signature
+    from xpl_cli.submission import prepare
 
     if not check:
         raise UserError(
@@ -63,21 +60,16 @@ def submit(
         one_of("--with", kind, prepare.EXTRAS)
     adapter = package.load(policy)
     path = out or Path(f"{adapter.name}.xpl.zip")
-    if key is not None:
-        signature.check_key(key)
     with progress() as say:
         answer = prepare.submit(
             prepare.Request(adapter, tuple(runs), path, frozenset(extras), python, policy_env, eval_env, say)
         )
-    signed = None if key is None or answer.digest is None else signature.sign(path, key)
     if as_json:
-        console.data_json(_answer_json(answer, adapter.name, path, signed))
+        console.data_json(_answer_json(answer, adapter.name, path))
     elif answer.problems:
         console.data("\n".join([f"{adapter.name}: no bundle was written", *_listed(answer.problems)]))
     else:
         console.data(_answer_text(answer, path))
-        if signed is not None:
-            console.note(f"{signed}: its signature")
     raise typer.Exit(int(answer.code))
 
 
@@ -93,9 +85,6 @@ def verify(
     sample: int = typer.Option(5, min=0, help="Episodes to play again; 0 runs nothing of the bundle."),
     seed: int | None = typer.Option(None, min=0, help="Which ones; drawn anew by default."),
     policy: Path | None = typer.Option(None, metavar="DIR", help="Play this adapter, whose files must be the same."),
-    signer: Path | None = typer.Option(
-        None, metavar="FILE", help="Public keys of OpenSSH: one must have signed BUNDLE, in BUNDLE.sig."
-    ),
     unpack: Path | None = typer.Option(None, metavar="DIR", help="New folder to unpack into, and leave there."),
     max_size: str = typer.Option("10GB", metavar="SIZE", help="Most bytes that are unpacked."),
     python: str | None = _PYTHON,
@@ -129,7 +118,6 @@ def verify(
                 gpu=policy_gpu,
                 eval_env=eval_env,
                 isolate=isolate,
-                signer=signer,
                 progress=say,
             )
         )
@@ -142,14 +130,13 @@ def verify(
     raise typer.Exit(int(report.code))
 
 
-def _answer_json(answer: Answer, policy: str, path: Path, signed: Path | None) -> dict[str, Any]:
+def _answer_json(answer: Answer, policy: str, path: Path) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "policy": policy,
         "path": None if answer.digest is None else str(path),
         "bundle": answer.digest,
         "sha256": answer.sha256,
-        "signature": None if signed is None else str(signed),
         "problems": list(answer.problems),
         "notes": list(answer.notes),
         "runs": [] if answer.manifest is None else answer.manifest["runs"],
