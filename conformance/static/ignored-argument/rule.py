@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from xpl._spec import Deploy, File
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import place, script, talks
+from xpl_cli.audit.static.scripts.flow import place, talks
 from xpl_cli.audit.static.shell import Word
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
@@ -79,7 +79,7 @@ def ignored_argument(source: Source) -> Iterator[Finding]:
 def _ignored(source: Source, name: str, order: list[str], decisive: frozenset[str]) -> Iterator[Finding]:
     # Counted in the text: what a here-document holds is handed on too.
     mentions = _expanded(line for line in source.text(name).split("\n") if not line.lstrip().startswith("#"))
-    commands = script(source, name)
+    commands = source.commands(name)
     is_stub = all(command.name in _SAYS for command in commands)
     if is_stub or mentions["@"] or mentions["*"] or any(command.name == "shift" for command in commands):
         return

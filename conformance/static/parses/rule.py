@@ -6,8 +6,9 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotRun, rule
-from xpl_cli.audit.static import shell_syntax
+from xpl_cli.audit.static import shell
 from xpl_cli.audit.static.around import vendored
+from xpl_cli.audit.static.limits import TooMuchError
 from xpl_cli.audit.static.source import Source
 
 _CONFLICT = re.compile(r"^(<{7} |>{7} |\|{7} )")
@@ -21,8 +22,8 @@ def parses(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Reads every file of the boundary, parses those in Python, YAML and shell, and looks for the markers that git leaves
-    at a conflict. Of scripts it tells what bash is sure to refuse: a quote or an `if` that is not closed. Vendored
-    trees are searched for markers only; the first one is a warning, since the adapter may never run that file.
+    at a conflict. Scripts are read by `bash -n`, which runs nothing; without bash the rule is not run. Vendored trees
+    are searched for markers only; the first one is a warning, since the adapter may never run that file.
 
     ## Why it matters
     A script with a marker in it fails when it is run, often hours after the job was queued. What does not parse cannot
@@ -109,15 +110,18 @@ def _shell(source: Source, name: str) -> Iterator[Finding]:
     if text.startswith("#!") and _BASH.match(text) is None:
         return
     try:
-        shell_syntax.check(text)
-    except shell_syntax.BrokenScriptError as error:
+        refused = shell.refused(text)
+    except (FileNotFoundError, TooMuchError) as error:
+        raise NotRun(f"{name} cannot be checked: {error}") from None
+    if refused is not None:
+        line, said = refused
         yield Finding(
-            f"{name} does not parse, so that bash ends there: {error}",
+            f"{name} does not parse, so that bash ends there: {said}",
             path=name,
-            line=error.line,
+            line=line,
             column=1,
             expected="a script that bash takes",
-            got=str(error),
+            got=said,
             fix=Fix("advice", f"`bash -n {name}` shows where bash stops"),
         )
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import PYTHONS, place, runs, script, scripts, shown
+from xpl_cli.audit.static.scripts.flow import PYTHONS, place, runs, scripts, shown
 from xpl_cli.audit.static.shell import Command, Script
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
@@ -101,7 +101,7 @@ def _orphaned(source: Source) -> Iterator[Finding]:
     caller, called = sdk.File.EVAL_SH, sdk.File.SETUP_EVAL_POLICY_SERVER_SH
     if not source.has(caller) or not source.has(called):
         return
-    outer, inner = script(source, caller), script(source, called)
+    outer, inner = source.commands(caller), source.commands(called)
     if not _starts(outer, called) or not _ends_one(outer) or not inner:
         return
     last = inner[-1]

@@ -10,7 +10,7 @@ from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.static.around import vendored
 from xpl_cli.audit.static.manifests import key_line
-from xpl_cli.audit.static.scripts.flow import place, runs, script
+from xpl_cli.audit.static.scripts.flow import place, runs
 from xpl_cli.audit.static.shell import Command, Word
 from xpl_cli.audit.static.source import Source
 
@@ -77,7 +77,7 @@ def unpinned_install(source: Source) -> Iterator[Finding]:
 
 def _script(source: Source) -> Iterator[Finding]:
     """Yield one finding for all that install.sh installs loosely and does not pin elsewhere."""
-    commands = [command for command in script(source, sdk.File.INSTALL_SH) if _is_install(command)]
+    commands = [command for command in source.commands(sdk.File.INSTALL_SH) if _is_install(command)]
     words = [word for command in commands for word in _wanted(command)]
     pinned = {_plain(found.group(1)) for word in words if (found := _NAME.fullmatch(word.text)) and found.group(2)}
     pinned |= _declared(source)

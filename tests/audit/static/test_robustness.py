@@ -82,6 +82,8 @@ def watch(event, arguments):
         wrong.append("imports " + str(arguments[:2]))
     elif event == "exec" and getattr(arguments[0], "co_filename", "").startswith(adapter):
         wrong.append("executes " + arguments[0].co_filename)
+    elif event == "subprocess.Popen" and arguments[1][0].endswith("/bash") and arguments[1][1:] == ["--norc", "-n"]:
+        pass  # which reads a script from its input, and runs nothing of it
     elif event in {"subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "socket.bind"}:
         wrong.append(event + " " + repr(arguments))
 sys.addaudithook(watch)

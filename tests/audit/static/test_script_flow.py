@@ -11,15 +11,17 @@ from xpl_cli.audit.static.shell import parse
 @pytest.mark.parametrize(
     ("script", "ends"),
     [
-        ("a; b\nc", [";", "\n", ""]),
+        ("a; b\nc", ["", "", ""]),
         ("a && b || c | d & e", ["&&", "||", "|", "&", ""]),
-        ("( cd x\n  a ) &\nb", ["\n", "&", ""]),
-        ("{ a; } | tee log\n", ["|", "\n"]),
-        ("a &> log\nb 2>&1 &", ["\n", "&"]),
+        ("( cd x\n  a ) &\nb", ["", "&", ""]),
+        ("{ a; } | tee log\n", ["|", ""]),
+        ("a &> log\nb 2>&1 &", ["", "&"]),
+        ("a <<X || b\ntext\nX\nc", ["||", "", ""]),
+        ("case $1 in x) a & ;; *) b | c ;; esac", ["&", "|", ""]),
     ],
 )
 def test_a_command_knows_what_ends_it(script: str, ends: list[str]) -> None:
-    """Operators, lines, and the operator behind a group for the last command in it."""
+    """The operator behind it, and the operator behind a group for the last command in it."""
     assert [command.end for command in parse(script)] == ends
 
 

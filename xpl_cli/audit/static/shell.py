@@ -1,35 +1,43 @@
-"""Shell scripts as commands and words. Enough of the grammar to know who is called with what; nothing is executed."""
+"""Shell scripts as commands and words, from tree-sitter's grammar of bash; nothing is executed."""
 
 from __future__ import annotations
 
-import itertools
 import re
+import shutil
+import subprocess
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from xpl_cli.audit.static.limits import TooMuchError
 
-_OPENERS: Final = frozenset(("while", "until", "for"))
-_KEYWORDS: Final = frozenset(
-    ("if", "then", "elif", "else", "do", "while", "until", "!", "{", "}", "fi", "done", "time")
-)
-_GRAMMAR: Final = _KEYWORDS | _OPENERS
+if TYPE_CHECKING:
+    from tree_sitter import Node, Tree
+
+_MOST_CHARACTERS: Final = 65_536
 _MOST_WORDS: Final = 50_000
 _MOST_LEVELS: Final = 100
-_HEREDOC: Final = re.compile(r"<<-?\s*(['\"\\]?)([A-Za-z_]\w*)\1")
-_REDIRECTION: Final = re.compile(r"<<<|&>>?|[<>]+[&|]?[\d-]*")
-_ASSIGNMENT: Final = re.compile(r"([A-Za-z_]\w*)\+?=(.*)", re.DOTALL)
-_DECLARES: Final = ("export", "local", "readonly", "declare", "typeset")
-_SETTERS: Final = frozenset((*_DECLARES, "read", "mapfile", "readarray", "getopts"))
+_LONGEST_S: Final = 5.0
+"""Seconds that the grammar, or bash, may take for one script: a thousand times what they do take."""
+_PIECE: Final = 65_536
+_SAID: Final = re.compile(r"line (\d+): (.+)")
+_SETTERS: Final = frozenset(
+    ("export", "local", "readonly", "declare", "typeset", "read", "mapfile", "readarray", "getopts")
+)
+TESTS: Final = frozenset(("[", "[[", "((", "test"))
+"""What only asks."""
 _GUARDED: Final = re.compile(r"\$\{(\w+):?[-=?+]")
-_PLAIN: Final = re.compile(r"[^\s;&|<>()\\'\"$`]+")
-_QUOTED: Final = re.compile(r"[^\"$\\]+")
-_INTRICATE: Final = re.compile(r"[\\'(`]|.\"(?!$)|^[^\"].*\"", re.DOTALL)
-_SPECIAL: Final = re.compile(r"[\\'\"()`$]")
 _NAME: Final = re.compile(r"\$(?:\{[#!]?(\w+|[@*#?$!-])(:?[-=?+])?|(\d|[A-Za-z_]\w*|[@*#?$!-]))")
 _POSITION: Final = re.compile(r"""["']?\$(?:(\d)|\{(\d+)(?:[:#%/^,?+-][^}]*(?:\}[^}]*)*)?\})["']?""")
+_EXPANDS: Final = frozenset(("simple_expansion", "expansion"))
+_SUBSTITUTES: Final = frozenset(("command_substitution", "process_substitution"))
+_OPERATORS: Final = {"&&": "&&", "||": "||", "|": "|", "|&": "|", "&": "&"}
+_REDIRECTS: Final = frozenset(("file_redirect", "heredoc_redirect", "herestring_redirect", "file_descriptor"))
+_SIMPLE: Final = frozenset(("command", "declaration_command", "unset_command"))
+_CONDITIONS: Final = {"if_statement": "if", "elif_clause": "elif", "while_statement": "while"}
+_BLOCKS: Final = {"do_group": "do", "else_clause": "else", "compound_statement": "{"}
 
 
 class Expansion(NamedTuple):
@@ -48,21 +56,17 @@ class Expansion(NamedTuple):
 
 @dataclass(frozen=True)
 class Word:
-    """One word as it is written, with its 1-based place."""
+    """One word as it is written, with its 1-based place and what the shell replaces in it by values of variables."""
 
     raw: str
     line: int
     column: int
+    expansions: tuple[Expansion, ...] = ()
 
     @property
     def text(self) -> str:
         """The word without its quotes; expansions stay as they are written."""
         return re.sub(r"""(?<!\\)["']""", "", self.raw)
-
-    @cached_property
-    def expansions(self) -> tuple[Expansion, ...]:
-        """What the shell replaces in it by values of variables."""
-        return tuple(_expansions(self.raw)) if "$" in self.raw else ()
 
     @property
     def position(self) -> int | None:
@@ -79,41 +83,23 @@ class Word:
 
 @dataclass(frozen=True)
 class Command:
-    """One simple command: its assignments, its words, and how deep in loops and functions it stands.
+    """One simple command: its words, its assignments, and how deep in loops and functions it stands.
 
     Attributes:
-        keywords: words of the grammar before it, such as `if`, `then`, `!`.
-        end: what ends it: `&`, `&&`, `||`, `|`, `;`, `)`, a line's end, or "" at the end of the script.
+        words: all of it, assignments before it too; of a test its operands and operators.
+        assignments: names and values that it assigns, of `export` and its like too.
+        arguments: the words after leading assignments: the program and what it gets.
+        keywords: words of the grammar that lead to it, such as `if`, `then`, `!`.
+        end: the operator behind it, or behind a group whose last one it is: `&`, `&&`, `||` or `|`; "" for none.
     """
 
     words: tuple[Word, ...]
-    loops: int
+    assignments: tuple[tuple[str, Word], ...] = ()
+    arguments: tuple[Word, ...] = ()
+    loops: int = 0
     functions: int = 0
     keywords: tuple[str, ...] = ()
     end: str = ""
-
-    @cached_property
-    def assignments(self) -> list[tuple[str, Word]]:
-        """Names and values that the command assigns, of `export` and its like too."""
-        words = self.words
-        if words and words[0].raw in _DECLARES:
-            words = words[1:]
-        found: list[tuple[str, Word]] = []
-        for word in words:
-            matched = _ASSIGNMENT.fullmatch(word.raw)
-            if matched is None:
-                break
-            value = Word(matched.group(2), word.line, word.column + matched.start(2))
-            found.append((matched.group(1), value))
-        return found
-
-    @cached_property
-    def arguments(self) -> tuple[Word, ...]:
-        """The words after leading assignments: the program and what it gets."""
-        for place, word in enumerate(self.words):
-            if _ASSIGNMENT.fullmatch(word.raw) is None:
-                return self.words[place:]
-        return ()
 
     @cached_property
     def name(self) -> str:
@@ -147,11 +133,8 @@ class Script(list[Command]):
                 found.update(re.split(r"[=\[]", word.text, maxsplit=1)[0] for word in command.arguments[1:])
             elif command.name == "printf" and len(command.arguments) > 2 and command.arguments[1].raw == "-v":
                 found.add(command.arguments[2].text)
-            elif "for" in command.keywords or (len(command.words) > 1 and command.words[1].raw == "="):
-                found.add(command.words[0].raw)  # `for name in`, and `name = 0` of arithmetic
             for word in command.words:
-                if ":=" in word.raw:
-                    found.update(item.name for item in word.expansions if item.guard == ":=")
+                found.update(item.name for item in word.expansions if item.guard == ":=")
         return frozenset(found)
 
     @cached_property
@@ -159,211 +142,233 @@ class Script(list[Command]):
         """Every name for which the script says somewhere what happens if it is not set, or empty."""
         found: set[str] = set()
         for command in self:
-            is_test = command.name in {"[", "[[", "test"} or command.words[0].raw[0] == "-"
             for word in command.words:
-                if is_test:
+                if command.name in TESTS:
                     found.update(item.name for item in word.expansions)
-                elif "${" in word.raw:
-                    found.update(_GUARDED.findall(word.raw))
+                found.update(_GUARDED.findall(word.raw))
         return frozenset(found)
 
 
 def parse(script: str) -> Script:
-    """Return the simple commands of a script.
+    """Return the simple commands of a script. What is no shell is passed over.
 
     Raises:
-        TooMuchError: if it has more words, or is nested more deeply, than any that a person wrote.
+        TooMuchError: if it is longer, has more words or levels, or takes longer than any that a person wrote.
     """
-    return Script(_Parser(script).commands())
+    if len(script) > _MOST_CHARACTERS:
+        raise TooMuchError(f"more than {_MOST_CHARACTERS} characters")
+    source = script.encode(errors="surrogatepass")
+    reader = _Reader(source)
+    reader.read(_tree(source).root_node, _Place())
+    return Script(reader.found)
 
 
-def _expansions(raw: str) -> Iterator[Expansion]:
-    """Yield the expansions of a word; single quotes hide them, except within double quotes."""
-    if not _INTRICATE.search(raw):
-        for braced, guard, bare in _NAME.findall(raw):
-            yield Expansion(braced or bare, guard, raw[0] == '"')
-        return
-    quoted, outer, at = False, list[bool](), 0
-    while (special := _SPECIAL.search(raw, at)) is not None:
-        at, character = special.end(), special.group()
-        if character == "\\":
-            at += 1
-        elif character == "'" and not quoted:
-            at = (raw.find("'", at) + 1) or len(raw)
-        elif character == '"':
-            quoted = not quoted
-        elif character == "(":
-            outer.append(quoted)
-            quoted = False
-        elif character == ")" and outer:
-            quoted = outer.pop()
-        elif character == "$" and (name := _NAME.match(raw, at - 1)) is not None:
-            yield Expansion(name.group(1) or name.group(3), name.group(2) or "", quoted)
-            at = name.end()
+def refused(script: str) -> tuple[int, str] | None:
+    """Return the line at which bash refuses a script, and what it says; None if it takes it.
+
+    bash reads it and runs nothing of it. Patterns that a script turns on by `shopt -s extglob` are taken too.
+
+    Raises:
+        FileNotFoundError: if bash is not installed.
+        TooMuchError: if bash is not done with it in time.
+    """
+    bash = shutil.which("bash")
+    if bash is None:
+        raise FileNotFoundError("bash is not installed")
+    said = ""
+    for options in ((), ("-O", "extglob")):
+        try:
+            done = subprocess.run(
+                [bash, "--norc", *options, "-n"],
+                input=script.encode(errors="replace"),
+                capture_output=True,
+                check=False,
+                timeout=_LONGEST_S,
+                env={"LC_ALL": "C"},  # its words, and no BASH_ENV
+            )
+        except subprocess.TimeoutExpired:
+            raise TooMuchError(f"bash is not done with it in {_LONGEST_S:.0f} s") from None
+        if done.returncode == 0:
+            return None
+        said = said or done.stderr.decode(errors="replace")
+    found = _SAID.search(said)
+    return (int(found.group(1)), found.group(2)) if found else (1, said.strip() or "bash ends with an error")
 
 
-class _Parser:
-    def __init__(self, script: str) -> None:
-        self._script = script
-        self._at = 0
-        self._line_starts = [0, *(found.end() for found in re.finditer("\n", script))]
-        self._found: list[Command] = []
-        self._words: list[Word] = []
-        self._read = 0
-        self._depth = 0
-        self._loops = 0
-        self._blocks: list[bool] = []  # for each open brace, whether it is a function's
-        self._is_function = False
-        self._heredocs: list[str] = []
+def _tree(source: bytes) -> Tree:
+    """Return the syntax tree of a script, in UTF-8; what takes longer than a script of a person is given up."""
+    import tree_sitter_bash
+    from tree_sitter import Language, Parser
 
-    def commands(self) -> list[Command]:
-        while self._at < len(self._script):
-            if not self._skipped():
-                self._next()
-        self._end()
-        return self._found
+    end = time.process_time() + _LONGEST_S
+    try:
+        return Parser(Language(tree_sitter_bash.language())).parse(
+            lambda offset, _: source[offset : offset + _PIECE],
+            progress_callback=lambda _, __: time.process_time() > end,  # true ends it
+        )
+    except ValueError:
+        raise TooMuchError(f"it takes longer than {_LONGEST_S:.0f} s to parse") from None
 
-    def _skipped(self) -> bool:
-        """Move past what separates words: blanks, continued lines, comments."""
-        script, character = self._script, self._script[self._at]
-        if character in " \t":
-            self._at += 1
-        elif script.startswith("\\\n", self._at):
-            self._at += 2
-        elif character == "#":
-            end = script.find("\n", self._at)
-            self._at = len(script) if end < 0 else end
-        else:
-            return False
-        return True
 
-    def _next(self) -> None:
-        """Move past the end of a command, a redirection, or a word."""
-        script, character = self._script, self._script[self._at]
-        if character == "\n":
-            self._end("\n")
-            self._at += 1
-            self._skip_heredocs()
-        elif not script.startswith("<<<", self._at) and (found := _HEREDOC.match(script, self._at)):
-            self._heredocs.append(found.group(2))
-            self._at = found.end()
-        elif found := _REDIRECTION.match(script, self._at):
-            if self._words and self._words[-1].raw.isdigit() and script[self._at - 1].isdigit():
-                self._words.pop()  # the `2` of `2>&1`
-            self._at = found.end()
-        elif script.startswith("()", self._at) and len(self._words) == 1:
-            self._words = []
-            self._is_function = True
-            self._at += 2
-        elif character in ";&|()":
-            operator = character * 2 if character in "&|" and script.startswith(character * 2, self._at) else character
-            self._end(operator)
-            self._at += len(operator)
-        else:
-            self._word()
+@dataclass(frozen=True)
+class _Place:
+    """Where a command stands."""
 
-    def _end(self, operator: str = "") -> None:
-        words, keywords = self._words, list[str]()
-        for word in itertools.takewhile(lambda word: word.raw in _GRAMMAR, words):
-            keyword = word.raw
-            keywords.append(keyword)
-            self._loops += (keyword in _OPENERS) - (keyword == "done")
-            if keyword == "{":
-                self._blocks.append(self._is_function)
-                self._is_function = False
-            elif keyword == "}" and self._blocks:
-                self._blocks.pop()
-        words = words[len(keywords) :]
-        if len(self._blocks) > _MOST_LEVELS:
+    loops: int = 0
+    functions: int = 0
+    levels: int = 0
+    keywords: tuple[str, ...] = ()
+
+    def below(self, *keywords: str, loops: int = 0, functions: int = 0) -> _Place:
+        return _Place(self.loops + loops, self.functions + functions, self.levels + 1, keywords)
+
+
+class _Reader:
+    """Goes through the syntax tree of a script, and collects its simple commands.
+
+    Args:
+        source: the script, in UTF-8.
+    """
+
+    def __init__(self, source: bytes) -> None:
+        self.source = source
+        self.found: list[Command] = []
+        self._lines = source.split(b"\n")
+        self._words = 0
+
+    def read(self, node: Node, place: _Place) -> None:
+        """Collect the commands of a node, and note what ends each."""
+        if place.levels > _MOST_LEVELS:
             raise TooMuchError(f"nested more than {_MOST_LEVELS} levels deep")
-        if words and words[0].raw == "function":
-            self._is_function = True
-            self._blocks += [True] * (words[-1].raw == "{")
-        elif words:
-            nested = max(self._loops, 0), sum(self._blocks)
-            self._found.append(Command(tuple(words), *nested, tuple(keywords), operator))
-        elif self._found and operator in {"&", "|", "||"}:  # of a group: `( ... ) &`
-            self._found[-1] = replace(self._found[-1], end=operator)
-        self._words = []
+        kind = node.type
+        if kind in _SIMPLE:
+            self._add([child for child in node.children if child.type not in _REDIRECTS], place)
+        elif kind in {"variable_assignment", "variable_assignments"}:
+            self._add([node] if kind == "variable_assignment" else node.named_children, place)
+        elif kind == "test_command":
+            self._add([node.children[0], *_operands(node)], place)
+        elif kind == "compound_statement" and node.children[0].type == "((":
+            self._arithmetic(node, place)
+        elif kind == "function_definition":
+            self._all(node.children, place.below(functions=1))
+        elif kind in {"for_statement", "c_style_for_statement", "select_statement"}:
+            self._for(node, place)
+        elif kind in _CONDITIONS:
+            self._condition(node, place)
+        elif kind not in _SUBSTITUTES and kind not in _REDIRECTS - {"heredoc_redirect"}:
+            more = place.keywords if kind in {"list", "pipeline", "redirected_statement"} else ()
+            more += (_BLOCKS[kind],) if kind in _BLOCKS else ("!",) if kind == "negated_command" else ()
+            before = place.keywords if kind == "negated_command" else ()
+            self._all(node.children, place.below(*before, *more))
 
-    def _word(self) -> None:
-        start = self._at
-        while self._at < len(self._script) and self._script[self._at] not in " \t\n;&|<>()":
-            self._piece()
-        if self._at == start:
-            self._at += 1
-            return
-        # `name=(a b)` is an array: its words stay together.
-        if self._script.startswith("(", self._at) and self._script[self._at - 1] == "=":
-            self._group("(", ")")
-        line = self._line_of(start)
-        self._read += 1
-        if self._read > _MOST_WORDS:
-            raise TooMuchError(f"more than {_MOST_WORDS} words")
-        self._words.append(Word(self._script[start : self._at], line, start - self._line_starts[line - 1] + 1))
+    def _all(self, nodes: list[Node], place: _Place) -> None:
+        """Collect what these nodes hold; keywords count for the first of them alone."""
+        for child in nodes:
+            if child.type in _OPERATORS:
+                self._end(_OPERATORS[child.type])
+            elif child.is_named and child.type != "comment":
+                before = len(self.found)
+                self.read(child, place)
+                if len(self.found) > before:
+                    place = replace(place, keywords=())
 
-    def _piece(self) -> None:
-        """Move past one character, quotation or expansion."""
-        script = self._script
-        character = script[self._at]
-        if character == "\\":
-            self._at += 2
-        elif character == "'":
-            end = script.find("'", self._at + 1)
-            self._at = len(script) if end < 0 else end + 1
-        elif character == '"':
-            self._at += 1
-            while self._at < len(script) and script[self._at] != '"':
-                if script.startswith(("$(", "${", "\\"), self._at):
-                    self._piece()
-                else:
-                    plain = _QUOTED.match(script, self._at)
-                    self._at = plain.end() if plain else self._at + 1
-            self._at += 1
-        elif script.startswith(("$(", "${"), self._at):
-            self._at += 1
-            self._depth += 1
-            if self._depth > _MOST_LEVELS:
-                raise TooMuchError(f"nested more than {_MOST_LEVELS} levels deep")
-            self._group(*("()" if script[self._at] == "(" else "{}"))
-            self._depth -= 1
-        elif character == "`":
-            end = script.find("`", self._at + 1)
-            self._at = len(script) if end < 0 else end + 1
+    def _end(self, operator: str) -> None:
+        if self.found:
+            self.found[-1] = replace(self.found[-1], end=operator)
+
+    def _condition(self, node: Node, place: _Place) -> None:
+        """Collect an `if` or a `while`: all of its condition is asked, what follows is done."""
+        keyword = node.children[0].type
+        loops = int(node.type == "while_statement")
+        asked = next((at for at, child in enumerate(node.children) if child.type in {"then", "do_group"}), 0)
+        for child in node.children[1:asked]:
+            self._all([child], place.below(keyword, loops=loops))
+        self._all(node.children[asked:], place.below(*(() if loops else ("then",)), loops=loops))
+
+    def _arithmetic(self, node: Node, place: _Place) -> None:
+        """Collect `((...))`: a test that may give each of its names a value."""
+        words = (self._word(node.children[0]), *map(self._word, node.named_children))
+        given = tuple((self._text(name), self._word(name)) for name in _below(node, "variable_name"))
+        self._append(Command(words, given, words, place.loops, place.functions, place.keywords))
+
+    def _for(self, node: Node, place: _Place) -> None:
+        body = next((child for child in node.children if child.type in {"do_group", "compound_statement"}), None)
+        head = [child for child in node.named_children if child != body]
+        if node.type == "c_style_for_statement":
+            names = [one for child in head for one in _below(child, "variable_name")]
         else:
-            plain = _PLAIN.match(script, self._at)
-            self._at = plain.end() if plain else self._at + 1
+            names = head[:1]
+        given = tuple((self._text(name), self._word(name)) for name in names)
+        self._append(Command(tuple(map(self._word, head)), given, (), place.loops, place.functions, ("for",)))
+        if body is not None:
+            self._all(body.children, place.below("do", loops=1))
 
-    def _group(self, opener: str, closer: str) -> None:
-        """Move past a balanced group that starts here."""
-        depth = 0
-        while self._at < len(self._script):
-            character = self._script[self._at]
-            if character == opener:
-                depth += 1
-                self._at += 1
-            elif character == closer:
-                depth -= 1
-                self._at += 1
-                if depth == 0:
-                    return
-            elif character in "\\\"'`" or self._script.startswith(("$(", "${"), self._at):
-                self._piece()
-            else:
-                self._at += 1
+    def _add(self, parts: list[Node], place: _Place) -> None:
+        """Collect a simple command that consists of these nodes."""
+        words = tuple(map(self._word, parts))
+        assigned: list[tuple[str, Word]] = []
+        leading = 0
+        for at, part in enumerate(parts):
+            if part.type != "variable_assignment":
+                break
+            leading = at + 1
+        for part in parts:
+            name, value = part.child_by_field_name("name"), part.child_by_field_name("value")
+            if part.type == "variable_assignment" and name is not None:
+                assigned.append((self._text(name), self._empty(part) if value is None else self._word(value)))
+        self._append(Command(words, tuple(assigned), words[leading:], place.loops, place.functions, place.keywords))
 
-    def _skip_heredocs(self) -> None:
-        for marker in self._heredocs:
-            while self._at < len(self._script):
-                end = self._script.find("\n", self._at)
-                end = len(self._script) if end < 0 else end
-                line = self._script[self._at : end].strip("\t ")
-                self._at = end + 1
-                if line == marker:
-                    break
-        self._heredocs = []
+    def _append(self, command: Command) -> None:
+        if command.words:
+            self.found.append(command)
 
-    def _line_of(self, offset: int) -> int:
-        import bisect
+    def _word(self, node: Node) -> Word:
+        self._words += 1
+        if self._words > _MOST_WORDS:
+            raise TooMuchError(f"more than {_MOST_WORDS} words")
+        line, column = node.start_point
+        return Word(self._text(node), line + 1, self._column(line, column), tuple(_expansions(node)))
 
-        return bisect.bisect_right(self._line_starts, offset)
+    def _empty(self, assignment: Node) -> Word:
+        line, column = assignment.end_point
+        return Word("", line + 1, self._column(line, column))
+
+    def _column(self, line: int, offset: int) -> int:
+        """Turn an offset in bytes into a column."""
+        return len(self._lines[line][:offset].decode(errors="replace")) + 1
+
+    def _text(self, node: Node) -> str:
+        return self.source[node.start_byte : node.end_byte].decode(errors="replace")
+
+
+def _operands(node: Node) -> Iterator[Node]:
+    """Yield what stands between the brackets of a test: operands and operators."""
+    for child in node.children if node.type == "test_command" else [node]:
+        if child.type in {"binary_expression", "unary_expression", "parenthesized_expression", "negated_command"}:
+            for part in child.children:
+                yield from _operands(part)
+        elif child.is_named or child.type not in {"[", "[[", "((", "]", "]]", "))"}:
+            yield child
+
+
+def _below(node: Node, kind: str) -> Iterator[Node]:
+    """Yield the nodes of a kind in a node."""
+    waiting = [node]
+    while waiting:
+        entry = waiting.pop()
+        if entry.type == kind:
+            yield entry
+        waiting += reversed(entry.children)
+
+
+def _expansions(node: Node) -> Iterator[Expansion]:
+    """Yield the expansions of a word; a substitution inside of quotes begins anew."""
+    waiting = [(node, False)]
+    while waiting:
+        entry, quoted = waiting.pop()
+        if entry.type in _EXPANDS and entry.text is not None:
+            found = _NAME.match(entry.text.decode(errors="replace"))
+            if found is not None:
+                yield Expansion(found.group(1) or found.group(3), found.group(2) or "", quoted)
+        quoted = entry.type == "string" or (quoted and entry.type not in _SUBSTITUTES)
+        waiting += [(child, quoted) for child in reversed(entry.children)]

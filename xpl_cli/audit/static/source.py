@@ -20,7 +20,7 @@ from xpl_cli.audit.static import reading
 from xpl_cli.audit.static.function import Function, Symbols
 from xpl_cli.audit.static.limits import TooMuchError, measured
 from xpl_cli.audit.static.reading import SIZE_LIMIT
-from xpl_cli.audit.static.shell import Command, parse
+from xpl_cli.audit.static.shell import Script, parse
 from xpl_cli.basics.yaml import text as yaml_text
 from xpl_cli.standard import unknown
 
@@ -60,7 +60,7 @@ class Source:
     _errors: dict[str, Exception] = field(default_factory=dict)
     _nodes: dict[str, tuple[ast.AST, ...]] = field(default_factory=dict)
     _lines: dict[str, list[str]] = field(default_factory=dict)
-    _commands: dict[str, list[Command]] = field(default_factory=dict)
+    _commands: dict[str, Script] = field(default_factory=dict)
     _imports: dict[str, dict[str, str]] = field(default_factory=dict)
     _functions: dict[int, Function] = field(default_factory=dict)
     _defined: dict[str, tuple[Function, ...]] = field(default_factory=dict)
@@ -308,7 +308,7 @@ class Source:
         """Return where a node begins, for a `Finding` about something larger than a line."""
         return {key: value for key, value in self.at(name, node).items() if not key.startswith("end")}
 
-    def commands(self, name: str) -> list[Command]:
+    def commands(self, name: str) -> Script:
         """Return the commands of a shell script.
 
         Raises:

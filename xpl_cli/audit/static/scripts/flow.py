@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.audit.static.shell import Command, Script, Word
+from xpl_cli.audit.static.shell import TESTS, Command, Script, Word
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,24 +23,14 @@ _TESTS: Final = re.compile(r"(?:\[\[?|\btest)\s+(?:!\s+)?-[defrsx]\s")
 _TESTED: Final = r"(?:\[\[?|\btest)\s+(?:!\s+)?-[defrsx]\s+[\"']?\$\{{?{}\b"
 _LISTED: Final = re.compile(r"\bfor\s+(?P<item>\w+)\s+in\b|^\s*(?:local\s+|declare -a\s+)?(?P<array>\w+)\+?=\(")
 _LONGEST_LIST: Final = 30
-_TALK: Final = frozenset(("echo", "printf", "[", "[[", "test", ":"))
+_TALK: Final = TESTS | {"echo", "printf", ":"}
 
 
 def scripts(source: Source) -> Iterator[tuple[str, Script]]:
     """Yield the shell scripts of the adapter's own folder with their commands."""
     for name in source.text_files:
         if name.endswith(".sh") and "/" not in name:
-            yield name, script(source, name)
-
-
-def script(source: Source, name: str) -> Script:
-    """Return the commands of one script.
-
-    Raises:
-        NotRun: if there is no such file, or it is too large.
-    """
-    commands = source.commands(name)
-    return commands if isinstance(commands, Script) else Script(commands)
+            yield name, source.commands(name)
 
 
 def place(name: str, word: Word) -> dict[str, Any]:
@@ -72,7 +62,7 @@ def shown(words: tuple[Word, ...], limit: int = 6) -> str:
 
 def talks(command: Command) -> bool:
     """Tell whether a command only prints or tests, so that what it is given decides nothing else."""
-    return command.name in _TALK or command.words[0].raw[0] == "-"
+    return command.name in _TALK
 
 
 def may_be_empty(name: str, script: Script) -> bool:
@@ -101,9 +91,8 @@ def _tested(script: Script) -> set[str]:
     """Return the variables that the script asks to hold something."""
     found: set[str] = set()
     for command in script:
-        is_test = command.name in {"[", "[[", "test"} or command.words[0].raw[0] == "-"
         for word in command.words:
-            found.update(item.name for item in word.expansions if is_test or "?" in item.guard)
+            found.update(item.name for item in word.expansions if command.name in TESTS or "?" in item.guard)
     return found
 
 
@@ -121,7 +110,7 @@ def sources(source: Source, commands: Script) -> Iterator[tuple[int, Script]]:
     for number, command in enumerate(commands):
         for name in source.text_files if command.name in {"source", "."} else ():
             if name.endswith(".sh") and "/" not in name and _sources(command, name):
-                yield number, script(source, name)
+                yield number, source.commands(name)
 
 
 def _sources(command: Command, name: str) -> bool:

@@ -86,7 +86,7 @@ def _judged(source: Source, name: str) -> Hollow | None:
     folders: dict[str, str] = {}
     here: str | None = ""
     empty: list[Hollow] = []
-    for command in script_flow.script(source, name):
+    for command in source.commands(name):
         if any("$(" in value.raw and ".py" in value.raw for _, value in command.assignments):
             return None
         folders.update({variable: _text(value.raw, folders) for variable, value in command.assignments})
@@ -116,8 +116,7 @@ def _program(command: Command) -> str:
 
 
 def _only_prepares(command: Command, program: str) -> bool:
-    is_counted = command.words[0].raw.startswith("$#")  # `(( $# < 4 ))`
-    return script_flow.talks(command) or program in _PREPARES or is_counted
+    return script_flow.talks(command) or program in _PREPARES
 
 
 def _target(program: str, words: Sequence[Word]) -> Word | None:
