@@ -117,7 +117,7 @@ def test_an_embodiment_has_one_name_behind_its_aliases(chosen: Any, declared: An
     """Whoever uses which; also a policy that was announced by another implementation."""
     announced = {**POLICY, "embodiment": chosen, "embodiments": declared}
     assert differences(announced, {**ENVIRONMENT, "embodiment": offered}) == []
-    told = needs({"embodiments": declared}, {"env_cfg_type": chosen})
+    told = needs(Manifest.parse({"embodiments": declared}), {"env_cfg_type": chosen})
     assert differences(told, {**ENVIRONMENT, "embodiment": offered}) == []
 
 
@@ -143,8 +143,8 @@ def test_needs_are_read_from_manifest_and_configuration() -> None:
         "action_type": "joint", "control_frequency": 20, "inputs": ["state"],
         "cameras": {"cam_head": {"width": 64, "height": 48}},
     }  # fmt: skip
-    assert set(needs({}, {}).values()) == {None}
-    assert needs({}, {"env_cfg_type": "my_robot"})["embodiment"] is None
+    assert set(needs(Manifest(), {}).values()) == {None}
+    assert needs(Manifest(), {"env_cfg_type": "my_robot"})["embodiment"] is None
 
 
 @pytest.mark.parametrize("noise", [3, "text", [["arx_x5"]], {"a": 1}, True])

@@ -77,7 +77,7 @@ def judged(package: Path, slug: str = PARITY) -> Result:
     (entry,) = (one for one in select((), (), (Gate.OFFLINE,)) if one.slug == slug)
     given = {"path": package, "kind": "policy", "gate": Gate.OFFLINE, "options": Options(gates=(Gate.OFFLINE,))}
     with Facts(given, providers.all_providers()) as facts:
-        checks = Checks(facts, facts.get("source").version)
+        checks = Checks(facts)
         facts.give("checks", checks)
         return checks.result(entry)
 

@@ -55,7 +55,7 @@ def tried(mutant: Mutant, folder: Path) -> Trial:
     given = {"path": path, "kind": "policy", "gate": Gate.OFFLINE, "options": Options(gates=(Gate.OFFLINE,))}
     crashed = []
     with Facts(given, providers.all_providers()) as facts:
-        checks = Checks(facts, facts.get("source").version)
+        checks = Checks(facts)
         facts.give("checks", checks)
         for entry in rules:
             result = checks.result(entry)
