@@ -32,14 +32,6 @@ STATE = ("ACT_state", "DiffusionPolicy_state")
 ALL = ("ACT", "DiffusionPolicy", *STATE)
 
 
-@pytest.mark.parametrize("name", ["ACT", "DiffusionPolicy"])
-@pytest.mark.parametrize("file", ["train.py", "process_data.py"])
-def test_both_variants_are_trained_by_one_text(name: str, file: str) -> None:
-    """Packages travel alone, so each has its copy; what differs is said in policy.yml and deploy.yml."""
-    texts = [(ROOT / "policy" / one / file).read_text(encoding="utf-8") for one in (name, f"{name}_state")]
-    assert texts[0] == texts[1]
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_load_and_predict_are_few_lines(name: str) -> None:
     """Fewer than forty, written by hand: the conversions are compiled."""

@@ -10,6 +10,7 @@
 
 Each recorded observation is shown to the adapter, without its model, and goes through its `encode`: the block `native`,
 or its own. Each recorded action goes through the inverse of its `decode`. Numpy; h5py and Pillow to read a set.
+`xpl.training.lerobot` is a whole training on top of it, of policies that are LeRobot's.
 """
 
 from __future__ import annotations

@@ -1,0 +1,298 @@
+"""Trains policies of LeRobot: statistics in its own files, its own loss, and a run that goes on where it was killed.
+
+A package calls this from two scripts of a line each, which `xpl prepare` and `xpl train` run in the policy's Python:
+
+    lerobot.prepare(Path(__file__).parent, "act")     # process_data.py
+    lerobot.train(Path(__file__).parent)              # train.py
+
+Keys of deploy.yml: `demonstrations` (folders of trajectories), `episodes` (at most), `steps` and `minutes` (the first
+of them ends a training), `save_every` (seconds), `batch`, `noise` (standard deviation that is added to vectors, in
+their normalised numbers) and `lerobot` (settings of the network in LeRobot's words).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
+
+from xpl import _spec as spec
+from xpl.training.adapters import without_model
+from xpl.training.numbers import ACTION, statistics
+from xpl.training.reading import windows
+from xpl.trajectory import Folder, open_files, open_folder
+
+if TYPE_CHECKING:
+    from xpl.training.windows import Windows
+
+STILL = 1e-4
+"""What moves by less is taken for constant, as in Diffusion Policy: rounding must not become a signal."""
+
+TOLD_EVERY, WARM_UP, AVERAGE = 100, 200, 0.999
+"""Steps from one line of the curve to the next, steps until the full rate, and the decay of the averaged weights."""
+
+SCENE = "observation.environment_state"
+_STATE_FILE = ".training.pt"
+_IMAGES = "observation.images"
+
+
+def prepare(package: Path, kind: str) -> None:
+    """Write config.json and the processors with the numbers that `native.normalize` reads.
+
+    Args:
+        package: folder of the policy.
+        kind: LeRobot's name of the policy, `act` or `diffusion`.
+    """
+    from lerobot.configs.types import PolicyFeature
+    from lerobot.policies.factory import make_policy_config, make_pre_post_processors
+
+    config = _config()
+    settings = make_policy_config(kind, **{**config["lerobot"], "device": "cpu", "push_to_hub": False})
+    steps = settings.action_delta_indices
+    found = demonstrations(config)
+    numbers = statistics(package, config, found, horizon=len(steps), first=steps[0])
+    policy = without_model(package, config, normalized=False)
+    with found[0] as episode:
+        policy.update_obs({**episode.observation(0), spec.Obs.ENV_IDX: 0})
+    inputs = policy.encodings(0)[-1]
+    for image in policy.interface.images if policy.interface else ():
+        _, _, mean, std = image.scaling
+        numbers[image.name] = {"mean": mean, "std": std}
+    settings.input_features = {name: PolicyFeature(_feature(name), np.shape(value)) for name, value in inputs.items()}
+    settings.output_features = {ACTION: PolicyFeature(_feature(ACTION), numbers[ACTION]["mean"].shape)}
+    told = {key: _tensors(_still(value) if "min" in value else value) for key, value in numbers.items()}
+    target = place(package, config)
+    target.mkdir(parents=True, exist_ok=True)
+    (target / _STATE_FILE).unlink(missing_ok=True)  # of a training on other numbers
+    settings._save_pretrained(target)  # noqa: SLF001 - what LeRobot's own training calls
+    for pipeline in make_pre_post_processors(settings, dataset_stats=told):
+        pipeline.save_pretrained(target)
+    print(f"{len(found)} episodes, {int(numbers[ACTION]['count'][0])} steps: {target}")  # noqa: T201
+
+
+def train(package: Path) -> None:
+    """Train until the steps or the minutes are over, and write model.safetensors into the checkpoint.
+
+    The rate follows a cosine that ends with whichever comes first. What is saved are averaged weights. A run that was
+    killed at any moment goes on with the same command, and ends in the same weights.
+    """
+    import torch
+    from lerobot.configs.policies import PreTrainedConfig
+    from lerobot.policies.factory import get_policy_class  # which also makes LeRobot know its own kinds of policies
+
+    config = _config()
+    target = place(package, config)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    settings = PreTrainedConfig.from_pretrained(target)
+    settings.device = device.type
+    steps = settings.action_delta_indices
+    found = windows(
+        package,
+        {**config, "ckpt_name": str(target.resolve())},
+        demonstrations(config),
+        horizon=len(steps),
+        first=steps[0],
+    )
+    run = _Run(get_policy_class(settings.type), settings, Data(found, device, config["noise"]), config["seed"])
+    kept = target / _STATE_FILE
+    run.resume(kept)
+    limit, minutes = config["steps"], config.get("minutes") or math.inf
+    begun = saved = time.monotonic()
+    before = run.spent
+    with _curve(target / "log.jsonl", run.step) as log:
+        while run.step < limit and run.spent < minutes * 60:
+            run.step += 1
+            share = max(run.step / limit, run.spent / (minutes * 60))
+            run.once(config["batch"], share)
+            run.spent = before + time.monotonic() - begun
+            if run.step % TOLD_EVERY == 0:
+                told = {"step": run.step, "loss": run.told(), "seconds": round(run.spent, 1)}
+                print(json.dumps(told), file=log, flush=True)
+                print(told, flush=True)  # noqa: T201
+            if time.monotonic() - saved > config["save_every"]:
+                saved = time.monotonic()
+                run.save(kept)
+    run.finish(target / "model.safetensors")
+    kept.unlink(missing_ok=True)
+    print(f"{run.step} steps in {run.spent:.0f} s on {device.type}: {target / 'model.safetensors'}")  # noqa: T201
+
+
+def demonstrations(config: Mapping[str, Any]) -> Folder:
+    """Return the set, or the sets as one, that `demonstrations` of deploy.yml names."""
+    given = config.get("demonstrations") or "../../demos"
+    folders = [open_folder(Path(one).expanduser()) for one in ([given] if isinstance(given, str) else given)]
+    return open_files([one.path for folder in folders for one in folder][: config.get("episodes")])
+
+
+def place(package: Path, config: Mapping[str, Any]) -> Path:
+    """Return the checkpoint's folder, where the adapter looks for it."""
+    return package / spec.CHECKPOINT_DIRECTORY / str(config["run_name"] or config["ckpt_name"])
+
+
+class Data:
+    """All windows on the device, images as bytes; vectors are shown with a little noise, as the robot strays, too."""
+
+    def __init__(self, found: Windows, device: Any, noise: float) -> None:
+        import torch
+
+        self.device, self.noise, self.timed = device, noise, found.timed
+        self.inputs = {name: torch.as_tensor(value, device=device) for name, value in found.inputs.items()}
+        self.pixels = {
+            name: [torch.as_tensor(part, device=device) for part in (look.scale, look.low, look.mean, look.std)]
+            for name, look in found.pixels.items()
+        }
+        self.seen, self.targets, self.padded = (
+            torch.as_tensor(value, device=device) for value in (found.seen, found.targets, found.padded)
+        )
+
+    def batch(self, rows: Any) -> dict[str, Any]:
+        """Return what LeRobot's `forward` takes, of the rows (B,), a tensor."""
+        import torch
+
+        result = {ACTION: self.targets[rows], "action_is_pad": self.padded[rows]}
+        for name, values in self.inputs.items():
+            picked = values[self.seen[rows]] if name in self.timed else values[rows]
+            if name in self.pixels:
+                scale, low, mean, std = self.pixels[name]
+                picked = (picked.float() * scale + low - mean) / std
+            elif self.noise:
+                picked = picked + self.noise * torch.randn_like(picked)
+            result[name] = picked
+        return result
+
+
+class _Run:
+    """Network, optimizer and averaged weights of a training, and how far it is."""
+
+    def __init__(self, network: Any, settings: Any, data: Data, seed: int) -> None:
+        import torch
+
+        torch.manual_seed(seed)
+        torch.set_float32_matmul_precision("high")
+        self.data, self.seed, self.device = data, seed, data.device
+        self.policy = network(settings).to(self.device).train()
+        _calibrate(self.policy, data)
+        self.optimizer = settings.get_optimizer_preset().build(self.policy.get_optim_params())
+        self.rates = [group["lr"] for group in self.optimizer.param_groups]
+        self.average = [value.detach().clone() for value in self.policy.parameters()]
+        self.step, self.spent, self.total = 0, 0.0, torch.zeros((), device=self.device)
+
+    def resume(self, path: Path) -> None:
+        """Go on where a run was saved, if one was."""
+        import torch
+
+        if not path.exists():
+            return
+        state = torch.load(path, map_location=self.device, weights_only=True)
+        self.policy.load_state_dict(state["policy"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.average, self.step, self.spent, self.total = (
+            state[name] for name in ("average", "step", "spent", "total")
+        )
+
+    def save(self, path: Path) -> None:
+        """Write all that `resume` needs."""
+        import torch
+
+        state = {"policy": self.policy.state_dict(), "optimizer": self.optimizer.state_dict(), "average": self.average}
+        state |= {"step": self.step, "spent": self.spent, "total": self.total}
+        _whole(path, lambda part: torch.save(state, part))
+
+    def once(self, batch: int, share: float) -> None:
+        """Do a step; `share` says how much of the training is over, 0 to 1."""
+        import torch
+
+        # Of each step by itself, so that a run that goes on draws the same.
+        torch.manual_seed(self.seed * 1_000_003 + self.step)
+        rows = torch.randint(len(self.data.targets), (batch,)).to(self.device)
+        for group, rate in zip(self.optimizer.param_groups, self.rates):
+            group["lr"] = rate * min(1.0, self.step / WARM_UP) * (0.01 + 0.99 * (1 + math.cos(math.pi * share)) / 2)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
+            loss, _ = self.policy.forward(self.data.batch(rows))
+        self.optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.policy.parameters(), 10.0)
+        self.optimizer.step()
+        now = [value.detach() for value in self.policy.parameters()]
+        share_of_new = 1 - min(AVERAGE, self.step / (self.step + 9))
+        torch._foreach_lerp_(self.average, now, share_of_new)
+        self.total += loss.detach()
+
+    def told(self) -> float:
+        """Return the mean loss since this was asked last."""
+        loss: float = round(self.total.item() / TOLD_EVERY, 6)
+        self.total.zero_()
+        return loss
+
+    def finish(self, path: Path) -> None:
+        """Write the averaged weights."""
+        from safetensors.torch import save_file
+
+        for value, mean in zip(self.policy.parameters(), self.average):
+            value.data.copy_(mean)
+        weights = {name: value.contiguous().cpu() for name, value in self.policy.state_dict().items()}
+        _whole(path, lambda part: save_file(weights, part))
+
+
+def _calibrate(policy: Any, data: Data) -> None:
+    """Give LeRobot's frozen batch norms the statistics of these images: they are meant for a backbone of ImageNet."""
+    import torch
+
+    frozen = [one for one in policy.modules() if type(one).__name__ == "FrozenBatchNorm2d"]
+
+    def measure(module: Any, given: tuple[Any, ...]) -> None:
+        module.running_var.copy_(given[0].var((0, 2, 3)))
+        module.running_mean.copy_(given[0].mean((0, 2, 3)))
+
+    hooks = [one.register_forward_pre_hook(measure) for one in frozen]
+    if frozen:
+        with torch.no_grad():
+            policy.forward(data.batch(torch.randperm(len(data.targets))[:128].to(data.device)))
+    for hook in hooks:
+        hook.remove()
+
+
+def _config() -> dict[str, Any]:
+    config: dict[str, Any] = json.loads(os.environ["XPL_CONFIG"])
+    return config
+
+
+def _feature(name: str) -> Any:
+    from lerobot.configs.types import FeatureType
+
+    if name.startswith(_IMAGES):
+        return FeatureType.VISUAL
+    return {SCENE: FeatureType.ENV, ACTION: FeatureType.ACTION}.get(name, FeatureType.STATE)
+
+
+def _still(numbers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    still = numbers["max"] - numbers["min"] < STILL
+    changed: dict[str, Any] = {"std": 1.0, "min": numbers["mean"] - 1, "max": numbers["mean"] + 1}
+    return {**numbers, **{key: np.where(still, value, numbers[key]) for key, value in changed.items()}}
+
+
+def _tensors(numbers: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    import torch
+
+    return {key: torch.as_tensor(np.asarray(value, np.float32)) for key, value in numbers.items()}
+
+
+def _curve(path: Path, step: int) -> TextIO:
+    """Open the curve, without what a killed run told after it was saved for the last time."""
+    told = path.read_text().splitlines(keepends=True) if path.exists() else []
+    kept = [line for line in told if line.endswith("\n") and json.loads(line)["step"] <= step]
+    _whole(path, lambda part: part.write_text("".join(kept)))
+    return path.open("a")
+
+
+def _whole(path: Path, write: Callable[[Path], Any]) -> None:
+    """Write a file that is there whole or not at all."""
+    part = path.with_name(f".{path.name}.part")
+    write(part)
+    part.replace(path)
