@@ -17,6 +17,7 @@ import pytest
 from tests.support.distributions import forget
 from xpl import Client, get_embodiment
 from xpl.client import PolicyServerError
+from xpl_cli.standard.validate import validate
 
 REPO = Path(__file__).parents[2]
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -150,6 +151,7 @@ def test_a_rule_of_a_package_is_listed_explained_and_run(xpl: Run, write_adapter
     (folder / "README.md").write_text("# Subject\n")
     chosen = ("--gate", "static", "--select", "TINY", "--fail-on", "warn", "--format", "json")
     told = json.loads(xpl("audit", folder, *chosen, code=1).stdout)
+    assert validate(told, "audit") == []
     (result,) = (one for one in told["targets"][0]["gates"][0]["results"] if one["findings"])
     assert (result["code"], Path(result["findings"][0]["path"]).name) == ("TINY101", "README.md")
     (folder / "README.md").write_text("Maintainer: Ada Example\n")

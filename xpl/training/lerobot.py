@@ -94,12 +94,14 @@ def train(package: Path) -> None:
     steps = settings.action_delta_indices
     found = windows(
         package,
-        {**config, "ckpt_name": str(target.resolve())},
+        {**config, spec.Deploy.CKPT_NAME: str(target.resolve())},
         demonstrations(config),
         horizon=len(steps),
         first=steps[0],
     )
-    run = _Run(get_policy_class(settings.type), settings, Data(found, device, config["noise"]), config["seed"])
+    run = _Run(
+        get_policy_class(settings.type), settings, Data(found, device, config["noise"]), config[spec.Deploy.SEED]
+    )
     kept = target / _STATE_FILE
     run.resume(kept)
     limit, minutes = config["steps"], config.get("minutes") or math.inf
@@ -132,7 +134,7 @@ def demonstrations(config: Mapping[str, Any]) -> Folder:
 
 def place(package: Path, config: Mapping[str, Any]) -> Path:
     """Return the checkpoint's folder, where the adapter looks for it."""
-    return package / spec.CHECKPOINT_DIRECTORY / str(config["run_name"] or config["ckpt_name"])
+    return package / spec.CHECKPOINT_DIRECTORY / str(config["run_name"] or config[spec.Deploy.CKPT_NAME])
 
 
 class Data:
