@@ -16,12 +16,12 @@ from xpl_cli.audit.static.limits import TooMuchError
 if TYPE_CHECKING:
     from tree_sitter import Node, Tree
 
-_MOST_CHARACTERS: Final = 65_536
+_MOST_CHARACTERS: Final = 60_000
 _MOST_WORDS: Final = 50_000
 _MOST_LEVELS: Final = 100
 _LONGEST_S: Final = 5.0
 """Seconds that the grammar, or bash, may take for one script: a thousand times what they do take."""
-_PIECE: Final = 65_536
+_PIECE: Final = 32_768
 _SAID: Final = re.compile(r"line (\d+): (.+)")
 _SETTERS: Final = frozenset(
     ("export", "local", "readonly", "declare", "typeset", "read", "mapfile", "readarray", "getopts")
