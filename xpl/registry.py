@@ -5,8 +5,9 @@ A package adds to a group in its pyproject.toml, and no file of `xpl` is touched
     [project.entry-points."xpl.wires"]
     tiny = "my_package.wire:WIRE"
 
-Wires are objects, which are imported when they are used. Rules, environments and robots are content: their
-entry points name a folder within a package, in which they are found by path, and which is never imported.
+Wires are objects and formats are modules, which are imported when they are used. Rules, environments and robots are
+content: their entry points name a folder within a package, in which they are found by path, and which is never
+imported.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-RULES, WIRES, ENVS, ROBOTS = "xpl.rules", "xpl.wires", "xpl.envs", "xpl.robots"
+RULES, WIRES, ENVS, ROBOTS, FORMATS = "xpl.rules", "xpl.wires", "xpl.envs", "xpl.robots", "xpl.formats"
 OURS = "xpl"
 """The distribution of what is built in."""
 
@@ -150,5 +151,5 @@ def _found() -> Iterator[Entry]:
             continue
         known.add(name)
         for point in distribution.entry_points:
-            if point.group in (RULES, WIRES, ENVS, ROBOTS):
+            if point.group in (RULES, WIRES, ENVS, ROBOTS, FORMATS):
                 yield Entry(point.group, point.name, point.value, f"{name} {distribution.version}")

@@ -24,12 +24,13 @@ from xpl_cli.agents.review import page
 from xpl_cli.agents.review.change import Change, Touched
 from xpl_cli.agents.review.harm import harm
 from xpl_cli.agents.review.review import Remark, Review
-from xpl_cli.audit.formats import FORMATS, Context, render
+from xpl_cli.audit.formats import Context, render
 from xpl_cli.audit.formats.listing import listed
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, Result, TargetReport
 from xpl_cli.basics import failures, pages, strangers
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.formats import REPORTS
 from xpl_cli.evaluation.report import episodes, markdown
 from xpl_cli.packages.targets import Target
 
@@ -71,7 +72,7 @@ def reports(text: str) -> list[TargetReport]:
     return [TargetReport(path=f"policy/{text}".replace("\ud800", ""), name=text, kind="policy", gates=gates)]
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", REPORTS)
 @pytest.mark.parametrize("text", EVIL)
 def test_no_format_lets_a_name_steer_its_reader(name: str, text: str, tmp_path: Path) -> None:
     """No control character, no change of direction, no line of its own, and what is parsed parses."""
@@ -184,7 +185,7 @@ def test_a_package_may_have_any_name(tmp_path: Path) -> None:
     """From the command line, in every format at once, and in the commands that come next."""
     name = "\x1b[31m\n::error::@team ](http:) \u202e"
     made_adapter(tmp_path / "policy" / "Foo").rename(tmp_path / "policy" / name)
-    others = [name for name in FORMATS if name != "text"]
+    others = [name for name in REPORTS if name != "text"]
     outputs = [f"--output={name}={tmp_path / name}" for name in others]
     done = xpl("audit", "--all", "--gate", "static", "--no-cache", *outputs, cwd=tmp_path)
     assert done.returncode == ExitCode.FINDINGS  # the name is no name of the standard

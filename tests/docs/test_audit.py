@@ -16,7 +16,6 @@ import yaml
 from tests.support.adapters.rules import made_adapter
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from xpl_cli.audit.formats import FORMATS
 from xpl_cli.audit.physics.claims import claims
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.rules.figures import Course
@@ -24,6 +23,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.served.probe import Probe
 from xpl_cli.basics.errors import ExitCode
+from xpl_cli.basics.formats import REPORTS
 from xpl_cli.standard.validate import validate
 
 PAGE = (ROOT / "docs" / "audit.md").read_text(encoding="utf-8")
@@ -104,7 +104,7 @@ def test_the_claim_of_the_page_is_one(workspace: Path) -> None:
 
 def test_the_page_knows_every_format_option_and_code(tmp_path: Path) -> None:
     """Tables are complete."""
-    assert set(re.findall(r"^\| `([a-z]+)` \|", PAGE, flags=re.MULTILINE)) >= set(FORMATS)
+    assert set(re.findall(r"^\| `([a-z]+)` \|", PAGE, flags=re.MULTILINE)) >= set(REPORTS)
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", PAGE, flags=re.MULTILINE)} == set(ExitCode)
     told = set(re.findall(r"--[a-z][a-z-]+", PAGE))
     offered = set(re.findall(r"--[a-z][a-z-]+", xpl("audit", "--help", cwd=tmp_path).stdout))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -17,6 +18,7 @@ import pytest
 from tests.support.distributions import forget
 from xpl import Client, get_embodiment
 from xpl.client import PolicyServerError
+from xpl_cli.data.formats import open_set
 from xpl_cli.standard.validate import validate
 
 REPO = Path(__file__).parents[2]
@@ -192,3 +194,34 @@ def test_a_robot_of_a_package_is_shown_and_scaffolded_and_its_environment_played
 def test_a_robot_of_a_package_is_known_to_programs() -> None:
     """Without the tool."""
     assert get_embodiment("tiny_arm").arms[0].dof == 2
+
+
+# -- formats -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_report_format_of_a_package_is_written(xpl: Run, write_adapter: Callable[..., Path], tmp_path: Path) -> None:
+    """As ours are: by --format, beside another by --output, and named where a name is none."""
+    folder = write_adapter("")
+    (folder / "README.md").write_text("# Subject\n")
+    chosen = ("--gate", "static", "--select", "TINY", "--fail-on", "warn")
+    told = xpl("audit", folder, *chosen, "--format", "csv", "--output", "csv=found.csv", code=1).stdout
+    head, line = csv.reader(told.splitlines())
+    assert head == ["rule", "outcome", "file", "line", "message"]
+    assert (line[:2], Path(line[2]).name) == (["TINY101", "warn"], "README.md")
+    assert (tmp_path / "found.csv").read_text() == told
+    assert "did you mean csv?" in xpl("audit", folder, "--format", "cvs", code=2).stderr
+
+
+def test_demonstrations_in_a_format_of_a_package_are_listed_and_converted(xpl: Run, tmp_path: Path) -> None:
+    """Found by looking, and written in a format of ours with the same numbers and images."""
+    (tmp_path / "demos").mkdir()
+    draw = np.random.default_rng(0)
+    action = draw.normal(size=(6, 7)).astype(np.float32)
+    top = draw.integers(0, 255, (6, 32, 32, 3), np.uint8)
+    np.savez(tmp_path / "demos" / "one.npz", action=action, top=top)
+    told = json.loads(xpl("data", "list", "demos", "--json").stdout)
+    assert (told["format"], told["columns"]["action"]["shape"]) == ("npz", [7])
+    xpl("data", "convert", "demos", "made", "--to", "lerobot-v3.0", "--rate", "25", "--images", "png")
+    episode = open_set(tmp_path / "made")[0]
+    np.testing.assert_array_equal(episode.read("action"), action)
+    np.testing.assert_array_equal(list(episode.frames("observation.images.top")), top)

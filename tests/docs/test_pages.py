@@ -20,10 +20,10 @@ from typer.main import get_command
 from tests.support import pages
 from tests.support.peer import xpl
 from tests.support.places import ROOT, tracked
-from xpl_cli.audit.formats import FORMATS
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
+from xpl_cli.basics.formats import REPORTS
 from xpl_cli.derived import commands, compiler, rules
 from xpl_cli.main import app
 from xpl_cli.standard import answers, spec, unknown
@@ -114,7 +114,7 @@ def test_a_command_is_one(where: str, words: list[str]) -> None:
     if words[0] == "audit":
         registry.select(tuple(given["selected"]), tuple(given["ignored"]), tuple(Gate))
         assert set(given["gate"]) <= set(Gate)
-        assert given["report_format"] in FORMATS
+        assert given["report_format"] in REPORTS
 
 
 def test_wrong_commands_are_noticed() -> None:

@@ -13,9 +13,10 @@ from tests.support.recordings.demonstrations import Convention, MemorySet, write
 from tests.support.recordings.motion import motion
 from xpl_cli.audit.demonstrations import catalogue
 from xpl_cli.audit.demonstrations.validation import Options, validate
-from xpl_cli.audit.formats import FORMATS, Context, render
+from xpl_cli.audit.formats import Context, render
 from xpl_cli.audit.rules.model import Outcome, exit_code
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.basics.formats import REPORTS
 
 pytest.importorskip("mujoco")
 
@@ -203,7 +204,7 @@ def test_what_is_waived_counts_no_more(whole: MemorySet) -> None:
         validate(whole, "demos", Options(names=("XPL799",)))
 
 
-@pytest.mark.parametrize("name", [name for name in FORMATS if name != "json"])
+@pytest.mark.parametrize("name", [name for name in REPORTS if name != "json"])
 def test_every_format_tells_it(name: str, whole: MemorySet) -> None:
     """Code and episode stand in each; SARIF explains the check."""
     _nan(whole)

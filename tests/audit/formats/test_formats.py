@@ -19,7 +19,7 @@ from tests.support.adapters.rules import made_adapter, made_room
 from tests.support.peer import xpl
 from xpl_cli import __version__
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.formats import FORMATS, Context, as_json, render
+from xpl_cli.audit.formats import Context, as_json, render
 from xpl_cli.audit.formats.delivery import Delivery
 from xpl_cli.audit.formats.listing import in_repository, listed
 from xpl_cli.audit.formats.painted import Terminal
@@ -29,6 +29,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, TargetReport, exit_code
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
+from xpl_cli.basics.formats import REPORTS
 from xpl_cli.standard.validate import validate
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
@@ -44,7 +45,7 @@ def context(tmp_path: Path) -> Context:
 # -- all formats -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", REPORTS)
 def test_the_sample_looks_as_it_did(name: str, context: Context) -> None:
     """A change of a format shows as a change of its snapshot."""
     text = render(name, sample.reports(), context).replace(__version__, "VERSION")
@@ -54,20 +55,20 @@ def test_the_sample_looks_as_it_did(name: str, context: Context) -> None:
     assert text == file.read_bytes().decode()
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", REPORTS)
 def test_a_report_names_no_place_of_this_machine(name: str, context: Context) -> None:
     """Reports are published, and compared between machines."""
     assert str(context.here) not in render(name, sample.reports(), context)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", REPORTS)
 def test_nothing_audited_is_a_valid_report(name: str, context: Context) -> None:
     """No target is no crash."""
     text = render(name, [], context)
     assert text == "" or text.endswith("\n")
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", REPORTS)
 def test_a_name_that_is_no_text_can_be_reported(name: str, context: Context) -> None:
     """A file name may hold bytes that are not UTF-8; the report is UTF-8 all the same."""
     found = Finding("this file", path=os.fsdecode(b"sc\xffripts.py"), line=1, column=1)
@@ -275,7 +276,7 @@ def test_a_rule_that_cannot_be_imported_is_a_crash_in_every_format(
     room.rule("finds", '"""Finds."""\nyield Finding("something", path="model.py", line=1)', code="XPL102")
     report = engine.audit(made_adapter(tmp_path / "Foo"), "policy", Options(gates=(Gate.STATIC,)), shown="Foo")
     context = Context(tmp_path)
-    texts = {name: render(name, [report], context) for name in FORMATS}
+    texts = {name: render(name, [report], context) for name in REPORTS}
     assert exit_code([report]) is ExitCode.INTERNAL
     assert all("XPL101" in text and "something" in text for text in texts.values())
     assert validate(json.loads(texts["json"]), "audit") == []

@@ -21,12 +21,13 @@ import pytest
 from tests.support.peer import DEADLINE_S
 from tests.support.places import ROOT
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.formats import FORMATS, Context, render
+from xpl_cli.audit.formats import Context, render
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.source import Source
+from xpl_cli.basics.formats import REPORTS
 from xpl_cli.scaffold import adapter as scaffold
 from xpl_cli.scaffold.answers import Answers
 
@@ -419,7 +420,7 @@ def strange(adapter: Path) -> Path:
 
 
 @pytest.mark.sampled(4)
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", REPORTS)
 def test_every_name_is_escaped(strange: Path, name: str) -> None:
     """No name of a file ends a line, a command or a document of any format."""
     context = Context(strange.parent.parent)

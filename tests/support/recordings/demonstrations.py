@@ -64,6 +64,7 @@ class MemorySet:
     robot: str | None = None
     path: str = "memory"
     format: str = "memory"
+    is_forkable: bool = True
     extras: dict[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:

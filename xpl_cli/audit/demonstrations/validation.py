@@ -30,7 +30,7 @@ from xpl_cli.audit.rules.model import (
     Waived,
 )
 from xpl_cli.basics import parallel
-from xpl_cli.data.formats import is_forked, open_set
+from xpl_cli.data.formats import open_set
 from xpl_cli.data.probe.probe import Found, probe
 from xpl_cli.data.probe.sample import spread
 from xpl_cli.data.sets.errors import DataError
@@ -131,7 +131,7 @@ def _looked(demonstrations: Demonstrations, places: Sequence[int], *, images: bo
     Raises:
         DataError: a process died over one.
     """
-    if len(places) < _MANY or not is_forked(demonstrations):
+    if len(places) < _MANY or not demonstrations.is_forkable:
         yield from (_seen(demonstrations[place], images=images) for place in places)
         return
     look = partial(_seen_in, os.getpid(), Path(demonstrations.path), images)

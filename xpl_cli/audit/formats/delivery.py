@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from xpl_cli.audit.formats import FORMATS, Context, check_format, for_people, render
+from xpl_cli.audit.formats import Context, check_format, for_people, names, render
 from xpl_cli.basics import console
 from xpl_cli.basics import output as output_file
 
@@ -41,10 +41,10 @@ class Delivery:
             UserError: if there is no such format, or a file cannot be written there.
         """
         printed: str | None = check_format(wanted)
-        files = []
+        files, known = [], names()
         for output in outputs:
             name, found, rest = output.partition("=")
-            other = name if found and name in FORMATS else None
+            other = name if found and name in known else None
             path = Path(rest if other else output)
             output_file.check(path)
             files.append((other or wanted, path))

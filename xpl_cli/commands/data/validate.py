@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.basics.formats import REPORTS_HELP
 from xpl_cli.commands.data.listing import SET
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def validate(
     selected: list[str] = typer.Option([], "--select", help="Run only these checks: codes, their beginnings, slugs."),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these checks out."),
     waived: list[str] = typer.Option([], "--waive", metavar="CODE=REASON", help="Accept what a check finds, and why."),
-    report_format: str = typer.Option("text", "--format", help="text, json, sarif, github, junit or rdjson."),
+    report_format: str = typer.Option("text", "--format", help=REPORTS_HELP),
     as_json: bool = typer.Option(False, "--json", help="The same as --format json."),
     output: list[str] = typer.Option(
         [],

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from xpl_cli.basics.formats import REPORTS_HELP
 from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP, PATIENCE_HELP
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def audit(
         [], "--select", help="Run only these rules: codes, code prefixes, slugs, `advice`."
     ),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
-    report_format: str = typer.Option("text", "--format", help="text, json, sarif, github, junit or rdjson."),
+    report_format: str = typer.Option("text", "--format", help=REPORTS_HELP),
     as_json: bool = typer.Option(False, "--json", help="The same as --format json."),
     output: list[str] = typer.Option(
         [],

@@ -56,7 +56,8 @@ def review(
     from xpl_cli.agents.review import document, page
     from xpl_cli.agents.review.review import review as reviewed
     from xpl_cli.audit.engine import cache
-    from xpl_cli.audit.formats import FORMATS, Context
+    from xpl_cli.audit.formats import Context
+    from xpl_cli.audit.formats import names as format_names
     from xpl_cli.audit.formats.delivery import Delivery
     from xpl_cli.audit.rules.clock import Clock
     from xpl_cli.audit.rules.gates import Gate
@@ -75,7 +76,8 @@ def review(
     for name in fail_on:
         one_of("--fail-on", name, ("new", "all", Outcome.FAIL, Outcome.WARN))
     mildest = Outcome.WARN if Outcome.WARN in fail_on else Outcome.FAIL
-    formats = [wanted for wanted in output if wanted.partition("=")[0] in FORMATS and "=" in wanted]
+    known = format_names()
+    formats = [wanted for wanted in output if wanted.partition("=")[0] in known and "=" in wanted]
     files = [Path(wanted) for wanted in output if wanted not in formats]
     audits = Delivery(None, Delivery.asked("text", formats).files)
     for file in files:

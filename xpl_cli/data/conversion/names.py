@@ -31,6 +31,8 @@ _READ_ONLY: Final = {
     packing.NAME: Names(packing.ACTION, packing.STATE, "", "vision/", environment=packing.ENVIRONMENT),
 }
 """How formats that are not written call things."""
+_ANY: Final = Names("action", "", "", "")
+"""How another format, which an installed package reads, is taken to call things."""
 _OWN: Final = (
     *(CONVERTED, "frequency", "robot", "num_samples", "ep_meta", "instruction", "instructions"),
     *("data_format_version", "additional_info/frequency"),
@@ -179,7 +181,8 @@ def _renamed(name: str, given: str, wanted: Names) -> str:
 
 def _of(given: str) -> Names:
     name = family(given)
-    return _READ_ONLY.get(name) or next(writer.names for writer in WRITERS if family(writer.name) == name)
+    written = {family(writer.name): writer.names for writer in WRITERS}
+    return {**written, **_READ_ONLY}.get(name, _ANY)
 
 
 def _camera(name: str, kind: str, given: str, writer: Writer) -> str:

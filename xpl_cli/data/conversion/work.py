@@ -22,9 +22,9 @@ from xpl_cli.basics.sizes import told_size
 from xpl_cli.data.conversion import chain, mapping
 from xpl_cli.data.conversion.names import Renamed, Renaming, renaming
 from xpl_cli.data.conversion.packing import NAME, PackedSet
-from xpl_cli.data.formats import is_forked, open_set
 from xpl_cli.data.formats.writers import writer_of
 from xpl_cli.data.formats.writing import CONVERTED, Options, Plan
+from xpl_cli.data.sets.delegating import base_format
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
@@ -122,7 +122,6 @@ def convert(job: Job, progress: Progress) -> Report:
     if not len(source):
         raise DataError(f"{job.source} has no episodes")
     plan, how = _planned(job, source)
-    raw = open_set(job.source)
     writer = writer_of(job.to)
     writer.check(plan)
     with _staging(job, plan) as staging:
@@ -131,7 +130,7 @@ def convert(job: Job, progress: Progress) -> Report:
         if done:
             progress.step(f"{len(done)} of {len(plan.lengths)} episodes are there from a run before")
         task = _Task(job, plan, how, staging, os.getpid())
-        _work(task, due, progress, None if is_forked(raw) else source)
+        _work(task, due, progress, None if source.is_forkable else source)
         progress.step("joining the episodes")
         pieces = [_piece(staging, index) for index in range(len(plan.lengths))]
         made = writer.finish(staging, plan, pieces)
@@ -140,7 +139,7 @@ def convert(job: Job, progress: Progress) -> Report:
     return Report(
         str(job.source),
         str(job.target),
-        raw.format,
+        base_format(source),
         writer.name,
         len(plan.lengths),
         sum(plan.lengths),

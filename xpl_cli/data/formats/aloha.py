@@ -6,19 +6,20 @@ Source: record_sim_episodes.py of ACT, record_episodes.py of ALOHA (whose images
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.folders import FolderSet, ToldEpisode
 
 NAME: Final = "aloha"
 _STEPS: Final = ("action", "observations/qpos")
 
 
-def recognises(file: Any) -> bool:
-    """Tell whether an open HDF5 file is one."""
-    return "action" in file and "observations" in file
+def recognises(path: Path) -> bool:
+    """Tell whether a set is one."""
+    return hdf5.is_of(path, lambda file: "action" in file and "observations" in file)
 
 
-def opened(path: Path, files: list[Path]) -> FolderSet:
-    """Return the set in these files."""
-    return FolderSet(path, NAME, files, lambda file, key: ToldEpisode(file, "", key, _STEPS))
+def opened(path: Path) -> FolderSet:
+    """Return the set."""
+    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: ToldEpisode(file, "", key, _STEPS))

@@ -15,7 +15,7 @@ import numpy as np
 from xpl.images import PIXELS
 from xpl_cli.data.formats import libraries
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,11 +27,16 @@ _MOST_CHUNK: Final = 1 << 30
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a folder is one."""
-    return (path / "meta" / "episode_ends").is_dir()
+    """Tell whether a folder or ZIP file is one."""
+    return (path / ENDS).is_dir() or (path.is_file() and path.suffix == ".zip")
 
 
-class DiffusionSet:
+def opened(path: Path) -> DiffusionSet:
+    """Return the set."""
+    return DiffusionSet(path)
+
+
+class DiffusionSet(Demonstrations):
     """A store."""
 
     def __init__(self, path: Path) -> None:
@@ -41,7 +46,7 @@ class DiffusionSet:
             if ends is None or "data" not in store:
                 raise DataError(f"{path} has no data and {ENDS}, which Diffusion Policy's stores have")
             self._ends: list[int] = np.asarray(ends[:], np.int64).tolist()
-            self.extras: Mapping[str, Any] = dict(store.attrs)
+            self._extras: Mapping[str, Any] = dict(store.attrs)
             self.contents = {name: _told(name, array) for name, array in sorted(store["data"].arrays())}
         starts = [0, *self._ends]
         if any(end < start for start, end in zip(starts, self._ends, strict=False)):
@@ -58,14 +63,9 @@ class DiffusionSet:
         return NAME
 
     @property
-    def rate_hz(self) -> float | None:
-        """Unknown: the format does not say it."""
-        return None
-
-    @property
-    def robot(self) -> str | None:
-        """Unknown: the format does not say it."""
-        return None
+    def extras(self) -> Mapping[str, Any]:
+        """The attributes of the store."""
+        return self._extras
 
     def __len__(self) -> int:
         """How many episodes there are."""
@@ -86,7 +86,7 @@ class DiffusionSet:
         return found
 
 
-class DiffusionEpisode:
+class DiffusionEpisode(Episode):
     """The rows of one episode."""
 
     def __init__(self, owner: DiffusionSet, index: int, span: tuple[int, int]) -> None:
@@ -104,11 +104,6 @@ class DiffusionEpisode:
         return self._stop - self._start
 
     @property
-    def instructions(self) -> tuple[str, ...]:
-        """None: the format has no sentences."""
-        return ()
-
-    @property
     def columns(self) -> Mapping[str, Column]:
         """The columns of numbers."""
         return {name: one for name, one in self._owner.contents.items() if isinstance(one, Column)}
@@ -117,11 +112,6 @@ class DiffusionEpisode:
     def cameras(self) -> Mapping[str, Camera]:
         """The cameras."""
         return {name: one for name, one in self._owner.contents.items() if isinstance(one, Camera)}
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        """None: attributes are those of the whole set."""
-        return {}
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""

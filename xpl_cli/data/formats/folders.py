@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as spec
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
 from xpl_cli.data.formats.writing import CONVERTED
+from xpl_cli.data.sets.interface import Demonstrations
 
 if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Episode
@@ -22,7 +22,7 @@ _TOLD = ("instruction", "instructions", "language_instruction", "language_raw", 
 """Names under which files of this kind keep a sentence."""
 
 
-class FolderSet:
+class FolderSet(Demonstrations):
     """A folder of files, or one file.
 
     Args:
@@ -113,8 +113,3 @@ def sentences(value: Any) -> tuple[str, ...]:
     if isinstance(value, list):
         return tuple(item for item in value if isinstance(item, str) and item.strip())
     return ()
-
-
-def natural(name: str) -> tuple[tuple[int, str], ...]:
-    """Return what sorts `episode2` before `episode10`."""
-    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name))

@@ -6,7 +6,9 @@ Files are opened and read by `xpl.trajectory.storage`, which follows no link and
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
+import itertools
+import re
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,14 +20,64 @@ from xpl.trajectory import TrajectoryError, storage
 from xpl.trajectory import pictures as stored
 from xpl_cli.data.formats import libraries, pictures
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import Camera, Column, Episode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from xpl.trajectory.names import Place
 
-SUFFIXES: Final = (".hdf5", ".h5")
+_SUFFIXES: Final = (".hdf5", ".h5")
+_DEPTHS: Final = ("*", "*/*", "*/*/*")
+_MOST_FILES: Final = 1_000_000
+
+
+def files(path: Path) -> list[Path]:
+    """Return the HDF5 files of a set, in the order in which people count: itself, or those nearest below a folder.
+
+    Raises:
+        DataError: they are too many.
+    """
+    found = list(itertools.islice(_files(path), _MOST_FILES + 1))
+    if len(found) > _MOST_FILES:
+        raise DataError(f"{path} has more than {_MOST_FILES} files")
+    return found if path.is_file() else sorted(found, key=lambda one: natural(one.relative_to(path).as_posix()))
+
+
+def first(path: Path) -> Path | None:
+    """Return any of the HDF5 files of a set; None if it has none."""
+    return next(_files(path), None)
+
+
+def is_of(path: Path, recognises: Callable[[Any], bool]) -> bool:
+    """Tell whether a set is of HDF5 files of a kind, by one of them.
+
+    Args:
+        path: of the set.
+        recognises: tells it of an open file.
+
+    Raises:
+        DataError: that file is damaged.
+    """
+    file = first(path)
+    if file is None:
+        return False
+    with opened(file) as found:
+        return recognises(found)
+
+
+def _files(path: Path) -> Iterator[Path]:
+    """Yield the files of a set, as the system lists them; a file that is no ZIP is one, whatever it is called."""
+    if path.is_file() and path.suffix != ".zip":
+        yield path
+    for depth in _DEPTHS if path.is_dir() else ():
+        is_found = False
+        for one in path.glob(depth):
+            if one.suffix in _SUFFIXES and not one.name.startswith(".") and one.is_file():
+                is_found = True
+                yield one
+        if is_found:
+            return
 
 
 @contextmanager
@@ -70,7 +122,7 @@ class _Content:
     extras: dict[str, Any]
 
 
-class Hdf5Episode:
+class Hdf5Episode(Episode):
     """An episode that is a group of an HDF5 file.
 
     Args:
@@ -192,3 +244,8 @@ def _matrices(path: Place, found: Mapping[Place, Any]) -> dict[str, Any]:
             if dataset is not None and dataset.dtype.kind == "f" and dataset.size <= storage.MOST_FACT:
                 result[field] = storage.rows(dataset)
     return result
+
+
+def natural(name: str) -> tuple[tuple[int, str], ...]:
+    """Return what sorts `episode2` before `episode10`."""
+    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name))

@@ -15,7 +15,7 @@ import numpy as np
 
 from xpl.images import PIXELS, size_of
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,12 +61,18 @@ class _Outline:
     extras: Mapping[str, Any]
 
 
-class RldsSet:
+def opened(path: Path) -> RldsSet:
+    """Return the set."""
+    return RldsSet(path)
+
+
+class RldsSet(Demonstrations):
     """A folder with `dataset_info.json`; its split `train`.
 
-    Lengths and sentences are known after all of it was gone through once, without decoding an image. What runs it has
-    threads, so that a process that was forked from one that opened it may not read it.
+    Lengths and sentences are known after all of it was gone through once, without decoding an image.
     """
+
+    is_forkable = False
 
     def __init__(self, path: Path) -> None:
         try:
@@ -92,16 +98,6 @@ class RldsSet:
     def format(self) -> str:
         """The name of its format."""
         return NAME
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Unknown: RLDS does not say it."""
-        return None
-
-    @property
-    def robot(self) -> str | None:
-        """Unknown: RLDS does not say it."""
-        return None
 
     @property
     def extras(self) -> Mapping[str, Any]:
@@ -166,7 +162,7 @@ class RldsSet:
         return _Outline(length, _sentences(first), columns, cameras, extras)
 
 
-class RldsEpisode:
+class RldsEpisode(Episode):
     """An episode; its steps are read together when some are asked for."""
 
     def __init__(self, owner: RldsSet, index: int) -> None:

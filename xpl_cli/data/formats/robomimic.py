@@ -13,24 +13,33 @@ from typing import Any, Final
 
 from xpl.trajectory import TrajectoryError, storage
 from xpl_cli.data.formats import hdf5
-from xpl_cli.data.formats.folders import natural
-from xpl_cli.data.formats.hdf5 import Hdf5Episode
+from xpl_cli.data.formats.hdf5 import Hdf5Episode, natural
 from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.interface import Demonstrations
 
 NAME: Final = "robomimic"
 _STEPS: Final = ("actions", "states")
 _MOST_EPISODES: Final = 1_000_000
 
 
-def recognises(file: Any) -> bool:
-    """Tell whether an open HDF5 file is one."""
+def recognises(path: Path) -> bool:
+    """Tell whether a set is one."""
+    return hdf5.is_of(path, _is_one)
+
+
+def opened(path: Path) -> RobomimicSet:
+    """Return the set."""
+    return RobomimicSet(path, hdf5.files(path))
+
+
+def _is_one(file: Any) -> bool:
     try:
         return any(name.startswith("demo") for name in storage.group(file, "data"))
     except TrajectoryError:
         return False
 
 
-class RobomimicSet:
+class RobomimicSet(Demonstrations):
     """One file, or a folder of files, one a task.
 
     Args:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import functools
 import json
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from xpl_cli.basics import files as bounded
+from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.folders import FolderSet, sentences
 from xpl_cli.data.formats.hdf5 import Hdf5Episode
 from xpl_cli.data.sets.errors import DataError
@@ -21,14 +22,14 @@ _STEPS: Final = ("joint_action/vector", "joint_action/left_gripper", "endpose/le
 _MOST: Final = 16 << 20
 
 
-def recognises(file: Any) -> bool:
-    """Tell whether an open HDF5 file is one."""
-    return "joint_action" in file and "observation" in file
+def recognises(path: Path) -> bool:
+    """Tell whether a set is one."""
+    return hdf5.is_of(path, lambda file: "joint_action" in file and "observation" in file)
 
 
-def opened(path: Path, files: list[Path]) -> FolderSet:
-    """Return the set in these files."""
-    return FolderSet(path, NAME, files, lambda file, key: _Episode(file, "", key, _STEPS))
+def opened(path: Path) -> FolderSet:
+    """Return the set."""
+    return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _Episode(file, "", key, _STEPS))
 
 
 class _Episode(Hdf5Episode):

@@ -23,7 +23,7 @@ from xpl_cli.data.formats import hdf5, libraries, pictures
 from xpl_cli.data.formats.folders import FolderSet, told_in
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import Camera, Column, Episode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from xpl.trajectory import Trajectory
     from xpl_cli.data.formats.writing import Plan
-    from xpl_cli.data.sets.interface import Episode
 
 NAME: Final = "xpl"
 _SET: Final = "set"
@@ -44,17 +43,20 @@ _OWN: Final = (
     *(spec.Trajectory.DATA_FORMAT_VERSION, f"{spec.Trajectory.ADDITIONAL_INFO}/{spec.Obs.FREQUENCY}", _FACTS),
 )
 """What the standard's files have a place for."""
+_BESIDE: Final = frozenset((spec.Trajectory.VISION, spec.Trajectory.ACTION))
+"""Groups one of which lies beside the state."""
 _MATRICES: Final = {spec.Camera.INTRINSIC_MATRIX: 3, spec.Camera.EXTRINSICS_MATRIX: 4}
 """What lies beside a camera's images, with rows and columns."""
 
 
-def recognises(file: Any) -> bool:
-    """Tell whether an open HDF5 file is one."""
-    return spec.Trajectory.STATE in file and (spec.Trajectory.VISION in file or spec.Trajectory.ACTION in file)
+def recognises(path: Path) -> bool:
+    """Tell whether a set is one."""
+    return hdf5.is_of(path, lambda file: spec.Trajectory.STATE in file and not _BESIDE.isdisjoint(file))
 
 
-def opened(path: Path, files: list[Path]) -> FolderSet:
-    """Return the set in these files; lengths come from the folder's index where it has them."""
+def opened(path: Path) -> FolderSet:
+    """Return the set; lengths come from the folder's index where it has them."""
+    files = hdf5.files(path)
     kept = _Kept(trajectory.open_files(files))
     places = {file: place for place, file in enumerate(files)}
     return FolderSet(path, NAME, files, lambda file, key: _Episode(kept, places[file], key))
@@ -91,7 +93,7 @@ class _Kept:
         self._found = None
 
 
-class _Episode:
+class _Episode(Episode):
     """An episode. Its images are read from a file of their own, which is open as long as they are."""
 
     def __init__(self, kept: _Kept, place: int, key: str) -> None:

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+from xpl_cli.data.sets.interface import Demonstrations, Episode
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
+    from xpl_cli.data.sets.interface import Camera, Column
 
 
-class DelegatingSet:
+class DelegatingSet(Demonstrations):
     """A set around another one; `_around` makes its episodes.
 
     Args:
@@ -51,6 +53,11 @@ class DelegatingSet:
         """What else the set says of itself."""
         return self._inner.extras
 
+    @property
+    def is_forkable(self) -> bool:
+        """Whether processes that are forked from one that opened it may read it."""
+        return self._inner.is_forkable
+
     def __len__(self) -> int:
         """How many episodes there are."""
         return len(self._inner)
@@ -63,7 +70,7 @@ class DelegatingSet:
         raise NotImplementedError
 
 
-class DelegatingEpisode:
+class DelegatingEpisode(Episode):
     """An episode around another one.
 
     Args:

@@ -1,5 +1,7 @@
 """What every reader of demonstrations offers, in the words and conventions of the file that it reads.
 
+A reader's classes inherit from these two, and leave out what their format does not say.
+
 Nothing is converted here: a column is what the file has, under the file's own name. Which column is which part of the
 standard, and under which conventions, is said by a mapping, or measured by a probe.
 """
@@ -66,6 +68,7 @@ class Episode(Protocol):
     @property
     def instructions(self) -> tuple[str, ...]:
         """What the robot was told; several where the file has several wordings; empty where it has none."""
+        return ()
 
     @property
     def columns(self) -> Mapping[str, Column]:
@@ -78,6 +81,7 @@ class Episode(Protocol):
     @property
     def extras(self) -> Mapping[str, Any]:
         """What else the file says of this episode, plain data under the file's names."""
+        return {}
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows `start` to `stop` of a column, (steps, *shape) of its dtype.
@@ -110,14 +114,22 @@ class Demonstrations(Protocol):
     @property
     def rate_hz(self) -> float | None:
         """Steps per second, if the set says so."""
+        return None
 
     @property
     def robot(self) -> str | None:
         """What the set calls its robot, if it does."""
+        return None
 
     @property
     def extras(self) -> Mapping[str, Any]:
         """What else the set says of itself, plain data under its own names."""
+        return {}
+
+    @property
+    def is_forkable(self) -> bool:
+        """Whether processes that are forked from one that opened the set may read it: not where threads do it."""
+        return True
 
     def __len__(self) -> int:
         """How many episodes there are."""

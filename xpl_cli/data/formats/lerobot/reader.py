@@ -16,7 +16,7 @@ from xpl.images import PIXELS
 from xpl_cli.data.formats import libraries, pictures, video
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,7 +44,17 @@ class Clip:
     codec: str
 
 
-class LeRobotSet:
+def recognises(path: Path) -> bool:
+    """Tell whether a folder is one."""
+    return (path / layout.INFO).is_file()
+
+
+def opened(path: Path) -> LeRobotSet:
+    """Return the set."""
+    return LeRobotSet(path)
+
+
+class LeRobotSet(Demonstrations):
     """A folder with `meta/info.json`."""
 
     def __init__(self, root: Path) -> None:
@@ -188,7 +198,7 @@ class LeRobotSet:
         raise DataError(f"{where} is not in the table; sets that keep images in files of their own are not read")
 
 
-class LeRobotEpisode:
+class LeRobotEpisode(Episode):
     """An episode of a LeRobot dataset."""
 
     def __init__(self, owner: LeRobotSet, entry: layout.Entry) -> None:
