@@ -87,6 +87,17 @@ def test_documents_are_no_part_of_what_an_adapter_does(room: Room, adapter: Path
     assert all(before != after for before, after in zip(second, _digests(adapter), strict=True))
 
 
+def test_what_only_a_rule_of_a_package_asks_is_no_part_of_the_digest(room: Room, adapter: Path) -> None:
+    """Others, who have not installed it, get the same digest; the rule runs, although its code comes first."""
+    ask = "with probe.session() as policy:\n    policy.act(probe.observation(0, 3))\nyield from ()"
+    room.rule("ours", ask, code="XPL201", folder="offline", facts="probe")
+    alone = engine.audit(adapter, "policy", Options(gates=(Gate.OFFLINE,))).gates[0]
+    room.rule("theirs", ask, code="THEIRS201", folder="offline", facts="probe, motions")
+    both = engine.audit(adapter, "policy", Options(gates=(Gate.OFFLINE,))).gates[0]
+    assert [result.outcome for result in both.results] == [Outcome.PASS, Outcome.PASS]
+    assert (both.digest, both.fingerprint) == (alone.digest, alone.fingerprint)
+
+
 # -- where a rule lies -------------------------------------------------------------------------------------------------
 
 

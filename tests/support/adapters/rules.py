@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl.registry import Entry as Registered
 from xpl_cli.audit.rules import registry
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
@@ -48,9 +49,11 @@ class Room:
         return path
 
     def entries(self) -> tuple[registry.Entry, ...]:
-        """Return its rules in order of code."""
+        """Return its rules in order of code; one whose code is not ours is an installed package's."""
         found = map(registry.Entry.at, self.folder.glob("*/*/rule.py"))
-        return tuple(sorted(found, key=lambda entry: entry.code))
+        source = Registered("xpl.rules", "theirs", "theirs.rules", "theirs 1.0")
+        each = (item if item.code.startswith("XPL") else replace(item, source=source) for item in found)
+        return tuple(sorted(each, key=lambda entry: entry.code))
 
 
 def made_room(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Room:

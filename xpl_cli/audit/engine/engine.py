@@ -131,7 +131,10 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
         checks = Checks(facts, shelf)
         facts.give("checks", checks)
         waivers = facts.get("waivers") if target.kind == "policy" else ()
-        for entry in sorted(selected, key=lambda entry: entry.closes):
+        records: list[str] | None = None
+        for entry in sorted(selected, key=lambda entry: (entry.closes, entry.source is not None)):
+            if records is None and entry.source is not None:
+                records = facts.records()  # before rules of packages, which others need not have, ask anything
             if entry.closes and gate is not Gate.STATIC and not any(_meant(waiver.entry, gate) for waiver in waivers):
                 continue
             options.progress.detail(f"{path.name}: {gate} gate, {entry.code} {entry.slug}")
@@ -145,7 +148,10 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
         report.figures = tuple(simulation.figures) if simulation is not None else ()
         if gate is Gate.STATIC:  # which reads the files anyway, unless it knows that they are as they were
             report.source = (shelf.record if shelf is not None else "") or facts.get("source").whole()
-        records = [f"source {report.source}"] if gate is Gate.STATIC else facts.records()
+        if gate is Gate.STATIC:
+            records = [f"source {report.source}"]
+        elif records is None:
+            records = facts.records()
         report.digest = _digest(report, records)
         if shelf is not None:
             shelf.save(facts.get("source"))
