@@ -1,6 +1,6 @@
 """Robots by name: dimensions, joint names, limits, gripper stroke and home pose.
 
-The facts are `spec/v1/embodiments/*.yml`, `spec/robots/*.yml` and, in a project, `embodiments/*.yml`
+The facts are `spec/robots/*.yml` and, in a project, `embodiments/*.yml`
 (`xpl.robots`); what a maker does not publish is None.
 """
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from xpl import robots
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.engine.subjects import Subject, build, subjects
 from xpl_cli.audit.rules import registry
@@ -126,7 +127,7 @@ def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Subject, tmp_path:
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("robot", sorted(spec.embodiments()))
+@pytest.mark.parametrize("robot", sorted(robots.entries()))
 @pytest.mark.parametrize("action_type", ["joint", "ee"])
 def test_a_fresh_scaffold_has_no_static_finding(robot: str, action_type: str, tmp_path: Path) -> None:
     """Whatever robot it is made for; only its placeholders are still open."""

@@ -18,11 +18,9 @@ from tests.support.places import ROOT
 from xpl import get_embodiment, robots
 from xpl.embodiment import UnknownEmbodimentError
 from xpl.robots import registry
-from xpl.robots import shipped as known
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages import robots as projects
 from xpl_cli.packages.manifests import ManifestError
-from xpl_cli.standard import robots as shipped
 
 ARM = """\
 name: desk_arm
@@ -113,7 +111,7 @@ def test_a_package_brings_its_own(project: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "change", "said"),
     [
-        ("franka", {}, "the name franka is taken by franka, which is in the standard"),
+        ("franka", {}, "the name franka is taken by franka, which comes with xpl"),
         ("ours", {"aliases": ["so101_follower"]}, "so101_follower is taken by so101, which comes with xpl"),
         ("other", {"aliases": ["desk"]}, "desk is taken by desk_arm, which embodiments/desk_arm.yml describes"),
     ],
@@ -191,10 +189,3 @@ def test_words_of_benchmarks_stand_for_robots() -> None:
     assert get_embodiment("so101_follower").name == "so101"
     with pytest.raises(UnknownEmbodimentError, match="did you mean"):
         get_embodiment("so_101")
-
-
-def test_robots_that_come_along_hold_what_the_standard_asks_of_its_own() -> None:
-    """Schema, names of their own, and a source for their numbers."""
-    assert list(shipped.check()) == []
-    assert shipped.along() == known.along()
-    assert not set(known.along()) & set(known.standard())

@@ -12,11 +12,11 @@ from xpl.poses import compose, invert, pose, transform
 from xpl.robots import shipped
 from xpl_cli.basics.content import load_module, room
 
-STANDARD = sorted(name for name, entry in shipped.standard().items() if entry["arm"]["joints"])
-ALONG = sorted(name for name, entry in shipped.along().items() if "like" not in entry and robots.has_frames(entry))
+DRIVEN = sorted({"franka", *load_module(room("envs") / "mujoco" / "manifest.py").manifest().embodiments})
+KNOWN = sorted(name for name, entry in shipped.entries().items() if robots.has_frames(entry))
 
 
-@pytest.fixture(params=[*STANDARD, *ALONG])
+@pytest.fixture(params=KNOWN)
 def chain(request: pytest.FixtureRequest) -> Chain:
     """The arm of every embodiment whose joint frames are known."""
     return Chain.from_embodiment(robots.entries()[request.param])
@@ -26,7 +26,7 @@ def _random_joints(chain: Chain, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(chain.lower, chain.upper)
 
 
-@pytest.mark.parametrize("name", STANDARD)
+@pytest.mark.parametrize("name", DRIVEN)
 def test_forward_kinematics_agrees_with_mujoco(name: str) -> None:
     """Flange and tcp, in the world, are where the simulated arm has its sites, and point the same way."""
     mujoco = pytest.importorskip("mujoco")
@@ -49,7 +49,7 @@ def test_forward_kinematics_agrees_with_mujoco(name: str) -> None:
             assert np.abs(physics.tcp(arm)[:3] - physics.data.site(names.tcp).xpos).max() < 1e-6
 
 
-@pytest.mark.parametrize("name", ALONG)
+@pytest.mark.parametrize("name", KNOWN)
 def test_a_model_of_the_same_numbers_stands_where_the_kinematics_says(name: str) -> None:
     """MuJoCo, which reads roll, pitch and yaw itself, puts every joint, the flange and the tcp of our robots there."""
     mujoco = pytest.importorskip("mujoco")
@@ -173,11 +173,11 @@ def test_frames_compose_and_invert() -> None:
 def test_dimensions_without_frames_have_no_kinematics() -> None:
     """An embodiment of which only dimensions are known is refused by name."""
     with pytest.raises(KinematicsError, match="tianji_marvin_wuji"):
-        Chain.from_embodiment(shipped.standard()["tianji_marvin_wuji"])
+        Chain.from_embodiment(shipped.entries()["tianji_marvin_wuji"])
 
 
 @pytest.mark.parametrize("bad", [[0.0] * 5, [np.nan] * 6])
 def test_malformed_joints_are_refused(bad: Any) -> None:
     """The error says what was expected."""
     with pytest.raises(KinematicsError, match="6 finite numbers"):
-        Chain.from_embodiment(shipped.standard()["arx_x5"]).flange(bad)
+        Chain.from_embodiment(shipped.entries()["arx_x5"]).flange(bad)

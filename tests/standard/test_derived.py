@@ -20,7 +20,7 @@ from xpl_cli.derived import compiler
 from xpl_cli.main import app
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
-from xpl_cli.standard import schemas, spec
+from xpl_cli.standard import robots, schemas, spec
 from xpl_cli.standard.validate import validate
 
 
@@ -61,7 +61,7 @@ def test_the_reference_tells_all_of_the_standard() -> None:
     """Every requirement, robot, rule and key of a manifest is on a page."""
     pages = {Path(name).stem: text.decode() for name, text in compiler.derived(get_command(app)).items()}
     assert all(f"| {name} |" in pages["requirements"] for name in spec.requirements())
-    assert all(f"| `{name}` |" in pages["embodiments"] for name in spec.embodiments())
+    assert all(f"| `{name}` |" in pages["embodiments"] for name in robots.entries())
     for name in schemas.MANIFESTS:
         assert all(f"| `{key}` |" in pages[name] for key in spec.schema(name)["properties"])
     assert all(rule.code in pages["requirements"] for rule in registry.rules())

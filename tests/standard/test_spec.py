@@ -30,6 +30,14 @@ if TYPE_CHECKING:
 # Words of the standard that are also ordinary words of Python or of this tool's own answers. Everything else that the
 # standard names is reached through `xpl._spec` or read from the spec.
 ORDINARY = {
+    "aloha": "setting of openpi, format of demonstrations",
+    "so100": "what ManiSkill calls a robot",
+    "panda_stick": "what ManiSkill calls a robot",
+    "panda_wristcam": "what ManiSkill calls a robot",
+    "so101": "a robot that LeRobot drives",
+    "so101_dual": "robots that LeRobot drives",
+    "so101_follower": "what LeRobot calls a robot",
+    "bi_so101_follower": "what LeRobot calls robots",
     "action": "what an error calls an action step, and a heading of conventions.yml",
     "code": "code of an audit rule",
     "error": "outcome of an audit rule",
@@ -114,7 +122,7 @@ def _words() -> set[str]:
     classes = [value for value in vars(sdk).values() if isinstance(value, type) and value.__module__ == sdk.__name__]
     words = {word for entry in classes for name, word in vars(entry).items() if name.isupper()}
     words.update(*sdk.CAMERAS.values(), sdk.OPTIONAL_CAMERAS, sdk.CHECKPOINT_KEYS, sdk.CONTRACT_METHODS, sdk.HOOKS)
-    for name, robot in shipped.standard().items():
+    for name, robot in shipped.entries().items():
         words.update([name, *robot.get("aliases", ())])
     for schema in ("observation", "action", "trajectory"):
         words.update(_keys(spec.schema(schema)))
@@ -198,11 +206,7 @@ def test_every_exception_is_needed() -> None:
 def test_the_compiled_constants_are_up_to_date() -> None:
     """What the SDK knows is what `xpl spec compile` makes of the spec."""
     assert (ROOT / "xpl" / "_spec.py").read_text(encoding="utf-8") == compile_source()
-    assert (shipped.standard(), shipped.along(), shipped.words()) == (
-        spec.embodiments(),
-        robots.along(),
-        robots.words(),
-    )
+    assert (shipped.entries(), shipped.words()) == (robots.entries(), robots.words())
 
 
 def test_the_standard_has_no_fault() -> None:
@@ -214,16 +218,17 @@ def _copy_of_spec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, ol
     """Return what the check says of a standard that was changed in one place."""
     import shutil
 
-    folder = tmp_path / spec.VERSION
-    shutil.copytree(spec.folder(), folder)
-    changed = folder / file
+    for folder in (spec.folder(), robots.folder()):
+        shutil.copytree(folder, tmp_path / folder.name)
+    changed = tmp_path / file
     text = changed.read_text() if changed.exists() else ""
     assert old in text
     changed.write_text(text.replace(old, new, 1) if old else new)
-    monkeypatch.setattr(spec, "room", lambda _name: tmp_path)
+    for module in (spec, robots):
+        monkeypatch.setattr(module, "room", lambda _name: tmp_path)
     _forget()
     try:
-        return [str(problem) for problem in check.check()]
+        return [str(problem) for problem in (*check.check(), *robots.check())]
     finally:
         _forget()
 
@@ -231,7 +236,7 @@ def _copy_of_spec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, ol
 def _forget() -> None:
     from xpl_cli.standard import validate
 
-    parts = (spec.schema, spec.data, spec.requirements, spec.embodiments, spec.embodiment_entries)
+    parts = (spec.schema, spec.data, spec.requirements, robots.entries, robots.words)
     for cached in (*parts, validate.registry, validate._validator):
         cached.cache_clear()
 
@@ -240,18 +245,18 @@ def _forget() -> None:
 @pytest.mark.parametrize(
     "case",
     [
-        ("deploy.schema.json", '"default": "localhost"', '"default": 3', "its default is not valid"),
-        ("chunk.schema.json", "xpl:v1/action", "xpl:v1/actoin", "leads nowhere"),
-        ("chunk.schema.json", '"minItems": 1', '"minItems": "one"', "not a 2020-12 schema"),
-        ("chunk.schema.json", '"xpl:v1/chunk"', '"xpl:v1/chunks"', "expected xpl:v1/chunk"),
-        ("requirements.yml", "XPL-OBS-1:", "XPL-obs-1:", "an id is XPL-AREA-NUMBER"),
-        ("requirements.yml", "level: MUST", "level: SHALL", "level must be MUST or SHOULD"),
-        ("embodiments/piper.yml", "name: piper", "name: pipr", "expected the file's name piper"),
-        ("embodiments/piper.yml", "dof: 6", "dof: 5", "DOF = 5"),
-        ("embodiments/franka.yml", "aliases: []", "aliases: [piper]", "is taken by"),
-        ("conventions.yml", "joint: [arm_joint_state", "joint: [arm_joint_states", "is no state of an observation"),
-        ("package.yml", "  train.sh: [", "  trian.sh: [", "not among the files of a package"),
-        ("notes.txt", "", "x", "no part of the standard"),
+        ("v1/deploy.schema.json", '"default": "localhost"', '"default": 3', "its default is not valid"),
+        ("v1/chunk.schema.json", "xpl:v1/action", "xpl:v1/actoin", "leads nowhere"),
+        ("v1/chunk.schema.json", '"minItems": 1', '"minItems": "one"', "not a 2020-12 schema"),
+        ("v1/chunk.schema.json", '"xpl:v1/chunk"', '"xpl:v1/chunks"', "expected xpl:v1/chunk"),
+        ("v1/requirements.yml", "XPL-OBS-1:", "XPL-obs-1:", "an id is XPL-AREA-NUMBER"),
+        ("v1/requirements.yml", "level: MUST", "level: SHALL", "level must be MUST or SHOULD"),
+        ("robots/piper.yml", "name: piper", "name: pipr", "expected the file's name piper"),
+        ("robots/piper.yml", "dof: 6", "dof: 5", "DOF = 5"),
+        ("robots/franka.yml", "aliases: []", "aliases: [piper]", "is taken by"),
+        ("v1/conventions.yml", "joint: [arm_joint_state", "joint: [arm_joint_states", "is no state of an observation"),
+        ("v1/package.yml", "  train.sh: [", "  trian.sh: [", "not among the files of a package"),
+        ("v1/notes.txt", "", "x", "no part of the standard"),
     ],
 )
 def test_a_fault_of_the_standard_is_found(
@@ -277,7 +282,7 @@ def test_manifests_of_this_repository_are_valid(pattern: str, schema: str) -> No
 def test_every_part_of_the_standard_can_be_shown() -> None:
     """Each name of the index, and each requirement, has a text and a value that is JSON."""
     index = view.view(None).value
-    names = [*index["parts"], *index["schemas"], *index["embodiments"], *spec.requirements(), None]
+    names = [*index["parts"], *index["schemas"], *index["robots"], *spec.requirements(), None]
     for name in names:
         shown = view.view(name)
         assert shown.text().strip()

@@ -1,4 +1,4 @@
-"""Which robots there are: those of the standard, those that come along with `xpl`, and those of a project or package.
+"""Which robots there are: those that come with `xpl`, and those of a project or package.
 
 All are entries of one form, the standard's (`xpl spec show embodiment`), and have names that nobody else has. Files
 `embodiments/NAME.yml` of a project and of packages are read by the tool, which hands their entries to every process
@@ -7,9 +7,8 @@ that it starts; in a program of your own `load` reads one. `xpl.embodiment.get_e
 
 from xpl.robots.entry import faults, has_frames, inherit
 from xpl.robots.registry import (
-    ALONG,
     HANDED_ON,
-    STANDARD,
+    OURS,
     RobotError,
     canonical,
     entries,
@@ -21,9 +20,8 @@ from xpl.robots.registry import (
 )
 
 __all__ = [
-    "ALONG",
     "HANDED_ON",
-    "STANDARD",
+    "OURS",
     "RobotError",
     "canonical",
     "entries",

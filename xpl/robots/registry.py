@@ -1,4 +1,4 @@
-"""Every robot by its names: the standard's, ours, and those that a project or an installed package offers."""
+"""Every robot by its names: ours, and those that a project or an installed package offers."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from xpl import registry
 from xpl.robots import shipped
 from xpl.robots.entry import faults, inherit
 
-STANDARD, ALONG = "the standard", "xpl"
-"""Where a robot comes from that no file of a project describes."""
+OURS = registry.OURS
+"""Where a robot comes from that no file of a project or package describes."""
 
 HANDED_ON = "XPL_EMBODIMENTS"
 """Environment variable by which processes get the robots of a project: a JSON list of `[origin, entry]`."""
@@ -30,9 +30,9 @@ class RobotError(ValueError):
 
 
 def entries() -> dict[str, Mapping[str, Any]]:
-    """Return what is known of every robot, by name: the standard's first, then ours, then a project's."""
+    """Return what is known of every robot, by name: ours first, then a project's."""
     _listen()
-    return {**shipped.standard(), **shipped.along(), **{name: entry for name, (_, entry) in _offered.items()}}
+    return {**shipped.entries(), **{name: entry for name, (_, entry) in _offered.items()}}
 
 
 def names() -> dict[str, str]:
@@ -53,15 +53,13 @@ def canonical(name: Any) -> str | None:
 
 
 def origin(name: str) -> str:
-    """Return where a robot comes from: "the standard", "xpl", or the file that describes it.
+    """Return where a robot comes from: "xpl", or the file that describes it.
 
     Raises:
         KeyError: if there is no robot of this name.
     """
-    if name in shipped.standard():
-        return STANDARD
-    if name in shipped.along():
-        return ALONG
+    if name in shipped.entries():
+        return OURS
     _listen()
     return _offered[name][0]
 
@@ -187,8 +185,8 @@ def _known(word: str) -> str | None:
 @cache
 def _fixed() -> dict[str, str]:
     """Return the words for robots that are always there."""
-    known = {**shipped.standard(), **shipped.along()}
-    return {**shipped.words(), **{word: name for name, entry in known.items() for word in _words(name, entry)}}
+    own = {word: name for name, entry in shipped.entries().items() for word in _words(name, entry)}
+    return {**shipped.words(), **own}
 
 
 def _words(name: str, entry: Mapping[str, Any]) -> tuple[str, ...]:
@@ -197,7 +195,7 @@ def _words(name: str, entry: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _whose(name: str) -> str:
     where = origin(name)
-    return {STANDARD: "is in the standard", ALONG: "comes with xpl"}.get(where, f"{where} describes")
+    return "comes with xpl" if where == OURS else f"{where} describes"
 
 
 def _map(told: Any, where: str) -> Mapping[str, Any]:

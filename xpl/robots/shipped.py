@@ -8,14 +8,9 @@ from pathlib import Path
 from typing import Any
 
 
-def standard() -> dict[str, dict[str, Any]]:
-    """Return what is known of every robot of the standard, by name."""
-    return _all()["standard"]
-
-
-def along() -> dict[str, dict[str, Any]]:
-    """Return what is known of every robot that comes along, by name."""
-    return _all()["along"]
+def entries() -> dict[str, dict[str, Any]]:
+    """Return what is known of every robot, by name."""
+    return _all()["robots"]
 
 
 def words() -> dict[str, Any]:

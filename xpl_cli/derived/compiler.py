@@ -152,10 +152,9 @@ def compile_source() -> str:
 
 
 def compile_robots() -> str:
-    """Return the text of `xpl/robots/robots.json`: the standard's robots, those that come along, and words for them."""
+    """Return the text of `xpl/robots/robots.json`: robots, and words for them."""
     known: dict[str, Mapping[str, Any]] = {
-        "standard": spec.embodiments(),
-        "along": robots.along(),
+        "robots": robots.entries(),
         "words": robots.words(),
     }
     parts = []

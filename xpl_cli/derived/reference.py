@@ -110,12 +110,12 @@ def _requirements() -> str:
 
 
 _ROBOTS = """\
-Robots of the standard, and those that come along with `xpl` (`spec/robots`). A project describes its own in the same
-form, in `embodiments/NAME.yml` ([robots](../robots.md)). `xpl spec show` lists all of them, with where each is from."""
+Robots that come with `xpl` (`spec/robots`). A project describes its own in the same form, in `embodiments/NAME.yml`
+([robots](../robots.md)). `xpl spec show` lists all of them, with where each is from."""
 
 
 def _embodiments() -> str:
-    known = {**spec.embodiments(), **robots.along()}
+    known = robots.entries()
     words: dict[str, list[str]] = {}
     for word, name in robots.words().items():
         words.setdefault(name, []).append(word)
@@ -126,14 +126,13 @@ def _embodiments() -> str:
             f"{len(entry['arms'])} x {entry['arm']['dof']}",
             f"{entry['end_effector']['kind']}, {entry['end_effector']['dim']}",
             _UNKNOWN if entry["arm"]["joints"] is None else "known",
-            "the standard" if name in spec.embodiments() else "`xpl`",
             entry.get("description", ""),
         )
         for name, entry in known.items()
     ]
     lines = ["# Embodiments", ""]
     lines += [_ROBOTS, ""]
-    lines += table(("name", "aliases", "arms x joints", "end effector", "limits", "from", ""), rows)
+    lines += table(("name", "aliases", "arms x joints", "end effector", "limits", ""), rows)
     for name, entry in known.items():
         joints = entry["arm"]["joints"]
         if joints is None:

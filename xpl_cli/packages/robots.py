@@ -59,7 +59,7 @@ def named(word: str | None, package: Path | None = None) -> str | None:
 
 def described(name: str) -> dict[str, Any]:
     """Return what the configuration of a recorded run says of its robot: its entry, if only the project knows it."""
-    if sdk_robots.origin(name) in (sdk_robots.STANDARD, sdk_robots.ALONG):
+    if sdk_robots.origin(name) == sdk_robots.OURS:
         return {}
     return {DESCRIPTION: dict(sdk_robots.entries()[name])}
 

@@ -17,13 +17,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from xpl import _spec as sdk
+from xpl import robots
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError, one_of
 from xpl_cli.packages.package import POLICY
 from xpl_cli.scaffold import context, kinds, lock
 from xpl_cli.scaffold import template as templates
 from xpl_cli.scaffold.answers import Answers
-from xpl_cli.standard import robots, schemas, spec
+from xpl_cli.standard import schemas, spec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -60,7 +61,7 @@ def defaults() -> dict[str, Any]:
 def choices() -> dict[str, list[str]]:
     """Return the answers that the spec allows, for the questions where it lists them."""
     return {
-        "embodiment": list(robots.known()),
+        "embodiment": list(robots.entries()),
         sdk.Deploy.ACTION_TYPE: list(spec.data("conventions")["action"]["types"]),
         "family": list(spec.schema("policy")["properties"]["family"]["enum"]),
     }
@@ -97,7 +98,7 @@ def _checks(answers: Answers) -> Iterator[Callable[[], None]]:
     for question in ("chunk", "history"):
         yield partial(_check_count, question, getattr(answers, question))
     yield partial(kinds.check_ensembling, answers.ensembling, answers.chunk)
-    if answers.embodiment in robots.known():
+    if answers.embodiment in robots.entries():
         yield partial(kinds.check_cameras, answers.cameras, answers.embodiment)
     yield partial(kinds.check_python, answers.python)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl import robots
 from xpl_cli.scaffold import kinds
-from xpl_cli.standard import robots, spec
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.scaffold.answers import Answers
@@ -22,7 +23,7 @@ def images(answers: Answers) -> list[dict[str, Any]]:
 
 def parts(answers: Answers) -> list[dict[str, Any]]:
     """Return the parts of the standard's vector of an action, in the order of `xpl.action.pack`."""
-    robot = robots.known()[answers.embodiment]
+    robot = robots.entries()[answers.embodiment]
     found: list[dict[str, Any]] = []
     for arm in robot["arms"]:
         if answers.action_type == sdk.ACTION_TYPES[0]:
@@ -37,6 +38,6 @@ def parts(answers: Answers) -> list[dict[str, Any]]:
 def keys(answers: Answers) -> list[str]:
     """Return the keys of an action step, in the order of `xpl.action.pack`."""
     conventions = spec.data("conventions")
-    count = len(robots.known()[answers.embodiment]["arms"])
+    count = len(robots.entries()[answers.embodiment]["arms"])
     names = conventions["action"]["types"][answers.action_type]
     return [f"{prefix}{name}" for prefix in conventions["arms"]["prefixes"][count] for name in names]

@@ -8,11 +8,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl import robots
 from xpl.manifest import Manifest
 from xpl_cli.packages.conventions import applying
 from xpl_cli.scaffold import block, kinds
 from xpl_cli.scaffold.template import as_yaml
-from xpl_cli.standard import robots, spec
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -82,7 +83,7 @@ def _conventions(answers: Answers, inputs: Mapping[str, Any], native: Mapping[st
 
 
 def _has_gripper(answers: Answers) -> bool:
-    return bool(robots.known()[answers.embodiment]["end_effector"]["kind"] == _GRIPPER)
+    return bool(robots.entries()[answers.embodiment]["end_effector"]["kind"] == _GRIPPER)
 
 
 def _flow(value: Any) -> str:

@@ -6,12 +6,13 @@ import re
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from xpl import robots
 from xpl.robots import has_frames
 from xpl_cli.basics.errors import UserError
 from xpl_cli.packages.package import ENV
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold import template as templates
-from xpl_cli.standard import robots, spec
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.scaffold.lock import Lock
@@ -40,7 +41,7 @@ def env_defaults() -> dict[str, Any]:
 
 def movable() -> list[str]:
     """Return the robots that the toy of the template can move: those whose kinematics the standard knows."""
-    return [name for name, entry in robots.known().items() if has_frames(entry)]
+    return [name for name, entry in robots.entries().items() if has_frames(entry)]
 
 
 def check_names(answers: EnvAnswers) -> None:
@@ -50,7 +51,7 @@ def check_names(answers: EnvAnswers) -> None:
         UserError: with the first answer that is not allowed, and the nearest ones that are.
     """
     adapter.check_name(answers.name)
-    adapter.check_choice("--embodiment", answers.embodiment, list(robots.known()))
+    adapter.check_choice("--embodiment", answers.embodiment, list(robots.entries()))
     identifier = spec.schema("common")["$defs"]["identifier"]["pattern"]
     if re.fullmatch(identifier, answers.task) is None:
         raise UserError(f"--task must be letters, digits and underscores, got {answers.task!r}")
@@ -63,7 +64,7 @@ def check_env(answers: EnvAnswers) -> None:
         UserError: with the first answer that is not allowed, and the nearest ones that are.
     """
     check_names(answers)
-    if answers.embodiment in robots.known() and answers.embodiment not in movable():
+    if answers.embodiment in robots.entries() and answers.embodiment not in movable():
         raise UserError(
             f"the template's toy needs known kinematics, and the standard has none of {answers.embodiment}",
             hint=f"start with another one ({', '.join(movable())}) and change env.yml when your simulator is in",
@@ -78,7 +79,7 @@ def render_env(answers: EnvAnswers) -> Files:
         file name, relative to the package, to content; sorted.
     """
     conventions = spec.data("conventions")
-    arms = len(robots.known()[answers.embodiment]["arms"])
+    arms = len(robots.entries()[answers.embodiment]["arms"])
     context = {
         **asdict(answers),
         "yaml_name": templates.as_yaml(answers.name),

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl import robots
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UnknownNameError, UserError, one_of
-from xpl_cli.standard import robots, spec
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -129,7 +130,7 @@ def check_cameras(texts: Sequence[str], embodiment: str) -> None:
     Raises:
         UserError: with the cameras that it has.
     """
-    arms = len(robots.known()[embodiment]["arms"])
+    arms = len(robots.entries()[embodiment]["arms"])
     offered = _cameras()
     known = [*offered["by_arms"][arms], *offered["optional"]]
     names = [camera(text).name for text in texts]
@@ -159,7 +160,7 @@ def check_ensembling(decay: float | None, chunk: int) -> None:
 def inputs(kind: Kind, texts: Sequence[str], embodiment: str, action_type: str) -> dict[str, list[str]]:
     """Return what an adapter reads and ignores before its author has changed it: `required`, `optional`, `unused`."""
     states = spec.data("conventions")["action"]["types"][action_type]
-    arms = len(robots.known()[embodiment]["arms"])
+    arms = len(robots.entries()[embodiment]["arms"])
     read = [f"{sdk.Obs.VISION}.{camera(text).name}" for text in texts]
     usual = [sdk.Obs.INSTRUCTION, *(f"{sdk.Obs.VISION}.{name}" for name in _cameras()["by_arms"][arms])]
     return {

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Final
 
+from xpl import robots
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UserError, one_of
 from xpl_cli.scaffold import template as templates
 from xpl_cli.scaffold.environment import class_name
-from xpl_cli.standard import robots, spec
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.scaffold.environment import EnvAnswers
@@ -29,7 +30,7 @@ def check_robot(answers: EnvAnswers, driver: str) -> None:
         UserError: with what there is.
     """
     one_of("--driver", driver, DRIVERS)
-    entry = robots.known()[answers.embodiment]
+    entry = robots.entries()[answers.embodiment]
     if not entry["arm"]["joints"]:
         raise UserError(
             f"{answers.embodiment} has no names and limits of joints, and an arm needs limits",
@@ -46,7 +47,7 @@ def render_robot(answers: EnvAnswers, driver: str) -> Files:
         file name, relative to the package, to content; sorted.
     """
     conventions = spec.data("conventions")
-    arms = len(robots.known()[answers.embodiment]["arms"])
+    arms = len(robots.entries()[answers.embodiment]["arms"])
     files = templates.render_folder(
         room("templates") / "arm",
         {

@@ -19,7 +19,7 @@ _DATA_FILES = ("conventions", "package", "requirements", "wire")
 
 
 def check_all() -> Iterator[Problem]:
-    """Yield every fault of the standard, of the robots that come along, and of the zoo."""
+    """Yield every fault of the standard, of the robots, and of the zoo."""
     for problem in check():
         yield replace(problem, file=f"{spec.VERSION}/{problem.file}")
     yield from robots.check()
@@ -32,7 +32,6 @@ def check() -> Iterator[Problem]:
         yield from _schema(name)
     yield from _orphans()
     yield from _requirements()
-    yield from _embodiments()
     yield from _agreements()
 
 
@@ -79,7 +78,7 @@ def _orphans() -> Iterator[Problem]:
     """Yield what lies in the folder and belongs to no part of the standard, and what is missing there."""
     folder = spec.folder()
     parts = {f"{name}.yml" for name in _DATA_FILES}
-    known = parts | {f"{name}.schema.json" for name in spec.schema_names()} | {"embodiments"}
+    known = parts | {f"{name}.schema.json" for name in spec.schema_names()}
     for path in sorted(folder.iterdir()):
         if path.name not in known:
             yield Problem((), "no part of the standard", file=path.name)
@@ -99,29 +98,6 @@ def _requirements() -> Iterator[Problem]:
         for wrong, message in faults:
             if wrong:
                 yield Problem((key,), message, file="requirements.yml")
-
-
-def _embodiments() -> Iterator[Problem]:
-    taken: dict[str, str] = {}
-    entries = spec.embodiment_entries()
-    for stem, data in entries.items():
-        file = f"{stem}.yml"
-        dof = {"DOF": data["arm"]["dof"]} if "dof" in data.get("arm", ()) else None
-        problems = validate(data, "embodiment", dof)
-        yield from (replace(problem, file=file) for problem in problems)
-        if problems:
-            continue
-        if data["name"] != stem:
-            yield Problem(("name",), f"expected the file's name {stem}, got {data['name']!r}", file=file)
-        if "like" in data and "arm" not in entries.get(data["like"], ()):
-            yield Problem(("like",), f"no embodiment {data['like']!r} has an arm of its own", file=file)
-        joints = data["arm"]["joints"] if "arm" in data else None
-        if joints is not None and len(joints) != data["arm"]["dof"]:
-            yield Problem(("arm", "joints"), f"{len(joints)} joints, but dof is {data['arm']['dof']}", file=file)
-        for name in (data["name"], *data.get("aliases", ())):
-            if name in taken:
-                yield Problem((), f"the name {name} is taken by {taken[name]}", file=file)
-            taken[name] = file
 
 
 def _agreements() -> Iterator[Problem]:

@@ -1,8 +1,7 @@
-"""Robots beyond the standard: those of `spec/robots/`, and what a file that describes one has to be.
+"""The files of robots: those of `spec/robots/`, and what a file that describes one has to be.
 
-A robot that is no part of the standard lies in `spec/robots/NAME.yml`, in the very form of the standard's own, and
-`spec/robots/aliases.yml` holds the words of benchmarks. Files of projects
-(`embodiments/NAME.yml`) go through the same reader.
+A robot lies in `spec/robots/NAME.yml`, and `spec/robots/aliases.yml` holds the words of benchmarks. `xpl spec compile`
+makes of them what `xpl.robots` knows. Files of projects (`embodiments/NAME.yml`) go through the same reader.
 """
 
 from __future__ import annotations
@@ -27,20 +26,20 @@ _ALIASES = "aliases.yml"
 
 
 def folder() -> Path:
-    """Return the folder of the robots that come along."""
+    """Return the folder of our robots."""
     return room("spec") / "robots"
 
 
 @cache
-def along() -> dict[str, dict[str, Any]]:
-    """Return what is known of every robot that comes along, by name, each whole."""
+def entries() -> dict[str, dict[str, Any]]:
+    """Return what the files say of every robot, by name, each whole: what it has from the one it is `like` included."""
     waiting = {path.stem: spec.read_yaml(path) for path in _files()}
-    known: dict[str, dict[str, Any]] = dict(spec.embodiments())
+    known: dict[str, dict[str, Any]] = {}
     while ready := [name for name, entry in waiting.items() if entry.get("like") in (None, *known)]:
         for name in ready:
             entry = waiting.pop(name)
             known[name] = robots.inherit(known[entry["like"]], entry) if "like" in entry else entry
-    return {name: entry for name, entry in sorted(known.items()) if name not in spec.embodiments()}
+    return dict(sorted(known.items()))
 
 
 @cache
@@ -49,18 +48,13 @@ def words() -> dict[str, str]:
     return dict(spec.read_yaml(folder() / _ALIASES))
 
 
-def known() -> dict[str, Mapping[str, Any]]:
-    """Return every robot that there is: the standard's, those that come along, and those of the project."""
-    return {**spec.embodiments(), **robots.entries()}
-
-
 def check() -> Iterator[Problem]:
-    """Yield every fault of the robots that come along, by file: schema, names, and where numbers are from."""
-    taken = {word: name for name, entry in spec.embodiments().items() for word in (name, *entry.get("aliases", ()))}
-    whole = along()
+    """Yield every fault of the robots, by file: schema, names, and where numbers are from."""
+    taken: dict[str, str] = {}
+    whole = entries()
     for path in _files():
         shown = f"robots/{path.name}"
-        entry, problems = read(path.read_bytes(), shown, {**spec.embodiments(), **whole})
+        entry, problems = read(path.read_bytes(), shown, whole)
         yield from problems
         if entry is None:
             continue
@@ -74,7 +68,7 @@ def check() -> Iterator[Problem]:
         shown = f"robots/{_ALIASES}"
         if word in taken:
             yield Problem((word,), f"the name {word} is taken by {taken[word]}", file=shown)
-        if name not in {**spec.embodiments(), **whole}:
+        if name not in whole:
             yield Problem((word,), f"there is no robot {name!r}", file=shown)
 
 

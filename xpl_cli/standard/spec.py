@@ -1,4 +1,4 @@
-"""The standard, read from `spec/`: schemas, conventions, wire, package layout, requirements, embodiments."""
+"""The standard, read from `spec/`: schemas, conventions, wire, package layout, requirements."""
 
 from __future__ import annotations
 
@@ -72,22 +72,6 @@ def requirements() -> dict[str, Requirement]:
         key: Requirement(id=key, level=entry["level"], source=entry["source"], text=entry["text"])
         for key, entry in data("requirements")["requirements"].items()
     }
-
-
-@cache
-def embodiments() -> dict[str, dict[str, Any]]:
-    """Return every embodiment's data by name, each whole: what it has from the one it is `like` is filled in."""
-    entries = embodiment_entries()
-    return {
-        name: entries.get(entry.get("like", name), {}) | {key: value for key, value in entry.items() if key != "like"}
-        for name, entry in entries.items()
-    }
-
-
-@cache
-def embodiment_entries() -> dict[str, dict[str, Any]]:
-    """Return what is written about every embodiment by name, with `like` where it shares the arm of another one."""
-    return {path.stem: read_yaml(path) for path in sorted((folder() / "embodiments").glob("*.yml"))}
 
 
 def text(file: str) -> str:

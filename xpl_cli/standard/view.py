@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import robots
 from xpl_cli.basics.errors import UnknownNameError, UnknownTargetError, no_such
+from xpl_cli.standard import robots as files
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import registry, shape_text
 from xpl_cli.standard.words import choices
@@ -68,22 +69,20 @@ def _robot(name: str) -> View:
     robot = robots.canonical(name)
     if robot is None:
         raise _unknown(name)
-    if robot in spec.embodiments():
-        entry: Mapping[str, Any] = spec.embodiments()[robot]
-        return View(entry, partial(_robot_text, robot, entry))
     entry = robots.entries()[robot]
-    return View(entry, partial(_whole_text, entry, f"{robot}, from {_from(robot)}"))
+    return View(entry, partial(_robot_text, robot, entry))
 
 
-def _robot_text(stem: str, entry: Mapping[str, Any]) -> str:
-    """Return a robot as its file has it, and one that is described by another one with all that it has from there."""
-    import yaml
-
-    text = spec.text(f"embodiments/{stem}.yml")
-    other = yaml.safe_load(text).get("like")
-    if other is None:
-        return text
-    return _whole_text(entry, f"As {other}, but for what embodiments/{stem}.yml says: here is all of it.")
+def _robot_text(name: str, entry: Mapping[str, Any]) -> str:
+    """Return a robot of ours as its file has it, and any other with all that it has from the one it is like."""
+    said = f"{name}, from {_from(name)}"
+    if robots.origin(name) == robots.OURS:
+        text = (files.folder() / f"{name}.yml").read_text(encoding="utf-8")
+        other = spec.parse_yaml(text).get("like")
+        if other is None:
+            return text
+        said += f", as {other} but for what its file says"
+    return _whole_text(entry, said)
 
 
 def _whole_text(entry: Mapping[str, Any], said: str) -> str:
@@ -96,7 +95,7 @@ def _whole_text(entry: Mapping[str, Any], said: str) -> str:
 def _from(robot: str) -> str:
     """Return where a robot comes from, in words."""
     where = robots.origin(robot)
-    return "spec/robots (comes with xpl)" if where == robots.ALONG else where
+    return "spec/robots (comes with xpl)" if where == robots.OURS else where
 
 
 def _unknown(name: str) -> UnknownNameError:
@@ -110,7 +109,6 @@ def _index() -> dict[str, Any]:
         "version": spec.VERSION,
         "parts": PARTS,
         "schemas": {name: spec.schema(name)["title"] for name in spec.schema_names()},
-        "embodiments": {name: entry.get("description", "") for name, entry in spec.embodiments().items()},
         "robots": {
             name: {"description": entry.get("description", ""), "from": _from(name)}
             for name, entry in robots.entries().items()

@@ -45,14 +45,14 @@ def listed(wanted: Wanted) -> list[Policy]:
 
     Raises:
         UnknownNameError: if there is no such family.
-        UserError: if the standard has no such robot.
+        UserError: if there is no such robot.
     """
     if wanted.family is not None:
         one_of("--family", wanted.family, policies.families())
     if wanted.robot is not None:
-        from xpl_cli.standard import spec
+        from xpl import robots
 
-        one_of("--robot", wanted.robot, spec.embodiments())
+        one_of("--robot", wanted.robot, robots.entries())
     return [policy for policy in policies.policies() if wanted.fits(policy)]
 
 

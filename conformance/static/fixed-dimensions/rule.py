@@ -18,6 +18,7 @@ from xpl_cli.audit.static.syntax import constant, dotted, enclosing, last, texts
 
 _STATE = (sdk.State.ARM_JOINT_STATE, sdk.State.EE_JOINT_STATE)
 _FEWEST_CUTS = 3
+_COORDINATES = 6
 _FIX = Fix("advice", "ask self.embodiment, or use xpl.action.pack and unpack, which do")
 
 _OLD = re.compile(r"legacy|compat|deprecated|(?:^|_)old(?:_|$)", re.IGNORECASE)
@@ -26,9 +27,14 @@ _ROBOT = re.compile(r"robot|embodiment|env_cfg", re.IGNORECASE)
 
 @cache
 def _layouts() -> list[tuple[str, frozenset[int], int]]:
-    """Return, for each robot: its arms in words, where values begin and end in its packed vectors, and their length."""
+    """Return, for each robot: its arms in words, where values begin and end in its packed vectors, and their length.
+
+    Arms of fewer joints than a pose has coordinates are left out: their vectors are as long as poses.
+    """
     found = []
-    for robot in shipped.standard().values():
+    for robot in shipped.entries().values():
+        if robot["arm"]["dof"] < _COORDINATES:
+            continue
         sizes = [(robot["arm"]["dof"], robot["end_effector"]["dim"])] * len(robot["arms"])
         packed = [size for pair in sizes for size in pair]
         grouped = [pair[0] for pair in sizes] + [pair[1] for pair in sizes]

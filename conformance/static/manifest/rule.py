@@ -59,5 +59,5 @@ def manifest(source: Source) -> Iterator[Finding]:
                 column=1,
                 expected=", ".join(known.entries()),
                 got=robot,
-                fix=Fix("command", "xpl spec show embodiments"),
+                fix=Fix("command", "xpl spec show"),
             )

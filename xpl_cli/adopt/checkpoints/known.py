@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
+from xpl import robots
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl_cli.adopt.checkpoints import block, registry
 from xpl_cli.adopt.checkpoints.told import Told, Tree, certain, likely, plain
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError, one_of
-from xpl_cli.standard import robots
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
@@ -123,7 +123,7 @@ def _robot(trained: Trained, given: str | None) -> tuple[Embodiment, Told]:
     Raises:
         UserError: with the robots that have as many numbers, if nothing says which it is.
     """
-    known = robots.known()
+    known = robots.entries()
     if given is not None:
         one_of("--embodiment", given, known)
         return get_embodiment(given), certain([given], Evidence("", None, "given with --embodiment"))

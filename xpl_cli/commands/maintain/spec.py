@@ -71,7 +71,7 @@ def validate(
 
 @app.command()
 def check(as_json: bool = _JSON) -> None:
-    """Check the standard against itself, with the robots that come along and the zoo."""
+    """Check the standard against itself, with the robots and the zoo."""
     validate(None, schema=None, as_json=as_json)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from xpl import robots
 from xpl_cli.standard import spec
 from xpl_cli.standard.problems import Problem, explain
 from xpl_cli.standard.zoo import policies as zoo
@@ -70,8 +71,8 @@ def _facts(told: dict[str, Any]) -> Iterator[Problem]:
         message = f"expected policy/{told['name']}, got {adapter['folder']!r}"
         yield Problem(("adapter", "value", "folder"), message)
     for robot in told.get("robots", {}).get("value", ()):
-        if robot not in spec.embodiments():
-            yield Problem(("robots", "value"), f"the standard has no robot {robot!r}")
+        if robot not in robots.entries():
+            yield Problem(("robots", "value"), f"there is no robot {robot!r}")
 
 
 def _proof(told: dict[str, Any]) -> Iterator[Problem]:
