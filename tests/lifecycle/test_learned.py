@@ -137,7 +137,7 @@ def test_what_ships_answers_a_client_as_it_answers_in_one_process(tmp_path: Path
     order = {"policy_dir": str(folder), "config": found.config({}), "manifest": found.manifest.data, "script": calls}
     done = errand.run("xpl.worker.inprocess", {**order, "watch": False}, place)
     local = [
-        answer["result"] for answer, (method, _) in zip(done.answers[1:], calls, strict=True) if method == "get_action"
+        answer.result for answer, (method, _) in zip(done.answers[1:], calls, strict=True) if method == "get_action"
     ]
     with Server(folder, "--python", PYTHON) as server, Client(server.url) as client:
         client.reset()

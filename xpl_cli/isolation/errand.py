@@ -1,7 +1,8 @@
 """Errands: a module of the SDK in a policy's interpreter that reads one file, writes answers to another, and ends.
 
 For what is asked of an adapter, or of its native code, without a server. The module has `main(asked, answers)`; the
-answers are packed maps (`xpl.wire.packed`), each after its length, that of loading first (`xpl.worker.inprocess`).
+answers are packed maps (`xpl.wire.packed`), each after its length, that of loading first (`xpl.worker.inprocess`). They
+are read once, here.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import xpl
+from xpl import _spec as sdk
 from xpl.process.child import SDK_START
 from xpl.wire import packed
-from xpl.worker.errand import LENGTH
+from xpl.worker.errand import ERROR, LENGTH
 from xpl_cli.isolation import family
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.isolation.life import Life
@@ -53,6 +55,33 @@ class Place:
 
 
 @dataclass(frozen=True)
+class Answer:
+    """What an errand says to one thing that it was told.
+
+    Attributes:
+        result: what came of it; None where that is an error.
+        error: the error, None without one.
+        trace: where it was raised, where that is known.
+        unreal: whether only the real model could have answered.
+    """
+
+    result: Any = None
+    error: str | None = None
+    trace: str | None = None
+    unreal: bool = False
+
+    @classmethod
+    def read(cls, told: object) -> Self:
+        """Read what a process wrote, which may be anything."""
+        if not isinstance(told, dict) or not {ERROR, sdk.Payload.RESULT} & told.keys():
+            return cls(error="no answer")
+        if ERROR not in told:
+            return cls(told[sdk.Payload.RESULT])
+        trace = told.get("trace")
+        return cls(None, str(told[ERROR]), None if trace is None else str(trace), bool(told.get("unreal")))
+
+
+@dataclass(frozen=True)
 class Done:
     """What came of an errand.
 
@@ -62,7 +91,7 @@ class Done:
         last: the last line that it printed.
     """
 
-    answers: list[dict[str, Any]]
+    answers: list[Answer]
     problem: str | None
     last: str
 
@@ -93,13 +122,13 @@ def run(module: str, order: Mapping[str, Any], place: Place) -> Done:
             return Done([], f"wrote what is no answer: {error}", errand.last)
 
 
-def _read(told: Path) -> list[dict[str, Any]]:
+def _read(told: Path) -> list[Answer]:
     """Return the answers that are complete.
 
     Raises:
         PackingError: if one is none.
     """
-    found: list[dict[str, Any]] = []
+    found: list[Answer] = []
     if told.is_file() and told.stat().st_size > _MOST_BYTES:
         raise packed.PackingError(f"its answers take more than {_MOST_BYTES} bytes")
     data = memoryview(told.read_bytes() if told.is_file() else b"")
@@ -108,8 +137,7 @@ def _read(told: Path) -> list[dict[str, Any]]:
         data = data[LENGTH.size :]
         if length > len(data):
             break
-        answer = packed.decode(data[:length])
-        found.append(answer if isinstance(answer, dict) else {"error": "no answer"})
+        found.append(Answer.read(packed.decode(data[:length])))
         data = data[length:]
     return found
 

@@ -193,13 +193,13 @@ def _asked(package: Package, session: Session, options: Options) -> tuple[list[S
     )
     done = errand.run("xpl.worker.native", order, place)
     for number, answer in enumerate(done.answers):
-        if "error" in answer:
+        if answer.error is not None:
             raise UserError(_failure(answer, number, asking), hint="native.py speaks the standard: docs/contract.md")
     if done.problem is not None or len(done.answers) < whole + 2:
         raise UserError(f"{names.CODE} {done.ended}", code=ExitCode.NOT_RUN)
-    given = [_stacked(answer[sdk.Payload.RESULT]) for answer in done.answers[1 : whole + 1]]
+    given = [_stacked(answer.result) for answer in done.answers[1 : whole + 1]]
     recordings = [tuple(given[start : start + len(asking)]) for start in range(0, whole, len(asking))]
-    return [session.with_answers(answers) for answers in recordings], done.answers[-1][sdk.Payload.RESULT]
+    return [session.with_answers(answers) for answers in recordings], done.answers[-1].result
 
 
 def _told(call: Call, session: Session) -> dict[str, Any]:
@@ -210,14 +210,13 @@ def _told(call: Call, session: Session) -> dict[str, Any]:
     return {"show": [[env, session.scene.observation(env, place)] for env, place in call.show]}
 
 
-def _failure(answer: Mapping[str, Any], number: int, asking: Sequence[Call]) -> str:
+def _failure(answer: errand.Answer, number: int, asking: Sequence[Call]) -> str:
     """Return what went wrong in native.py, and where."""
-    where = answer.get("trace")
-    at = f" ({where})" if where else ""
+    at = f" ({answer.trace})" if answer.trace else ""
     if number == 0:
-        return f"{names.CODE} cannot be loaded: {answer['error']}{at}"
+        return f"{names.CODE} cannot be loaded: {answer.error}{at}"
     call = asking[(number - 1) % len(asking)]
-    return f"{names.CODE}, question {number}, about environments {list(call.ask)}: {answer['error']}{at}"
+    return f"{names.CODE}, question {number}, about environments {list(call.ask)}: {answer.error}{at}"
 
 
 def _stacked(told: Sequence[Sequence[Any]]) -> tuple[Answer, ...]:

@@ -15,7 +15,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Self
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.serving import nursery
@@ -30,17 +30,34 @@ LOG_LINES = 400
 _ERROR = "error: "
 
 
+@dataclass(frozen=True)
+class Lacks:
+    """What a machine lacks, so that a model cannot be loaded or does not answer there (`xpl.worker.lacking`).
+
+    Attributes:
+        kind: such as `module` or `checkpoint`.
+        name: which one.
+    """
+
+    kind: str
+    name: str
+
+    @classmethod
+    def read(cls, told: object) -> Self | None:
+        """Read what a worker said of it; None if it said nothing."""
+        return cls(str(told["kind"]), str(told["name"])) if isinstance(told, dict) and told else None
+
+
 class ServerStartError(UserError):
     """The server ended, or stayed silent, before it was ready.
 
     Attributes:
         reason: the sentence.
         log: last lines of its output.
-        lacks: what the machine lacks, if that is why the model could not be loaded: `kind` and `name`
-            (`xpl.worker.lacking`).
+        lacks: what the machine lacks, if that is why the model could not be loaded.
     """
 
-    def __init__(self, reason: str, log: list[str], lacks: Mapping[str, str] | None = None) -> None:
+    def __init__(self, reason: str, log: list[str], lacks: Lacks | None = None) -> None:
         super().__init__(reason, code=ExitCode.NOT_RUN)
         self.reason = reason
         self.log = log
@@ -172,7 +189,7 @@ def _wait_ready(
     if "url" not in told:
         process.wait()
         reader.join()
-        raise ServerStartError(_last_error(log) or "it printed nothing", list(log), told.get("lacks"))
+        raise ServerStartError(_last_error(log) or "it printed nothing", list(log), Lacks.read(told.get("lacks")))
     return told
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.rehearsal import Rehearsal
 from xpl_cli.audit.served.compare import answers, difference, first_step
@@ -50,8 +49,8 @@ def image_transport(probe: Probe, rehearsal: Rehearsal) -> Iterator[Finding]:
         known, undecoded = rehearsal.pictures[name]
         # To refuse is right: an adapter never decodes. One of the field knows no more than the older kind.
         is_known = name == LEGACY or bool(probe.package.manifest)
-        if is_known and probe.repeats_in_place and spec.Payload.RESULT in known and spec.Payload.RESULT in undecoded:
-            ways.append(("handed over undecoded", known[spec.Payload.RESULT], undecoded[spec.Payload.RESULT]))
+        if is_known and probe.repeats_in_place and known.error is None and undecoded.error is None:
+            ways.append(("handed over undecoded", known.result, undecoded.result))
         for way, wanted, answer in ways:
             found = difference(wanted, answer)
             if found is not None:

@@ -36,10 +36,10 @@ def observation_intact(rehearsal: Rehearsal) -> Iterator[Finding]:
     """
     for note in rehearsal.noted(CHANGED)[:_SHOWN]:
         yield blame(
-            f"{note['method']} changes {note['key']} of an observation that it was shown: it fails on read-only "
+            f"{note.method} changes {note.key} of an observation that it was shown: it fails on read-only "
             "arrays, and spoils what others read",
             expected="the observation as it was",
-            got=f"another value of {note['key']} after {note['method']}",
-            evidence={"operation": note["method"], "key": note["key"]},
+            got=f"another value of {note.key} after {note.method}",
+            evidence={"operation": note.method, "key": note.key},
             fix=Fix("advice", "copy before changing: np.array(value), dict(obs)"),
         )

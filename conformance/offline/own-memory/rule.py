@@ -35,13 +35,13 @@ def own_memory(rehearsal: Rehearsal) -> Iterator[Finding]:
     No automatic fix.
     """
     # One action step of each chunk and value will do.
-    distinct = {(note["method"], note["with"]): note for note in reversed(rehearsal.noted(SHARED))}
+    distinct = {(note.method, note.beside): note for note in reversed(rehearsal.noted(SHARED))}
     for note in list(distinct.values())[:_SHOWN]:
         yield blame(
-            f"{note['key']} of the answer to {note['method']} lies in the memory of {note['with']} of the observation: "
+            f"{note.key} of the answer to {note.method} lies in the memory of {note.beside} of the observation: "
             "whoever changes one of them changes the other",
             expected="an array of its own",
-            got=f"a view of {note['with']}",
-            evidence={"operation": note["method"], "key": note["key"]},
+            got=f"a view of {note.beside}",
+            evidence={"operation": note.method, "key": note.key},
             fix=Fix("advice", "return copies of what is taken from an observation"),
         )

@@ -11,6 +11,7 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline import inprocess
 from xpl_cli.audit.served.exact import Mismatch, mismatch
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.isolation.errand import Answer
 
 _STEPS = 3
 _ENVS = (5, 2)
@@ -82,23 +83,23 @@ def _played(probe: Probe, url: str, wishes: dict[str, Any], script: list[inproce
         return [getattr(policy, method)(*arguments) for method, arguments in script]
 
 
-def _apart(remote: Any, local: dict[str, Any]) -> Mismatch | None:
+def _apart(remote: Any, local: Answer) -> Mismatch | None:
     """Return where an answer of the server and one of the model differ; two errors are alike."""
     failed = isinstance(remote, PolicyServerError)
-    if failed or "error" in local:
-        if failed and "error" in local:
+    if failed or local.error is not None:
+        if failed and local.error is not None:
             return None
-        return Mismatch((), f"an error: {remote}" if failed else "an answer", f"an error: {local.get('error')}")
-    return mismatch(remote, local[sdk.Payload.RESULT])
+        return Mismatch((), f"an error: {remote}" if failed else "an answer", f"an error: {local.error}")
+    return mismatch(remote, local.result)
 
 
-def _require_repeatable(first: list[dict[str, Any]], second: list[dict[str, Any]]) -> None:
+def _require_repeatable(first: list[Answer], second: list[Answer]) -> None:
     """Stop where two processes differ anyway, so that nothing can be said about the way between.
 
     Raises:
         NotApplicable: if they do.
     """
-    if mismatch(first, second) is not None:
+    if mismatch(*([(answer.result, answer.error) for answer in run] for run in (first, second))) is not None:
         raise NotApplicable("the model does not repeat itself bit for bit in another process")
 
 

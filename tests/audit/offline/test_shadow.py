@@ -25,7 +25,7 @@ from xpl_cli.audit.rules.verdict import Word, judged
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.scaffold import adapter
 from xpl_cli.scaffold.answers import Answers
-from xpl_cli.serving.launch import ServerStartError, serving
+from xpl_cli.serving.launch import Lacks, ServerStartError, serving
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 
@@ -383,7 +383,7 @@ def test_a_shadow_is_served_and_says_so(package: Path) -> None:
     (package / "model.py").write_text(SPLIT, encoding="utf-8")
     with pytest.raises(ServerStartError) as caught, serving(package):
         pass
-    assert caught.value.lacks == {"kind": "module", "name": MISSING}
+    assert caught.value.lacks == Lacks("module", MISSING)
     command = [sys.executable, "-m", "xpl_cli", "serve", str(package), "--port", "0", "--shadow", "--until-stdin-ends"]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None

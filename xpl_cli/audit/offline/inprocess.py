@@ -20,8 +20,8 @@ Call = tuple[str, tuple[Any, ...]]
 """A method and its arguments."""
 
 
-def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> list[dict[str, Any]]:
-    """Return what an adapter answers to a script of calls in one process; each is a map of a `result` or an `error`.
+def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> list[errand.Answer]:
+    """Return what an adapter answers to a script of calls in one process.
 
     Args:
         probe: the adapter.
@@ -40,7 +40,7 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
     found = loaded(done)
     if done.problem is not None or len(found) < len(script):
         raise NotRun(f"the adapter's process {done.ended} (call {len(found) + 1}, {script[len(found)][0]})")
-    unreal = next((answer["error"] for answer in found if answer.get("unreal")), None)
+    unreal = next((answer.error for answer in found if answer.unreal), None)
     if unreal is not None:
         raise NotRun(unreal)
     return found
@@ -70,7 +70,7 @@ def place(probe: Probe, limit_s: float = LIMIT_S) -> errand.Place:
     )
 
 
-def loaded(done: errand.Done) -> list[dict[str, Any]]:
+def loaded(done: errand.Done) -> list[errand.Answer]:
     """Return the answers of a process after that of loading the adapter.
 
     Raises:
@@ -78,6 +78,7 @@ def loaded(done: errand.Done) -> list[dict[str, Any]]:
     """
     if not done.answers:
         raise NotRun(f"the adapter's process {done.ended} (loading)")
-    if "error" in done.answers[0]:
-        raise NotRun(f"the model could not be loaded without the server: {done.answers[0]['error']}")
-    return done.answers[1:]
+    first, *others = done.answers
+    if first.error is not None:
+        raise NotRun(f"the model could not be loaded without the server: {first.error}")
+    return others

@@ -7,7 +7,7 @@ One run serves every rule that asks: what the model does to its observations and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.worker import watch
@@ -16,11 +16,30 @@ from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.transports import FORMS, decoded, encoded
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
+    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.isolation.errand import Answer
 
 _EPISODE, _BATCHES = 3, 2
+
+
+@dataclass(frozen=True)
+class Note:
+    """What a model did with an observation, or a part of it with a failure.
+
+    Attributes:
+        what: a kind of `xpl.worker.watch`.
+        method: the operation.
+        key: what it changed or answered with, or the part that failed.
+        beside: the key of the observation whose memory is shared; empty for other notes.
+    """
+
+    what: str
+    method: str
+    key: str
+    beside: str = ""
 
 
 @dataclass(frozen=True)
@@ -30,17 +49,16 @@ class Rehearsal:
     Attributes:
         notes: what the model did to its observations, and resets that went on after a failure (`xpl.worker.watch`).
         broken: parts of the model that failed during a reset, one at a time.
-        pictures: by the name of a form, the answers to decoded and to encoded pictures; each is a map of a `result` or
-            an `error`.
+        pictures: by the name of a form, the answers to decoded and to encoded pictures.
     """
 
-    notes: tuple[Mapping[str, str], ...]
+    notes: tuple[Note, ...]
     broken: tuple[str, ...]
-    pictures: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]]
+    pictures: Mapping[str, tuple[Answer, Answer]]
 
-    def noted(self, what: str) -> list[Mapping[str, str]]:
+    def noted(self, what: str) -> list[Note]:
         """Return the notes of one kind."""
-        return [note for note in self.notes if note["what"] == what]
+        return [note for note in self.notes if note.what == what]
 
 
 def rehearse(probe: Probe) -> Rehearsal:
@@ -65,20 +83,19 @@ def rehearse(probe: Probe) -> Rehearsal:
     answered = inprocess.answers(probe, script, watch=True)
     broken, notes = answered[-2:]
     for answer, what in ((answered[pictures_end + 2], "answer"), (broken, "reset again after a reset that failed")):
-        if "error" in answer:
-            raise NotRun(f"in a process without a server the adapter does not {what}: {answer['error']}")
+        if answer.error is not None:
+            raise NotRun(f"in a process without a server the adapter does not {what}: {answer.error}")
     episodes = [_first_error(answered[at : at + 3]) for at in range(0, pictures_end, 3)]
     pairs = zip(episodes[::2], episodes[1::2], strict=True)
-    return Rehearsal(
-        tuple(notes[sdk.Payload.RESULT]), tuple(broken[sdk.Payload.RESULT]), dict(zip(FORMS, pairs, strict=True))
-    )
+    noted = tuple(Note(told["what"], told["method"], told["key"], told.get("with", "")) for told in notes.result)
+    return Rehearsal(noted, tuple(broken.result), dict(zip(FORMS, pairs, strict=True)))
 
 
-def _pictures(probe: Probe) -> list[Any]:
+def _pictures(probe: Probe) -> list[Observation]:
     """Return observations with decoded and encoded pictures in turn, for each form."""
     sent = [encoded(probe.observation(), form) for form in FORMS]
     return [obs for one in sent for obs in (decoded(one), one)]
 
 
-def _first_error(answers: list[dict[str, Any]]) -> dict[str, Any]:
-    return next((answer for answer in answers if "error" in answer), answers[-1])
+def _first_error(answers: Sequence[Answer]) -> Answer:
+    return next((answer for answer in answers if answer.error is not None), answers[-1])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from xpl import checkpoint
 from xpl_cli.audit.rules.profiles import Choice, Profile
+from xpl_cli.serving.launch import Lacks
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -59,7 +60,7 @@ def after(choice: Choice, problem: ServerStartError, options: Options) -> Choice
     """
     if problem.lacks is None or choice.is_shadow or options.profile is not None:
         return None
-    is_uninstalled = problem.lacks["kind"] == _ENVIRONMENT
+    is_uninstalled = problem.lacks.kind == _ENVIRONMENT
     if is_uninstalled and (options.python or options.env):
         return None
     return Choice(Profile.SHADOW, sentence(problem.lacks), "none" if is_uninstalled else None)
@@ -76,7 +77,7 @@ def told(choice: Choice, problem: ServerStartError, config: Mapping[str, Any], p
     """
     if problem.lacks is None:
         return f"the server did not start: {problem}"
-    kind, why = problem.lacks["kind"], sentence(problem.lacks)
+    kind, why = problem.lacks.kind, sentence(problem.lacks)
     if not choice.is_shadow:
         return "; ".join(filter(None, (why, _HELP.get(kind), "--shadow audits one of xpl.Policy without the model")))
     before = choice.reason or ""
@@ -91,11 +92,11 @@ def _no_weights(known: str, config: Mapping[str, Any], policy_dir: Path) -> str:
     try:
         checkpoint.resolve(config, policy_dir)
     except checkpoint.CheckpointError as error:
-        told = sentence({"kind": _CHECKPOINT, "name": str(error)})
+        told = sentence(Lacks(_CHECKPOINT, str(error)))
         return "" if str(error) in known else told
     return ""
 
 
-def sentence(lacks: Mapping[str, str]) -> str:
+def sentence(lacks: Lacks) -> str:
     """Return what a machine lacks in words."""
-    return _SENTENCES.get(lacks["kind"], "{}").format(lacks["name"])
+    return _SENTENCES.get(lacks.kind, "{}").format(lacks.name)

@@ -18,7 +18,7 @@ from xpl_cli.audit.served.session import Recorder, Session
 from xpl_cli.isolation.life import HUNG
 from xpl_cli.isolation.stacks import where
 from xpl_cli.packages import package
-from xpl_cli.serving.launch import RunningServer, ServerStartError, serving
+from xpl_cli.serving.launch import Lacks, RunningServer, ServerStartError, serving
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -251,7 +251,6 @@ class Servers(ABC):
                 try:
                     client.infer(self.observation())
                 except PolicyServerError as error:
-                    lacks = error.details.get("lacks")
-                    if lacks:
+                    if lacks := Lacks.read(error.details.get("lacks")):
                         raise ServerStartError(str(error), list(server.log), lacks) from None
             yield server

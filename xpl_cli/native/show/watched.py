@@ -68,11 +68,11 @@ def ask(package: Package, config: Mapping[str, Any], observations: Sequence[Mapp
     python = interpreter.resolve(package.path, package.manifest.environment, python=place.python, env=place.env)
     done = errand.run(_ERRAND, order, errand.Place(python, package.path, patience=place.patience))
     for answer in done.answers:
-        if "error" in answer:
-            raise UserError(f"{package.path}: {answer['error']}", code=ExitCode.NOT_RUN)
+        if answer.error is not None:
+            raise UserError(f"{package.path}: {answer.error}", code=ExitCode.NOT_RUN)
     if done.problem is not None or len(done.answers) < len(("load", "question")):
         raise UserError(f"{package.path}: its process {done.ended}", code=ExitCode.NOT_RUN)
-    result = done.answers[1][sdk.Payload.RESULT]
+    result = done.answers[1].result
     if "inputs" not in result:
         raise UserError(f"{package.path} answers without calling predict", code=ExitCode.NOT_RUN)
     raw = result.get("raw")

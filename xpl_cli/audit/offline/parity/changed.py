@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from xpl import _spec as sdk
 from xpl_cli.audit.offline import inprocess
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.isolation import errand
@@ -54,6 +53,6 @@ def replayed(  # noqa: PLR0913, PLR0917 - who, what, how, and for how long
         found = inprocess.loaded(done)
     except NotRun:
         return None
-    if done.answers[0][sdk.Payload.RESULT] is not None:
+    if done.answers[0].result is not None:
         return None
-    return [answer.get(sdk.Payload.RESULT) for answer in found]
+    return [answer.result for answer in found]
