@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import ModuleType
 
+    from xpl.environment import TaskEnv
+
 _MANIFEST = package.MANIFESTS[package.ENV]
 _PROJECT = Path("envs")
 """Where a project keeps its environments, which go before others of their names."""
@@ -97,9 +99,10 @@ def require_simulation(name: str) -> None:
         )
 
 
-def make(name: str, config: Mapping[str, Any]) -> Any:
+def make(name: str, config: Mapping[str, Any]) -> TaskEnv:
     """Return a task environment in this process."""
-    return content.load_module(_client(find(name))).make(config)
+    made: TaskEnv = content.load_module(_client(find(name))).make(config)
+    return made
 
 
 def start(name: str, config: Mapping[str, Any], *, workers: int = 1, python: str | None = None) -> Any:

@@ -36,13 +36,13 @@ def few_clamps(simulation: Simulation) -> Iterator[Finding]:
     for played in simulation.sound_rollouts():
         share = played.corrected(kinds) / max(played.steps, 1)
         if share > TOLERATED:
-            counts = played.results[0]["corrections"]
+            counts = played.results[0].corrections
             yield blame(
                 f"in {played.course} the environment had to clamp {share:.0%} of the commands: the robot does not do "
                 "what the policy asks",
                 expected=f"at most {TOLERATED:.0%} of the steps beyond a limit of joints, speed or gripper",
                 got=", ".join(f"{kind} {count} times" for kind, count in counts.items()),
-                evidence={"task": played.course.task, "steps": played.steps, "corrections": counts},
+                evidence={"task": played.course.task, "steps": played.steps, "corrections": dict(counts)},
                 fix=Fix(
                     "advice",
                     "check units and normalisation: radians, absolute targets, gripper 0..1, the control frequency",

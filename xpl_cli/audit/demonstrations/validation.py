@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -187,7 +187,7 @@ def _close(results: dict[str, Result], check: Check, waived: Mapping[str, str]) 
     results[check.code] = _result(check, list(check.findings()), waived)
 
 
-def _ask(results: dict[str, Result], check: Check, step: Callable[[], Any]) -> None:
+def _ask(results: dict[str, Result], check: Check, step: Callable[[], None]) -> None:
     """Let a check take a step; note how it ends where it does not go on."""
     try:
         step()

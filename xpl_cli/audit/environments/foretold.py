@@ -96,7 +96,7 @@ class _Foreseen(Stage):
         self.motions = Motions()
 
     @contextlib.contextmanager
-    def play(self, offer: Offer, *, fresh: bool = False, **config: Any) -> Iterator[Play]:  # noqa: ARG002 - as there
+    def play(self, offer: Offer, *, fresh: bool = False, **config: object) -> Iterator[Play]:  # noqa: ARG002 - as there
         """Make the stand-in, which every offer suits."""
         self.motions.made += 1
         asked = {key: value for key, value in config.items() if key in _KNOWN}

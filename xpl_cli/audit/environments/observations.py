@@ -13,12 +13,13 @@ if TYPE_CHECKING:
 
     from xpl import Embodiment
     from xpl_cli.audit.environments.stage import Offer, Stage
+    from xpl_cli.audit.served.inputs import Observation
 
 _POSES = (sdk.State.EE_POSE, sdk.State.TCP_POSE, sdk.State.DELTA_EE_POSE)
 _GIVE = 0.02  # part of the gripper's range: fingers give a little at their stops
 
 
-def problems(stage: Stage, offer: Offer, obs: Mapping[str, Any]) -> Iterator[str]:
+def problems(stage: Stage, offer: Offer, obs: Observation) -> Iterator[str]:
     """Yield what is wrong with an observation, each in one sentence.
 
     Args:
@@ -40,7 +41,7 @@ def problems(stage: Stage, offer: Offer, obs: Mapping[str, Any]) -> Iterator[str
     yield from _vision(stage, obs.get(sdk.Obs.VISION) or {})
 
 
-def _labels(stage: Stage, offer: Offer, obs: Mapping[str, Any]) -> Iterator[str]:
+def _labels(stage: Stage, offer: Offer, obs: Observation) -> Iterator[str]:
     if obs.get(sdk.Obs.ENV_IDX) != 0:
         yield f"{sdk.Obs.ENV_IDX} is {obs.get(sdk.Obs.ENV_IDX)!r}, and the only environment is 0"
     if not obs.get(sdk.Obs.INSTRUCTION) and not obs.get(sdk.Obs.INSTRUCTIONS):

@@ -25,11 +25,12 @@ from xpl_cli.packages import environments
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from xpl import Embodiment
     from xpl_cli.audit.rules.options import Options
+    from xpl_cli.audit.served.inputs import Observation
 
 STEPS = 12
 """Control steps of one trial: enough to move, few enough for every pull request."""
@@ -66,7 +67,7 @@ class Trial:
         result: what the environment says of the episode.
     """
 
-    seen: tuple[Mapping[str, Any], ...]
+    seen: tuple[Observation, ...]
     result: Mapping[str, Any]
 
 
@@ -92,9 +93,9 @@ class Play:
         """Begin episodes."""
         self.call(sdk.Method.RESET, list(seeds))
 
-    def observe(self, *envs: int) -> list[dict[str, Any]]:
+    def observe(self, *envs: int) -> list[Observation]:
         """Return observations, of all running environments by default."""
-        found: list[dict[str, Any]] = self.call("get_obs_batch", list(envs) or None)
+        found: list[Observation] = self.call("get_obs_batch", list(envs) or None)
         return found
 
     def act(self, actions: Mapping[int, Mapping[str, Any]]) -> Any:
@@ -226,7 +227,7 @@ class Stage:
         return {sdk.Obs.PRIVILEGED: True} if self.manifest.privileged else {}
 
     @contextlib.contextmanager
-    def play(self, offer: Offer, *, fresh: bool = False, **config: Any) -> Iterator[Play]:
+    def play(self, offer: Offer, *, fresh: bool = False, **config: object) -> Iterator[Play]:
         """Make an environment.
 
         Args:
@@ -258,7 +259,7 @@ class Stage:
             if fresh:
                 process.close()
 
-    def trial(self, offer: Offer, *seeds: int, fresh: bool = False, **config: Any) -> list[Trial]:
+    def trial(self, offer: Offer, *seeds: int, fresh: bool = False, **config: object) -> list[Trial]:
         """Make one environment for each seed, play a trial, and note what was seen."""
         with self.play(offer, fresh=fresh, num_envs=len(seeds), **config) as play:
             trials = play.trial(offer, *seeds)
@@ -320,7 +321,7 @@ class Stage:
             raise NotRun(f"{self._python} cannot be started: {error.strerror}") from None
 
 
-def motion(offer: Offer, first: Mapping[str, Any], step: int) -> dict[str, np.ndarray]:
+def motion(offer: Offer, first: Observation, step: int) -> dict[str, np.ndarray]:
     """Return the action of a small motion around the state of an episode's first observation.
 
     Raises:
@@ -360,7 +361,7 @@ def difference(first: Trial, second: Trial, tolerance: float = 0.0) -> str | Non
     return None
 
 
-def _difference(one: Any, other: Any, tolerance: float, where: str = "") -> str | None:
+def _difference(one: object, other: object, tolerance: float, where: str = "") -> str | None:
     if isinstance(one, dict) and isinstance(other, dict):
         if one.keys() != other.keys():
             return f"{where or 'the observation'} has other keys"
@@ -377,11 +378,11 @@ def _difference(one: Any, other: Any, tolerance: float, where: str = "") -> str 
     return None if one == other else f"{where} is {one!r} and {other!r}"
 
 
-def _without_index(obs: Mapping[str, Any]) -> dict[str, Any]:
+def _without_index(obs: Observation) -> dict[str, Any]:
     return {key: value for key, value in obs.items() if key != sdk.Obs.ENV_IDX}
 
 
-def _covering(offers: Sequence[Offer], aspects: Any) -> list[Offer]:
+def _covering(offers: Sequence[Offer], aspects: Callable[[Offer], set[object]]) -> list[Offer]:
     """Return few offers with every aspect that any offer has, changing robots from one to the next."""
     left = set().union(*(aspects(offer) for offer in offers))
     chosen: list[Offer] = []
@@ -393,6 +394,6 @@ def _covering(offers: Sequence[Offer], aspects: Any) -> list[Offer]:
     return chosen
 
 
-def _ask(process: EnvProcess, op: str, value: Any, limit_s: float) -> Any:
+def _ask(process: EnvProcess, op: str, value: object, limit_s: float) -> Any:
     process.send(message(op, value), limit_s)
     return process.receive()

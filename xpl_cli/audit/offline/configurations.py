@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import tempfile
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.service import Service
+    from xpl_cli.audit.served.session import Answer
 
 _STEPS = 3
 _STANDARD = frozenset(value for name, value in vars(sdk.Deploy).items() if name.isupper())
@@ -35,7 +36,7 @@ class Played:
         refusal: why it did not start, or None.
     """
 
-    chunks: tuple[Any, ...] = ()
+    chunks: tuple[Answer, ...] = ()
     refusal: str | None = None
 
     def difference(self, other: Played) -> str | None:
@@ -60,13 +61,13 @@ class Configurations:
             self._played[_key({sdk.Deploy.SEED: USUAL_SEED})] = Played(tuple(service.chunks[:_STEPS]))
 
     @property
-    def own(self) -> dict[str, Any]:
+    def own(self) -> dict[str, object]:
         """Keys of deploy.yml that are the adapter's own, with their values."""
         deploy = self.probe.package.deploy
         known = _STANDARD.union(sdk.CHECKPOINT_KEYS, *sdk.CONFIG_ALIASES.values())
         return {key: value for key, value in deploy.items() if key not in known}
 
-    def own_keys(self) -> dict[str, Any]:
+    def own_keys(self) -> dict[str, object]:
         """Return the adapter's own keys of deploy.yml.
 
         Raises:
@@ -101,11 +102,11 @@ class Configurations:
         if not self.repeats:
             raise NotRun("the policy acts differently each time, and nothing can be compared: seed-repeats says how")
 
-    def changed(self, **overrides: Any) -> Played:
+    def changed(self, **overrides: object) -> Played:
         """Return the episode with the usual seed and other values of some keys."""
         return self.played({sdk.Deploy.SEED: USUAL_SEED, **overrides})
 
-    def without(self, keys: Sequence[str], **overrides: Any) -> Played:
+    def without(self, keys: Sequence[str], **overrides: object) -> Played:
         """Return the episode with some keys left out of deploy.yml."""
         flags = [flag for key in keys for flag in ("--unset", key)]
         return self.played({sdk.Deploy.SEED: USUAL_SEED, **overrides}, flags)
@@ -115,14 +116,14 @@ class Configurations:
         with tempfile.TemporaryDirectory(prefix="xpl-elsewhere-") as folder:
             return self.played({sdk.Deploy.SEED: USUAL_SEED}, ("--chdir", os.fspath(folder)))
 
-    def played(self, overrides: dict[str, Any], flags: Sequence[str] = (), run: int = 0) -> Played:
+    def played(self, overrides: dict[str, object], flags: Sequence[str] = (), run: int = 0) -> Played:
         """Return the episode under other values of deploy.yml and options of `xpl serve`, played once."""
         key = _key(overrides, flags, run)
         if key not in self._played:
             self._played[key] = self._play(overrides, flags)
         return self._played[key]
 
-    def _play(self, overrides: dict[str, Any], flags: Sequence[str]) -> Played:
+    def _play(self, overrides: dict[str, object], flags: Sequence[str]) -> Played:
         try:
             with (
                 self.probe.fresh_server(overrides, flags) as server,
@@ -133,11 +134,11 @@ class Configurations:
             return Played(refusal=str(error))
 
 
-def _key(overrides: dict[str, Any], flags: Sequence[str] = (), run: int = 0) -> str:
+def _key(overrides: dict[str, object], flags: Sequence[str] = (), run: int = 0) -> str:
     return repr((sorted(overrides.items()), tuple(flags), run))
 
 
-def flags_of(settings: dict[str, Any]) -> Iterator[tuple[str, bool]]:
+def flags_of(settings: dict[str, object]) -> Iterator[tuple[str, bool]]:
     """Yield the keys that are true or false, with that value."""
     for key, value in settings.items():
         if isinstance(value, bool):

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.session import Session
+    from xpl_cli.audit.served.session import Answer, Session
 
 _UNKNOWN = 99
 
 
-def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[Session], Any]]]:
+def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[Session], Answer]]]:
     """Yield operations with something wrong in them, each with a name for people; they return the policy's answer."""
     whole = probe.observation()
     for name, obs in {
@@ -31,10 +32,10 @@ def damaged_operations(probe: Probe) -> Iterator[tuple[str, Callable[[Session], 
     yield "an unknown environment", lambda policy: policy.get_action_batch([_UNKNOWN])
 
 
-def _shown(policy: Session, obs: dict[str, Any]) -> Any:
+def _shown(policy: Session, obs: Observation) -> Answer:
     """Show an observation and ask; the first error counts, because an adapter may read it late."""
     return policy.update_obs(obs) or policy.get_action()
 
 
-def _shown_batch(policy: Session, observations: list[dict[str, Any]]) -> Any:
+def _shown_batch(policy: Session, observations: list[Observation]) -> Answer:
     return policy.update_obs_batch(observations) or policy.get_action_batch([0, 1])

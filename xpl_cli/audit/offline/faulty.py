@@ -17,7 +17,7 @@ from xpl_cli.audit.served.probe import blame
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import Finding, Fix
     from xpl_cli.audit.served.inputs import Observation
-    from xpl_cli.audit.served.session import Session
+    from xpl_cli.audit.served.session import Answer, Session
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def judge(policy: Session, cases: Iterable[Case], *, goes_on: str, unclear: str,
         unclear: what to say where it refuses with an error that does not name the input.
         fix: advice.
     """
-    found: dict[tuple[str, str], list[tuple[Case, Any]]] = {}
+    found: dict[tuple[str, str], list[tuple[Case, Answer]]] = {}
     for case in cases:
         answer = policy.act(case.obs)
         refused = isinstance(answer, PolicyServerError)
@@ -102,14 +102,14 @@ def judge(policy: Session, cases: Iterable[Case], *, goes_on: str, unclear: str,
         )
 
 
-def _pictures(image: np.ndarray) -> Iterator[tuple[str, Any]]:
+def _pictures(image: np.ndarray) -> Iterator[tuple[str, object]]:
     yield "a picture of floats from 0 to 1", (image / 255.0).astype(np.float32)
     yield "a picture without channels", np.ascontiguousarray(image[:, :, 0])
     yield "a picture with the channels first", np.ascontiguousarray(image.transpose(2, 0, 1))
     yield "a picture with a fourth channel", np.concatenate([image, image[:, :, :1]], axis=2)
 
 
-def _vectors(values: np.ndarray) -> Iterator[tuple[str, Any]]:
+def _vectors(values: np.ndarray) -> Iterator[tuple[str, object]]:
     for fault, number in (("NaN", np.nan), ("infinity", np.inf)):
         other = np.array(values)
         other[-1] = number

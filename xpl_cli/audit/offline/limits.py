@@ -14,6 +14,8 @@ from xpl import rotation
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import ArrayLike
+
     from xpl.embodiment import Embodiment
 
 _ROUNDING = 1e-3
@@ -108,5 +110,5 @@ def _orientation(pose: np.ndarray) -> np.ndarray:
     return rotation.normalise(pose[sdk.POSITION_DIM :])
 
 
-def _values(values: Any) -> np.ndarray:
+def _values(values: ArrayLike) -> np.ndarray:
     return np.asarray(values, dtype=np.float64)

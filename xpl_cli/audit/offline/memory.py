@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from xpl_cli.audit.served.hanging import bounds
 from xpl_cli.audit.served.servers import PATIENCE
 
 if TYPE_CHECKING:
+    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
 
 _PROC = Path("/proc")
@@ -119,7 +120,7 @@ def _play(probe: Probe, policy: Client, first: int, most: int) -> int:
     return played
 
 
-def _enlarged(obs: dict[str, Any]) -> dict[str, Any]:
+def _enlarged(obs: Observation) -> Observation:
     vision = {}
     for name, camera in obs[sdk.Obs.VISION].items():
         larger = {
@@ -131,5 +132,5 @@ def _enlarged(obs: dict[str, Any]) -> dict[str, Any]:
     return {**obs, sdk.Obs.VISION: vision}
 
 
-def _size(obs: dict[str, Any]) -> int:
+def _size(obs: Observation) -> int:
     return sum(value.nbytes for camera in obs[sdk.Obs.VISION].values() for value in camera.values())

@@ -14,6 +14,8 @@ from xpl_cli.audit.served.compare import difference
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from xpl_cli.audit.served.inputs import Observation
+
 # An axis a robot may well turn about, and none of the coordinate axes.
 _OBLIQUE = (0.36, 0.48, 0.8)
 _NEARLY = np.pi - 1e-3
@@ -56,7 +58,7 @@ class Turn:
         return bool(rotation.angle_between(rotation.identity(), self.quaternion) < sdk.QUATERNION_TOLERANCE)
 
 
-def first_turns(obs: Mapping[str, Any], chunk: Any) -> list[Turn]:
+def first_turns(obs: Observation, chunk: Any) -> list[Turn]:
     """Return the orientations that the first step of a chunk commands, one for each arm; none if it commands none."""
     turns = []
     for key, values in chunk[0].items():
@@ -94,14 +96,14 @@ def _quaternions(vector: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [how for how in rotations if how["form"].startswith("quaternion")]
 
 
-def rotation_difference(first: Any, second: Any) -> str | None:
+def rotation_difference(first: object, second: object) -> str | None:
     """Return where two chunks first differ as motions, or None: a quaternion and its negative are the same."""
     if not isinstance(first, (list, tuple)) or not isinstance(second, (list, tuple)) or len(first) != len(second):
         return difference(first, second)
     return difference(first, [_aligned(one, other) for one, other in zip(first, second, strict=True)])
 
 
-def _aligned(reference: Any, step: Any) -> Any:
+def _aligned(reference: object, step: Any) -> Any:
     """Return an action step with every quaternion given the sign of the reference's."""
     if not isinstance(step, dict) or not isinstance(reference, dict) or step.keys() != reference.keys():
         return step

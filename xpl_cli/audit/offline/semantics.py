@@ -6,7 +6,7 @@ import contextlib
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
@@ -14,16 +14,16 @@ from xpl.embodiment import get_embodiment
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import difference, same
+from xpl_cli.audit.served.inputs import Observation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
-    from xpl_cli.audit.served.session import Session
+    from xpl_cli.audit.served.session import Answer, Session
 
 Kind = Literal["input", "colours", "cameras", "sides", "value"]
-Episode = tuple[Any, ...]
+Episode = tuple[Observation, ...]
 """Observations of one environment, in order."""
 
 
@@ -91,7 +91,7 @@ class Semantics:
 
     def compare(
         self, pairs: Sequence[tuple[Episode, Episode]], combination: tuple[str, str] | None = None
-    ) -> list[tuple[Any, Any]]:
+    ) -> list[tuple[Answer, Answer]]:
         """Play pairs of episodes and return the last answers of each pair.
 
         Both episodes of a pair are played under equal conditions: one after the other where a server repeats itself,
@@ -109,7 +109,7 @@ class Semantics:
         self._steady = self._steady and same(*before)
         return answers
 
-    def disagreement(self, first: Any, second: Any) -> str | None:
+    def disagreement(self, first: object, second: object) -> str | None:
         """Return how two answers that have to be alike differ, or None.
 
         Of a policy that does not repeat itself, only whether each is an action or an error can be compared.
@@ -178,7 +178,7 @@ def _state_changes(obs: Observation, name: str) -> Iterator[Change]:
             yield Change("value", name, f"another {key}[{index}]", changed)
 
 
-def _play(policy: Session, episode: Episode) -> Any:
+def _play(policy: Session, episode: Episode) -> Answer:
     """Play an episode and return the last answer, or the first error."""
     answer = policy.act(episode[0])
     for obs in episode[1:]:

@@ -72,5 +72,5 @@ def measure_mirrored(simulation: Simulation, course: Course, episodes: int, worl
 
 def _figure(simulation: Simulation, course: Course, episodes: int, world: World | None) -> Figure:
     results = simulation.episodes(course, simulation.seeds(course, episodes), world)
-    scores = [float(result["score"]) for result in results]
-    return Figure(course, len(results), sum(bool(result["success"]) for result in results), sum(scores) / len(scores))
+    scores = [result.score for result in results]
+    return Figure(course, len(results), sum(result.success for result in results), sum(scores) / len(scores))

@@ -110,7 +110,7 @@ def _joint_distance(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.abs(first - second).max())
 
 
-def _values(given: Any) -> np.ndarray:
+def _values(given: object) -> np.ndarray:
     return np.asarray(given, dtype=np.float64)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.environments.film import FORMATS, Reel
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from xpl_cli.audit.physics.loop import Watch
+    from xpl_cli.audit.physics.loop import Playing, Watch
     from xpl_cli.audit.rules.figures import Course
 
 
@@ -33,7 +33,7 @@ def films(folder: Path, policy: str, course: Course, seeds: Sequence[int], frequ
     folder.mkdir(parents=True, exist_ok=True)
     reels = [Reel(frequency) for _ in seeds]
 
-    def watch(env: Any) -> None:
+    def watch(env: Playing) -> None:
         running = env.get_running_env_idx_list()
         for place, reel in enumerate(reels):
             if place in running or not running:

@@ -7,7 +7,7 @@ one in the loop shows what was changed before it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.client import PolicyServerError
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.physics.loop import Show
     from xpl_cli.audit.physics.simulation import Simulation
     from xpl_cli.audit.served.inputs import Observation
+    from xpl_cli.audit.served.session import Answer
 
 _CONSTANT = (sdk.Obs.INSTRUCTION, sdk.Obs.PRIVILEGED)
 """Inputs that stay what they are in an episode, or whose form no standard tells."""
@@ -103,7 +104,7 @@ def _with_change(show: Show, step: int, names: Sequence[str]) -> tuple[Observati
     return (*show.observations[:step], obs, *show.observations[step + 1 :])
 
 
-def _replayed(simulation: Simulation, show: Show, observations: Sequence[Observation]) -> list[Any]:
+def _replayed(simulation: Simulation, show: Show, observations: Sequence[Observation]) -> list[Answer]:
     """Show observations one after the other and return the answers.
 
     Raises:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 
@@ -15,16 +15,62 @@ from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.served.compare import structure_problem
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from xpl.embodiment import Embodiment
     from xpl_cli.audit.rules.figures import Course
-    from xpl_cli.audit.served.session import Session
-
-Watch = Callable[[Any], None]
-"""Is shown the environment before every control step, and once more at the end."""
+    from xpl_cli.audit.served.inputs import Observation
+    from xpl_cli.audit.served.session import Answer, Session
 
 _SOUND_ENDS = ("success", "max_steps")
+
+Action = Mapping[str, Any]
+"""One action step."""
+
+
+class Playing(Protocol):
+    """What a loop needs of an environment (`xpl.environment.TaskEnv`)."""
+
+    def get_running_env_idx_list(self) -> list[int]:
+        """Return the environments whose episode goes on."""
+
+    def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[Observation]:
+        """Return observations of some environments."""
+
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
+        """Execute one action step in some environments, and return a report of each."""
+
+    def results(self) -> list[dict[str, Any]]:
+        """Return the outcome of every environment's episode."""
+
+
+Watch = Callable[[Playing], None]
+"""Is shown the environment before every control step, and once more at the end."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an environment says of an episode.
+
+    Attributes:
+        success: whether it came to its goal.
+        score: how far it came, 0..1.
+        end_reason: why it ended; None if it did not.
+        corrections: how often commands had to be corrected, by kind.
+        digest: of the trajectory.
+    """
+
+    success: bool
+    score: float
+    end_reason: str | None
+    corrections: Mapping[str, int]
+    digest: str
+
+    @classmethod
+    def read(cls, told: Mapping[str, Any]) -> Self:
+        """Read one of `results` of an environment of the SDK."""
+        reason = told["end_reason"]
+        return cls(bool(told["success"]), float(told["score"]), reason, dict(told["corrections"]), str(told["digest"]))
 
 
 @dataclass(frozen=True)
@@ -36,7 +82,7 @@ class Show:
         asked: steps at which an answer is asked for.
     """
 
-    observations: tuple[dict[str, Any], ...]
+    observations: tuple[Observation, ...]
     asked: tuple[int, ...]
 
 
@@ -75,7 +121,7 @@ class Rollout:
     course: Course
     robot: Embodiment
     seeds: tuple[int, ...]
-    results: list[dict[str, Any]] = field(default_factory=list)
+    results: list[Result] = field(default_factory=list)
     queries: list[list[Query]] = field(default_factory=list)
     commands: list[list[np.ndarray]] = field(default_factory=list)
     corrections: list[list[frozenset[str]]] = field(default_factory=list)
@@ -94,7 +140,7 @@ class Rollout:
     @property
     def digests(self) -> list[str]:
         """The digest of each environment's trajectory."""
-        return [result["digest"] for result in self.results]
+        return [result.digest for result in self.results]
 
     def corrected(self, kinds: frozenset[str]) -> int:
         """Return in how many steps a correction of one of these kinds was necessary."""
@@ -117,11 +163,11 @@ class Driver:
     """
 
     session: Session
-    env: Any
+    env: Playing
     played: Rollout
     only: int | None = None
     watch: Watch | None = None
-    shown: list[dict[str, Any]] | None = None
+    shown: list[Observation] | None = None
     follows: Rollout | None = None
     copied: bool = False
 
@@ -132,9 +178,9 @@ class Driver:
             played.problem = self._to_the_end()
         except ClientError as error:
             played.problem = str(error)
-        played.results = self.env.results()
+        played.results = [Result.read(told) for told in self.env.results()]
         if played.problem is None:
-            ends = {result["end_reason"] for place, result in enumerate(played.results) if self.only in (None, place)}
+            ends = {result.end_reason for place, result in enumerate(played.results) if self.only in (None, place)}
             wrong = sorted(map(str, ends.difference(_SOUND_ENDS)))
             played.problem = f"the episode ended with {', '.join(wrong)}" if wrong else None
 
@@ -175,18 +221,18 @@ class Driver:
             {env: answers[env] if self.follows is None else self._then(self.follows, env) for env in running}
         )
 
-    def _then(self, earlier: Rollout, env: int) -> list[dict[str, Any]]:
+    def _then(self, earlier: Rollout, env: int) -> list[dict[str, np.ndarray]]:
         """Return the chunk with which an earlier loop answered the question that was asked last."""
         chunk = earlier.queries[env][len(self.played.queries[env]) - 1].chunk
         return [unpack(action, self.played.robot, self.played.course.action_type) for action in chunk]
 
-    def _seen(self, running: Sequence[int]) -> list[dict[str, Any]]:
-        observations: list[dict[str, Any]] = self.env.get_obs_batch(running)
+    def _seen(self, running: Sequence[int]) -> list[Observation]:
+        observations = self.env.get_obs_batch(running)
         if self.shown is not None:
             self.shown.extend(observations)
         return observations
 
-    def _with_copies(self, observations: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    def _with_copies(self, observations: list[Observation]) -> list[Observation]:
         """Return what the policy is shown: in a copy's place stands what the one environment shows."""
         if not self.copied or self.follows is None:
             return observations
@@ -195,7 +241,7 @@ class Driver:
         there = [len(commands) > now for commands in self.follows.commands]
         return [{**own, sdk.Obs.ENV_IDX: env} for env, runs in enumerate(there) if runs or env == own[sdk.Obs.ENV_IDX]]
 
-    def _problem(self, refused: Any, chunks: Any, count: int) -> str | None:
+    def _problem(self, refused: Answer, chunks: Answer, count: int) -> str | None:
         for answer in (refused, chunks):
             if isinstance(answer, PolicyServerError):
                 return str(answer)
@@ -204,7 +250,7 @@ class Driver:
         found = (structure_problem(chunk, self.played.robot, self.played.course.action_type) for chunk in chunks)
         return next((problem for problem in found if problem is not None), None)
 
-    def _execute(self, by_env: Mapping[int, Any]) -> str | None:
+    def _execute(self, by_env: Mapping[int, Sequence[Action]]) -> str | None:
         for index in range(max(map(len, by_env.values()))):
             alive = self.env.get_running_env_idx_list()
             moved = [env for env, chunk in by_env.items() if env in alive and index < len(chunk)]
@@ -230,7 +276,7 @@ class Driver:
             self.played.queries[env][-1] = Query(last.step, last.state, last.chunk, last.waited + waited)
         return str(refused) if isinstance(refused, PolicyServerError) else None
 
-    def _step(self, actions: Mapping[int, Any]) -> str | None:
+    def _step(self, actions: Mapping[int, Action]) -> str | None:
         if self.watch is not None:
             self.watch(self.env)
         try:
@@ -243,7 +289,7 @@ class Driver:
             self.played.corrections[env].append(kinds)
         return None
 
-    def _packed(self, action: Mapping[str, Any]) -> np.ndarray:
+    def _packed(self, action: Action) -> np.ndarray:
         flat: np.ndarray = pack(action, self.played.robot, self.played.course.action_type)
         return flat
 

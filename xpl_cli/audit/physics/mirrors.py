@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl.embodiment import Embodiment
+    from xpl_cli.audit.physics.loop import Action, Playing
+    from xpl_cli.audit.served.inputs import Observation
 
 COLOURS, CAMERAS, GRIPPERS = "colours", "cameras", "grippers"
 COMMANDS, OBSERVATIONS = "commands", "observations"
@@ -60,7 +62,7 @@ class World:
         seen = both - observed if OBSERVATIONS in self.names else observed
         return seen, both - commanded if COMMANDS in self.names else commanded
 
-    def around(self, env: Any, robot: Embodiment) -> Mirror:
+    def around(self, env: Playing, robot: Embodiment) -> Mirror:
         """Return the environment as it is in this world."""
         return Mirror(env, self, [arm.prefix + sdk.State.EE_JOINT_STATE for arm in robot.arms])
 
@@ -88,23 +90,28 @@ class Mirror:
         keys: grippers, as states and actions call them.
     """
 
-    def __init__(self, env: Any, world: World, keys: Sequence[str]) -> None:
+    def __init__(self, env: Playing, world: World, keys: Sequence[str]) -> None:
         self._env, self._world, self._keys = env, world, tuple(keys)
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._env, name)
+    def get_running_env_idx_list(self) -> list[int]:
+        """Return the environments whose episode goes on."""
+        return self._env.get_running_env_idx_list()
 
-    def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[dict[str, Any]]:
+    def results(self) -> list[dict[str, Any]]:
+        """Return the outcome of every environment's episode."""
+        return self._env.results()
+
+    def get_obs_batch(self, env_idx_list: Sequence[int]) -> list[Observation]:
         """Return observations of some environments."""
         return [self._seen(obs) for obs in self._env.get_obs_batch(env_idx_list)]
 
-    def take_action_batch(self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]) -> Any:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
         """Execute one action step in some environments."""
         is_turned = COMMANDS in self._world.names
         turned = [self._turned(action) for action in actions] if is_turned else list(actions)
         return self._env.take_action_batch(turned, env_idx_list)
 
-    def _seen(self, obs: dict[str, Any]) -> dict[str, Any]:
+    def _seen(self, obs: Observation) -> Observation:
         world = self._world
         if world.kind == COLOURS:
             for camera in obs[sdk.Obs.VISION]:

@@ -14,11 +14,14 @@ from xpl_cli.evaluation.loop.desk import EndlessError, LoopError
 from xpl_cli.evaluation.loop.process import Loop, LoopRaisedError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from xpl.environment import TaskEnv
+    from xpl_cli.audit.physics.loop import Action
     from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.served.session import Session
+    from xpl_cli.audit.served.inputs import Observation
+    from xpl_cli.audit.served.session import Answer, Session
 
 _LACKING = (ImportError.__name__, ModuleNotFoundError.__name__)
 
@@ -34,7 +37,7 @@ class Stage:
         late: actions for environments whose episode had ended.
     """
 
-    env: Any
+    env: TaskEnv
     lengths: Sequence[int]
     steps: list[int] = field(default_factory=list)
     late: int = 0
@@ -54,16 +57,20 @@ class Stage:
         """Return whether all episodes have ended."""
         return not self.get_running_env_idx_list()
 
-    def get_obs_batch(self, env_idx_list: Sequence[int] | None = None, *args: Any, **options: Any) -> Any:
+    def get_obs_batch(
+        self,
+        env_idx_list: Sequence[int] | None = None,
+        last_frame: bool = False,  # noqa: FBT001, FBT002 - as loops pass it
+    ) -> list[Observation]:
         """Return observations of some environments, by default of those that run."""
         wanted = self.get_running_env_idx_list() if env_idx_list is None else env_idx_list
-        return self.env.get_obs_batch(wanted, *args, **options)
+        return self.env.get_obs_batch(wanted, last_frame)
 
-    def take_action(self, action: Mapping[str, Any]) -> Any:
+    def take_action(self, action: Action) -> Any:
         """Execute one action step in the only environment."""
         return self.take_action_batch([action], [0])[0]
 
-    def take_action_batch(self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]) -> Any:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
         """Execute one action step in some environments; none in those that have ended."""
         running = self.get_running_env_idx_list()
         ended = [env for env in env_idx_list if env not in running]
@@ -81,7 +88,7 @@ class LoopClient:
 
     session: Session
 
-    def call(self, func_name: str, obs: Any = None) -> Any:
+    def call(self, func_name: str, obs: Any = None) -> Answer:
         """Run an operation of the policy.
 
         Raises:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.embodiment import get_embodiment
-from xpl_cli.audit.physics.loop import Driver, Rollout, Show
+from xpl_cli.audit.physics.loop import Driver, Result, Rollout, Show
 from xpl_cli.audit.physics.own_loop import Stage
 from xpl_cli.audit.rules.figures import ENVIRONMENT, Course
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
@@ -20,8 +20,11 @@ from xpl_cli.packages import environments
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from xpl.environment import TaskEnv
+    from xpl_cli.audit.physics.loop import Watch
     from xpl_cli.audit.physics.mirrors import World
     from xpl_cli.audit.rules.figures import Figure
+    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.session import Session
 
@@ -253,7 +256,7 @@ class Simulation:
         Raises:
             NotRun: if the loop did not come to its end.
         """
-        shown: list[dict[str, Any]] = []
+        shown: list[Observation] = []
         with self.steady() as session:
             played = self._play(session, self.first, (_FIRST_SEED,), shown=shown)
         asked = tuple(query.step for query in _sound(played).queries[0][:questions])
@@ -286,7 +289,7 @@ class Simulation:
         except NotFoundError as error:
             raise NotRun(str(error)) from None
 
-    def episodes(self, course: Course, seeds: Sequence[int], world: World | None = None) -> list[dict[str, Any]]:
+    def episodes(self, course: Course, seeds: Sequence[int], world: World | None = None) -> list[Result]:
         """Play whole episodes, some at a time in one batch, and return their results.
 
         Args:
@@ -297,7 +300,7 @@ class Simulation:
         Raises:
             NotRun: if one breaks off.
         """
-        results: list[dict[str, Any]] = []
+        results: list[Result] = []
         with self.probe.served_as(course.embodiment, course.action_type) as session:
             for start in range(0, len(seeds), _AT_ONCE):
                 batch = tuple(seeds[start : start + _AT_ONCE])
@@ -319,7 +322,7 @@ class Simulation:
         whole: bool = False,
         world: World | None = None,
         film: bool = False,
-        shown: list[dict[str, Any]] | None = None,
+        shown: list[Observation] | None = None,
         follows: Rollout | None = None,
         copied: bool = False,
     ) -> Rollout:
@@ -341,7 +344,7 @@ class Simulation:
     def _steps(self) -> int:
         return min(MOST_STEPS, max(STEPS, CHUNKS * self._chunk))
 
-    def _make(self, course: Course, num_envs: int, max_steps: int | None) -> Any:
+    def _make(self, course: Course, num_envs: int, max_steps: int | None) -> TaskEnv:
         probe = self.probe
         pair = {sdk.Deploy.ENV_CFG_TYPE: course.embodiment, sdk.Deploy.ACTION_TYPE: course.action_type}
         try:
@@ -358,7 +361,7 @@ class Simulation:
         return environments.make(ENVIRONMENT, {**settings, "max_steps": max_steps})
 
     @contextlib.contextmanager
-    def _filmed(self, course: Course, seeds: Sequence[int], *, wanted: bool) -> Iterator[Any]:
+    def _filmed(self, course: Course, seeds: Sequence[int], *, wanted: bool) -> Iterator[Watch | None]:
         folder = self.probe.options.video
         if folder is None or not wanted:
             yield None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.checkpoint import CheckpointError, resolve
@@ -36,11 +36,11 @@ class Checkpoint:
     key: str
     name: str
     path: Path
-    config: Mapping[str, Any]
+    config: Mapping[str, object]
     policy_dir: Path
 
     @classmethod
-    def of(cls, package: Package, config: Mapping[str, Any]) -> Checkpoint | None:
+    def of(cls, package: Package, config: Mapping[str, object]) -> Checkpoint | None:
         """Return the checkpoint of a configuration, None if it names none that is there."""
         keys = (*sdk.CHECKPOINT_KEYS, sdk.Deploy.CKPT_NAME)
         key = next((key for key in keys if config.get(key) not in (None, "")), None)

@@ -11,7 +11,6 @@ from xpl_cli.serving.launch import Lacks
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-    from typing import Any
 
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.serving.launch import ServerStartError
@@ -66,7 +65,7 @@ def after(choice: Choice, problem: ServerStartError, options: Options) -> Choice
     return Choice(Profile.SHADOW, sentence(problem.lacks), "none" if is_uninstalled else None)
 
 
-def told(choice: Choice, problem: ServerStartError, config: Mapping[str, Any], policy_dir: Path) -> str:
+def told(choice: Choice, problem: ServerStartError, config: Mapping[str, object], policy_dir: Path) -> str:
     """Return why an adapter could not be served, and what may help.
 
     Args:
@@ -87,7 +86,7 @@ def told(choice: Choice, problem: ServerStartError, config: Mapping[str, Any], p
     return f"{before}{'; in shadow mode: ' if before else ''}{why}{advice}"
 
 
-def _no_weights(known: str, config: Mapping[str, Any], policy_dir: Path) -> str:
+def _no_weights(known: str, config: Mapping[str, object], policy_dir: Path) -> str:
     """Return that there is no checkpoint, where what is known to lack does not say so."""
     try:
         checkpoint.resolve(config, policy_dir)

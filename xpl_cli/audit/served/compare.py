@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
@@ -18,17 +18,17 @@ _TOLERANCE = 1e-6
 """Actions of equal inputs may differ by this much on a CPU; rounding.py measures what batches of a GPU do."""
 
 
-def error_code(answer: Any) -> str | None:
+def error_code(answer: object) -> str | None:
     """Return the wire's error code if an answer is an error, else None."""
     return answer.code if isinstance(answer, PolicyServerError) else None
 
 
-def same(first: Any, second: Any) -> bool:
+def same(first: object, second: object) -> bool:
     """Tell whether two answers hold the same values, up to rounding."""
     return difference(first, second) is None
 
 
-def difference(first: Any, second: Any, *, slack: Mapping[str, float] | None = None) -> str | None:
+def difference(first: object, second: object, *, slack: Mapping[str, float] | None = None) -> str | None:
     """Return where two answers first differ, in words, or None if they do not. Two errors of one code are alike.
 
     Args:
@@ -39,7 +39,7 @@ def difference(first: Any, second: Any, *, slack: Mapping[str, float] | None = N
     return _difference(first, second, slack or {}, 0.0)
 
 
-def _difference(first: Any, second: Any, slack: Mapping[str, float], allowed: float) -> str | None:
+def _difference(first: object, second: object, slack: Mapping[str, float], allowed: float) -> str | None:
     if isinstance(first, PolicyServerError) or isinstance(second, PolicyServerError):
         return None if error_code(first) == error_code(second) else f"{brief(first)} against {brief(second)}"
     if isinstance(first, dict) and isinstance(second, dict) and first.keys() == second.keys():
@@ -54,7 +54,7 @@ def _difference(first: Any, second: Any, slack: Mapping[str, float], allowed: fl
     return next((f"{label} {what}" for label, what in found if what), None)
 
 
-def _array_difference(first: Any, second: Any, allowed: float) -> str | None:
+def _array_difference(first: object, second: object, allowed: float) -> str | None:
     a, b = np.asarray(first), np.asarray(second)
     if a.shape != b.shape:
         return f"shape {a.shape} against {b.shape}"
@@ -66,12 +66,12 @@ def _array_difference(first: Any, second: Any, allowed: float) -> str | None:
     return None if np.array_equal(a, b) else f"{brief(first)} against {brief(second)}"
 
 
-def answers(value: Any, count: int | None = None) -> bool:
+def answers(value: object, count: int | None = None) -> TypeGuard[Sequence[Any]]:
     """Tell whether an answer is a non-empty list (of `count` entries) and not an error."""
     return isinstance(value, (list, tuple)) and len(value) > 0 and (count is None or len(value) == count)
 
 
-def mistaken(answer: Any, alone: dict[int, Any], wanted: Sequence[int]) -> str:
+def mistaken(answer: object, alone: dict[int, object], wanted: Sequence[int]) -> str:
     """Say for which environments a wrong batch answers, and what follows, given what each of them answers."""
     if not isinstance(answer, (list, tuple)):
         return f"gives {brief(answer)}: robots get no command"
@@ -84,7 +84,7 @@ def mistaken(answer: Any, alone: dict[int, Any], wanted: Sequence[int]) -> str:
     return f"answers for {plural} {', '.join(map(str, actual))}: robots receive each other's commands"
 
 
-def structure_problem(chunk: Any, embodiment: Embodiment, action_type: str) -> str | None:
+def structure_problem(chunk: object, embodiment: Embodiment, action_type: str) -> str | None:
     """Return what is wrong with a chunk's keys, dimensions or values, or None."""
     if isinstance(chunk, PolicyServerError):
         return str(chunk)
@@ -95,21 +95,21 @@ def structure_problem(chunk: Any, embodiment: Embodiment, action_type: str) -> s
     return None
 
 
-def shapes(chunk: Any) -> str:
+def shapes(chunk: object) -> str:
     """Return keys and shapes of a chunk's first step, in words."""
     if not answers(chunk) or not isinstance(chunk[0], dict):
         return brief(chunk)
     return ", ".join(f"{key} {np.shape(value)}" for key, value in chunk[0].items())
 
 
-def first_step(chunk: Any) -> dict[str, list[float]]:
+def first_step(chunk: object) -> dict[str, list[float]]:
     """Return the first action of a chunk as short lists, for evidence."""
     if not isinstance(chunk, (list, tuple)) or not chunk or not isinstance(chunk[0], dict):
         return {}
     return {key: [round(float(item), 4) for item in np.ravel(value)] for key, value in chunk[0].items()}
 
 
-def brief(value: Any) -> str:
+def brief(value: object) -> str:
     """Return an answer in at most 80 characters."""
     if isinstance(value, PolicyServerError):
         return f"an error ({value.code})"

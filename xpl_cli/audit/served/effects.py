@@ -7,7 +7,7 @@ measured against each other, on the scale of the answers that one experiment bro
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,14 +29,14 @@ class Scale:
         given: all answers of the experiment: chunks, lists of chunks, or errors, which have no place on a scale.
     """
 
-    def __init__(self, given: Iterable[Any]) -> None:
+    def __init__(self, given: Iterable[object]) -> None:
         columns: dict[str, list[np.ndarray]] = defaultdict(list)
         for answer in given:
             for key, values in _columns(answer):
                 columns[key].append(values)
         self._spread = {key: _spread(values) for key, values in columns.items()}
 
-    def effect(self, first: Any, second: Any) -> float:
+    def effect(self, first: object, second: object) -> float:
         """Return how far apart two answers are: 0 for equal ones up to rounding, 1 for two that nothing lies beyond.
 
         Two that cannot be compared, such as an error and an action, are infinitely far apart.
@@ -66,7 +66,7 @@ def is_negligible(effect: float, other: float) -> bool:
     return other > 0 and effect <= NEGLIGIBLE * other
 
 
-def _columns(answer: Any) -> Iterator[tuple[str, np.ndarray]]:
+def _columns(answer: object) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the values of a chunk, or of the first chunk of a batch, by key: (H, D)."""
     if not answers(answer):
         return

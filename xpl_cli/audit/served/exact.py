@@ -5,11 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sized
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+_NUMBERS = (int, float, complex, np.number, np.bool_)
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Mismatch:
     size: float | None = None
 
 
-def mismatch(first: Any, second: Any) -> Mismatch | None:
+def mismatch(first: object, second: object) -> Mismatch | None:
     """Return the first place where two answers differ, or None. Bits count: nan equals nan, and 0.0 is not -0.0.
 
     Args:
@@ -38,7 +40,7 @@ def mismatch(first: Any, second: Any) -> Mismatch | None:
     return _compare((), first, second)
 
 
-def _compare(path: tuple[str | int, ...], first: Any, second: Any) -> Mismatch | None:
+def _compare(path: tuple[str | int, ...], first: object, second: object) -> Mismatch | None:
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         if first.keys() != second.keys():
             return Mismatch(path, f"keys {', '.join(map(str, first))}", f"keys {', '.join(map(str, second))}")
@@ -55,7 +57,7 @@ def _compare(path: tuple[str | int, ...], first: Any, second: Any) -> Mismatch |
     return next((one for one in found if one is not None), None)
 
 
-def _arrays(path: tuple[str | int, ...], first: Any, second: Any) -> Mismatch | None:
+def _arrays(path: tuple[str | int, ...], first: object, second: object) -> Mismatch | None:
     a, b = np.asarray(first), np.asarray(second)
     if a.shape != b.shape or a.dtype != b.dtype:
         return Mismatch(path, f"{a.dtype} {a.shape}", f"{b.dtype} {b.shape}")
@@ -68,7 +70,7 @@ def _arrays(path: tuple[str | int, ...], first: Any, second: Any) -> Mismatch | 
     return Mismatch((*path, *place), _shown(x), _shown(y), _distance(x, y))
 
 
-def _scalars(path: tuple[str | int, ...], first: Any, second: Any) -> Mismatch | None:
+def _scalars(path: tuple[str | int, ...], first: object, second: object) -> Mismatch | None:
     if type(first) is float and type(second) is float:
         equal = struct.pack("<d", first) == struct.pack("<d", second)
     else:
@@ -76,25 +78,23 @@ def _scalars(path: tuple[str | int, ...], first: Any, second: Any) -> Mismatch |
     return None if equal else Mismatch(path, _shown(first), _shown(second), _distance(first, second))
 
 
-def _distance(first: Any, second: Any) -> float | None:
+def _distance(first: object, second: object) -> float | None:
     """Return how far two numbers are apart, or None if one of them is no number, or not finite."""
-    for value in (first, second):
-        number = isinstance(value, (int, float, complex, np.number, np.bool_))
-        if not number:
-            return None
+    if not isinstance(first, _NUMBERS) or not isinstance(second, _NUMBERS):
+        return None
     size = float(abs(complex(first) - complex(second)))
     return size if math.isfinite(size) else None
 
 
-def _is_array(value: Any) -> bool:
+def _is_array(value: object) -> bool:
     return isinstance(value, (np.ndarray, np.generic))
 
 
-def _counted(values: Any) -> str:
+def _counted(values: Sized) -> str:
     return "1 entry" if len(values) == 1 else f"{len(values)} entries"
 
 
-def _shown(value: Any) -> Any:
+def _shown(value: object) -> Any:
     """Return a value as reports show it: a number of plain Python, or text of at most 80 characters."""
     if isinstance(value, np.generic):
         value = value.item()

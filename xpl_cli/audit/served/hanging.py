@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import NotRun
@@ -43,12 +43,12 @@ class Hangs:
             raise NotRun(f"the adapter hung {len(self._reasons)} times and is served no more: {self._reasons[-1]}")
 
 
-def bounds(config: Mapping[str, Any]) -> dict[str, float]:
+def bounds(config: Mapping[str, object]) -> dict[str, float]:
     """Return deadlines in place of those of a configuration that have no end, or one that is too far."""
     return {key: most for key, most in _MOST_S.items() if key in config and not _bounded(config[key], most)}
 
 
-def _bounded(value: Any, most: float) -> bool:
+def _bounded(value: object, most: float) -> bool:
     if value is None:
         return False
     return not isinstance(value, (int, float)) or 0 < value <= most  # what is no number is refused by the server

@@ -29,7 +29,8 @@ from xpl_cli.packages import environments, package
 if TYPE_CHECKING:
     from xpl.manifest import Manifest
     from xpl_cli.audit.rules.options import Options
-    from xpl_cli.audit.served.session import Session
+    from xpl_cli.audit.served.inputs import Observation
+    from xpl_cli.audit.served.session import Answer, Session
 
 _NO_ROBOT = f"{sdk.Deploy.ENV_CFG_TYPE} is open: neither deploy.yml nor a documented call of eval.sh names a robot"
 _UNSTEADY = "the policy acts differently each time, and nothing can be compared: seed-repeats says how"
@@ -75,7 +76,7 @@ class Probe(Servers):
             raise NotRun(f"{refused}: --set asks for what the policy was not made for")
         self.checkpoint = Checkpoint.of(target, self.config)
         self.checkpoint_before = {} if self.checkpoint is None else self.checkpoint.state()
-        self._answered: Any = None
+        self._answered: Answer = None
         self._scenario = environments.module("offline", "scenario")
 
     @property
@@ -95,7 +96,7 @@ class Probe(Servers):
 
     def observation(
         self, env: int = 0, step: int = 0, embodiment: Embodiment | None = None, **options: Any
-    ) -> dict[str, Any]:
+    ) -> Observation:
         """Return the scripted observation of one environment at one step, with every input the manifest requires.
 
         Images have the size that the manifest declares for their camera, or a larger one where it takes that. Further
@@ -105,7 +106,7 @@ class Probe(Servers):
             raise NotApplicable("the adapter needs privileged observations, which only a simulator can give")
         cameras = [name.partition(".")[2] for name in self.required if name.startswith(sdk.Obs.VISION)]
         robot = embodiment or self.embodiment
-        result: dict[str, Any] = self._scenario.observation(robot, env, step, cameras=cameras, **options)
+        result: Observation = self._scenario.observation(robot, env, step, cameras=cameras, **options)
         vision = result[sdk.Obs.VISION]
         for camera, size in image_sizes(self.package.manifest, options.pop("size", self._scenario.SIZE)).items():
             if camera in vision:
@@ -113,7 +114,7 @@ class Probe(Servers):
                 vision[camera] = again[sdk.Obs.VISION][camera]
         return result
 
-    def observations(self, envs: Sequence[int], step: int = 0, instruction: str | None = None) -> list[dict[str, Any]]:
+    def observations(self, envs: Sequence[int], step: int = 0, instruction: str | None = None) -> list[Observation]:
         """Return the scripted observations of several environments, each with its own instruction or all with one."""
         told = {} if instruction is None else {sdk.Obs.INSTRUCTION: instruction}
         return [{**self.observation(env, step), **told} for env in envs]
@@ -195,23 +196,23 @@ class Probe(Servers):
         with self.fresh_session() as first, self.fresh_session() as second:
             return same(self.episode(first), self.episode(second))
 
-    def _first_episode(self) -> list[Any]:
+    def _first_episode(self) -> list[Answer]:
         with self.connected(self.renewing.url) as policy:
             return self.episode(policy)
 
-    def answer(self, obs: Any) -> Any:
+    def answer(self, obs: object) -> Answer:
         """Return the comparable answer to one observation in a new episode."""
         with self.run() as policy:
             return policy.act(obs)
 
-    def batch_answer(self, observations: Sequence[Any], wanted: Sequence[int] | None) -> Any:
+    def batch_answer(self, observations: Sequence[object], wanted: Sequence[int] | None) -> Answer:
         """Return the comparable answer to `get_action_batch(wanted)` after a batch of observations in a new episode."""
         with self.run() as policy:
             policy.reset()
             policy.update_obs_batch(observations)
             return policy.get_action_batch(wanted)
 
-    def batch_episode(self, envs: Sequence[int], steps: int = 3, instruction: str | None = None) -> list[Any]:
+    def batch_episode(self, envs: Sequence[int], steps: int = 3, instruction: str | None = None) -> list[Answer]:
         """Play a comparable episode of some environments in one batch; return the answer of every step.
 
         Each environment has its own instruction, or all have the one that is given.
@@ -224,7 +225,7 @@ class Probe(Servers):
                 answered.append(policy.get_action_batch(envs))
         return answered
 
-    def apart(self, first: Any, second: Any) -> str | None:
+    def apart(self, first: object, second: object) -> str | None:
         """Return where answers to equal observations, in batches of other sizes, differ by more than kernels round.
 
         Returns:
@@ -255,7 +256,7 @@ class Probe(Servers):
         with opened as session:
             yield session
 
-    def episode(self, policy: Session, env: int = 0, steps: int = 3) -> list[Any]:
+    def episode(self, policy: Session, env: int = 0, steps: int = 3) -> list[Answer]:
         """Play a scripted episode of one environment and return the chunk of every step."""
         policy.reset()
         chunks = []

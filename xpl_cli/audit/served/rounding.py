@@ -6,7 +6,7 @@ as coarse.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,12 @@ from xpl_cli.audit.served.compare import answers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from xpl_cli.audit.served.inputs import Observation
+    from xpl_cli.audit.served.session import Answer
+
+    Ask = Callable[[Sequence[Observation], list[int]], Answer]
+    """Shows a batch of observations in a new episode, and asks for the chunks of some environments."""
 
 _COUNTS = range(1, 5)
 """Sizes of batches that rules compare."""
@@ -25,9 +31,7 @@ OF_SPAN, _OF_SIZE = 0.02, 0.005
 them. Half precision rounds by the size of numbers; who divides by the batch is not excused."""
 
 
-def measured(
-    answered: Callable[[Sequence[dict[str, Any]], list[int]], Any], scenes: Sequence[dict[str, Any]]
-) -> dict[str, float]:
+def measured(answered: Ask, scenes: Sequence[Observation]) -> dict[str, float]:
     """Return by how much answers may differ between batches of other sizes, for each key of an action.
 
     One observation is shown to every environment of batches of several sizes. An environment has one answer in all of
@@ -68,7 +72,7 @@ def most(values: np.ndarray) -> float:
     return max(OF_SPAN * _span(values), _OF_SIZE * float(np.abs(values).max(initial=0.0)))
 
 
-def _alike(answered: Callable[[Sequence[dict[str, Any]], list[int]], Any], scene: dict[str, Any], count: int) -> Any:
+def _alike(answered: Ask, scene: Observation, count: int) -> Answer:
     envs = list(range(count))
     return answered([{**scene, sdk.Obs.ENV_IDX: env} for env in envs], envs)
 
@@ -77,7 +81,7 @@ def _span(values: np.ndarray) -> float:
     return float(np.ptp(values, axis=0).max(initial=0.0))
 
 
-def _by_key(batches: Sequence[Any]) -> dict[str, np.ndarray]:
+def _by_key(batches: Sequence[Answer]) -> dict[str, np.ndarray]:
     """Return the chunks of some batches by key, (chunks, steps, dimension); nothing if their forms differ."""
     if not all(map(answers, batches)):
         return {}

@@ -127,7 +127,7 @@ class Servers(ABC):
             yield session
 
     @contextlib.contextmanager
-    def fresh_session(self, **overrides: Any) -> Iterator[Session]:
+    def fresh_session(self, **overrides: object) -> Iterator[Session]:
         """Connect to a server of its own, in a new process, with other values of deploy.yml.
 
         Raises:
@@ -179,7 +179,7 @@ class Servers(ABC):
         return self._problem
 
     @contextlib.contextmanager
-    def fresh_server(self, overrides: Mapping[str, Any], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+    def fresh_server(self, overrides: Mapping[str, object], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
         """Start a server of its own, in a new process, with other values of deploy.yml and options of `xpl serve`.
 
         Raises:
@@ -189,7 +189,7 @@ class Servers(ABC):
             yield server
 
     @contextlib.contextmanager
-    def own_server(self, overrides: Mapping[str, Any], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+    def own_server(self, overrides: Mapping[str, object], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
         """Start a server of its own like `fresh_server`.
 
         Raises:
@@ -212,7 +212,7 @@ class Servers(ABC):
         """Return what an adapter is shown to see whether it can answer at all."""
 
     @contextlib.contextmanager
-    def _serving(self, overrides: Mapping[str, Any], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+    def _serving(self, overrides: Mapping[str, object], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
         self.options.clock.check()
         self._hangs.check()
         if self.presence.loss is not None:

@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
@@ -18,6 +18,7 @@ from xpl_cli.serving.launch import ServerStartError
 
 if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
+    from xpl_cli.audit.served.session import Answer
     from xpl_cli.isolation.family import Member
 
 USUAL_SEED = sdk.DEPLOY_DEFAULTS[sdk.Deploy.SEED]
@@ -43,7 +44,7 @@ class Service:
         log: last lines of its output.
     """
 
-    chunks: list[Any] = field(default_factory=list)
+    chunks: list[Answer] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     trouble: str | None = None
     processes: list[Member] = field(default_factory=list)

@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 
     from xpl import Client
 
+Answer = Any
+"""What a policy answers: a chunk, a list of chunks, nothing, or a `PolicyServerError` in place of them.
+
+It is as the wire brings it: whoever reads values looks first whether they are there (`compare.answers`)."""
+
 
 class Recorder:
     """Hears what an audit asks servers and what they answer.
@@ -33,7 +38,7 @@ class Recorder:
         self._clock = clock or Clock()
         self._hash = hashlib.sha256()
 
-    def ask(self, name: str, ask: Callable[[], Any]) -> Any:
+    def ask(self, name: str, ask: Callable[[], Answer]) -> Answer:
         """Ask, and return the answer or the policy's error.
 
         Args:
@@ -60,7 +65,7 @@ class Recorder:
         """Return the hash of everything so far."""
         return self._hash.hexdigest()[:16]
 
-    def _value(self, value: Any) -> None:
+    def _value(self, value: object) -> None:
         """Add a value to the hash. Arrays count by dtype, shape and bytes."""
         import numpy as np
 
@@ -87,49 +92,49 @@ class Session:
         self._client = client
         self._recorder = recorder
 
-    def reset(self) -> Any:
+    def reset(self) -> Answer:
         """Start an episode."""
         return self.call(sdk.Method.RESET)
 
-    def update_obs(self, obs: Any) -> Any:
+    def update_obs(self, obs: object) -> Answer:
         """Show one observation."""
         return self.call(sdk.Method.UPDATE_OBS, obs)
 
-    def update_obs_batch(self, obs_list: Sequence[Any]) -> Any:
+    def update_obs_batch(self, obs_list: Sequence[object]) -> Answer:
         """Show observations of several environments."""
         return self.call(sdk.Method.UPDATE_OBS_BATCH, list(obs_list))
 
-    def get_action(self) -> Any:
+    def get_action(self) -> Answer:
         """Ask for a chunk."""
         return self.call(sdk.Method.GET_ACTION)
 
-    def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
+    def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Answer:
         """Ask for the chunks of some environments."""
         return self.call(sdk.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
 
-    def infer(self, obs: Any) -> Any:
+    def infer(self, obs: Mapping[str, Any]) -> Answer:
         """Show an observation and ask, as one unit."""
         return self._recorder.ask(sdk.Method.INFER, lambda: self._client.infer(obs))
 
-    def act(self, obs: Any) -> Any:
+    def act(self, obs: object) -> Answer:
         """Start an episode, show one observation and return the chunk, or the first error on the way to it."""
         begun = self.reset()
         return begun if isinstance(begun, PolicyServerError) else self.act_at_once(obs)
 
-    def act_at_once(self, obs: Any) -> Any:
+    def act_at_once(self, obs: object) -> Answer:
         """Show one observation and return the chunk, without a reset before."""
         shown = self.update_obs(obs)
         return shown if isinstance(shown, PolicyServerError) else self.get_action()
 
-    def prepare_case(self, told: Mapping[str, Any]) -> Any:
+    def prepare_case(self, told: Mapping[str, Any]) -> Answer:
         """Announce a case, its name among what is told; None where the adapter has no hook for it."""
         return self._recorder.ask(sdk.Message.PREPARE_CASE, lambda: self._client.prepare_case(**told))
 
-    def trial_end(self, told: Mapping[str, Any]) -> Any:
+    def trial_end(self, told: Mapping[str, Any]) -> Answer:
         """Tell how a trial went; None where the adapter has no hook for it."""
         return self._recorder.ask(sdk.Message.TRIAL_END, lambda: self._client.trial_end(told))
 
-    def call(self, name: str, obs: Any = None) -> Any:
+    def call(self, name: str, obs: Any = None) -> Answer:
         """Run any operation of the wire or of the policy."""
         if name == sdk.Message.PREPARE_CASE:
             return self.prepare_case(obs)

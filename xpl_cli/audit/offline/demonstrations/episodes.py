@@ -21,6 +21,7 @@ from xpl_cli.native.script import Call
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
     from xpl.trajectory import Trajectory
+    from xpl_cli.audit.served.inputs import Observation
 
 _EPISODE: Final = 1 << 20
 """Places of one episode: a recipe is `episode * _EPISODE + step`."""
@@ -69,7 +70,7 @@ class _Scene:
 
     recordings: Sequence[Recording]
 
-    def observation(self, env: int, place: int) -> dict[str, Any]:
+    def observation(self, env: int, place: int) -> Observation:
         """Return an observation as a policy gets it."""
         shown = self.recordings[place // _EPISODE].trajectory.observation(place % _EPISODE)
         return {**shown, sdk.Obs.ENV_IDX: env}

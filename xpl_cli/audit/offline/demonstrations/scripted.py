@@ -5,7 +5,7 @@ The red of the picture is where joint 1 goes, its blue where joint 2 goes; the g
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -15,7 +15,10 @@ from xpl.trajectory import Writer
 from xpl_cli.audit.offline.demonstrations import declared
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
+
+    from xpl_cli.audit.served.inputs import Observation
 
 STEPS: Final = 16
 SIZE: Final = (12, 16)
@@ -44,7 +47,7 @@ def write(package: Path, robot: str, episodes: int, seed: int = 0) -> Path:
     return folder
 
 
-def _played(robot: str, rng: np.random.Generator) -> Any:
+def _played(robot: str, rng: np.random.Generator) -> Iterator[tuple[Observation, dict[str, np.ndarray]]]:
     (arm,) = get_embodiment(robot).arms
     joints, goal = rng.uniform(-0.5, 0.5, arm.dof), rng.uniform(-0.5, 0.5, arm.dof)
     colour = rng.uniform(0.1, 0.9, 3)

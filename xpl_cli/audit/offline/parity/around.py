@@ -102,7 +102,7 @@ class Around:
         """Play all episodes in their order, each with its environments together."""
         assert signal.shown is not None  # noqa: S101 - see who asks
         session = self._course.session
-        changed: dict[tuple[int, int], Any] = {}
+        changed: dict[tuple[int, int], Mapping[str, Any]] = {}
         for episode in self._course.episodes(numbers):
             last = session.questions[episode[-1]]
             changed.update(zip(last.shown, signal.shown(self._course.seen(last)), strict=True))

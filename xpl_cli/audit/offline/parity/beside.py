@@ -7,7 +7,7 @@ is asked by itself, and stays as it is whatever the others of the batch show; wh
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.audit.offline.parity.course import Course
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from xpl_cli.audit.offline.parity.judgement import Judgement
+    from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.session import Session as Client
     from xpl_cli.native.pairs import Chunk
 
@@ -67,7 +68,7 @@ def _among_others(course: Course, env: int, serving: Serving) -> dict[int, Chunk
     """Return the answers to all questions where every environment shows what this one does at its places."""
     session = course.session
 
-    def observation(other: int, place: int) -> dict[str, Any]:
+    def observation(other: int, place: int) -> Observation:
         return {**course.observation(env, place), sdk.Obs.ENV_IDX: other}
 
     with serving() as client:

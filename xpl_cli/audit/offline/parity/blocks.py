@@ -19,7 +19,7 @@ Given = dict[int, "Chunk"]
 def answers(  # noqa: PLR0913, PLR0917 - who, what, how, and for how long
     probe: Probe,
     course: Course,
-    config: Mapping[str, Any],
+    config: Mapping[str, object],
     blocks: Sequence[Mapping[str, Any]],
     wanted: Sequence[int],
     seconds: float,

@@ -20,7 +20,7 @@ _MORE_S = 30.0
 def replayed(  # noqa: PLR0913, PLR0917 - who, what, how, and for how long
     probe: Probe,
     course: Course,
-    config: Mapping[str, Any],
+    config: Mapping[str, object],
     module: str,
     changes: Mapping[str, Sequence[Any]],
     wanted: Sequence[int],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.native.difference import differences
 from xpl_cli.native.explain import Explanation, Tried, explain
@@ -11,6 +11,7 @@ from xpl_cli.native.explain import Explanation, Tried, explain
 if TYPE_CHECKING:
     from xpl_cli.audit.offline.parity.course import Course
     from xpl_cli.audit.offline.parity.judgement import Judgement
+    from xpl_cli.native.difference import Step
 
 Ask = Callable[[Sequence[int], Sequence[int]], Iterator[Tried]]
 """Tries changes by their numbers on questions by theirs, as far as the time reaches."""
@@ -62,7 +63,7 @@ class Contest:
         """Return which of some changes, tried on all questions, explains the difference."""
         return explain(self.before, tried, self._judgement.tolerance)
 
-    def remaining(self, given: Mapping[int, Sequence[Any]] | None) -> dict[str, float]:
+    def remaining(self, given: Mapping[int, Sequence[Step | None]] | None) -> dict[str, float]:
         """Return how far answers to some questions are from the native ones; steps that are not known do not count."""
         judgement = self._judgement
         if not given:

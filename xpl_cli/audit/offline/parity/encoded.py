@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.audit.offline.parity.changed import replayed
 from xpl_cli.native.alternatives.encodings import convention_of
@@ -39,7 +39,7 @@ class Encoded:
         config: values of deploy.yml after overrides.
     """
 
-    def __init__(self, probe: Probe, course: Course, config: Mapping[str, Any]) -> None:
+    def __init__(self, probe: Probe, course: Course, config: Mapping[str, object]) -> None:
         self._probe, self._course, self._config = probe, course, config
         self._nearest: set[str] = set()
         self.draws: int | None = None

@@ -110,7 +110,7 @@ class Parity:
     @property
     def settings(self) -> Mapping[str, Any]:
         """Keys of deploy.yml that the pairs were recorded with."""
-        settings: Mapping[str, Any] = self.pairs.provenance["settings"]
+        settings: Mapping[str, object] = self.pairs.provenance["settings"]
         return settings
 
     @cached_property

@@ -10,6 +10,7 @@ from xpl.action import ActionError, check_chunk
 from xpl.client import PolicyServerError
 
 if TYPE_CHECKING:
+    from xpl_cli.audit.served.session import Answer
     from xpl_cli.audit.served.session import Session as Client
     from xpl_cli.native.pairs import Chunk, Question, Session
     from xpl_cli.native.script import Call
@@ -20,13 +21,13 @@ Observation = Mapping[str, Any]
 class RefusedError(Exception):
     """The adapter answers a question by an error, or by what is no chunk."""
 
-    def __init__(self, question: Question, answer: Any) -> None:
+    def __init__(self, question: Question, answer: object) -> None:
         super().__init__(str(answer))
         self.question = question
         self.answer = answer
 
 
-def overrides(session: Session, settings: Mapping[str, Any]) -> dict[str, Any]:
+def overrides(session: Session, settings: Mapping[str, object]) -> dict[str, Any]:
     """Return the keys of deploy.yml that an adapter is served with for a session."""
     return {
         **settings,
@@ -106,7 +107,7 @@ def _asked(client: Client, session: Session, asked: Sequence[Question], *, alone
     return [checked(chunk, question, session) for chunk, question in zip(answer, asked, strict=True)]
 
 
-def checked(chunk: Any, question: Question, session: Session) -> Chunk:
+def checked(chunk: Answer, question: Question, session: Session) -> Chunk:
     """Return a chunk that is one.
 
     Raises:

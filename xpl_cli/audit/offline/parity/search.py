@@ -42,6 +42,8 @@ from xpl_cli.native.record import is_free, span
 from xpl_cli.native.rigid import rigid
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from xpl_cli.audit.offline.parity.judgement import Judgement
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.native.pairs import Chunk
@@ -93,7 +95,7 @@ class Search:
     """
 
     def __init__(
-        self, probe: Probe, judgement: Judgement, settings: Mapping[str, Any], seconds: float = SEARCH_S
+        self, probe: Probe, judgement: Judgement, settings: Mapping[str, object], seconds: float = SEARCH_S
     ) -> None:
         self._probe = probe
         self._manifest = probe.package.manifest
@@ -174,7 +176,7 @@ class Search:
         return fit if fit.cause is not None or (fit.partial and not found.partial) else found
 
     @property
-    def _tool(self) -> Any:
+    def _tool(self) -> np.ndarray | None:
         """The point between the fingertips in the flange, None where the standard does not know it."""
         try:
             return tool(self._judgement.session.robot)

@@ -48,7 +48,7 @@ class Shown:
     """
 
     def __init__(
-        self, probe: Probe, course: Course, judgement: Judgement, config: Mapping[str, Any], *, repeats: bool
+        self, probe: Probe, course: Course, judgement: Judgement, config: Mapping[str, object], *, repeats: bool
     ) -> None:
         self._probe, self._course, self._judgement = probe, course, judgement
         self._config, self._repeats = config, repeats
