@@ -22,15 +22,18 @@ __all__ = [
     "EnvManifest",
     "Gripper",
     "GripperValues",
+    "HandOver",
     "Inputs",
     "Manifest",
     "PythonEnvironment",
+    "ResultFile",
     "SeedRange",
     "Serving",
     "Shadow",
     "Task",
     "Temporal",
     "Waiver",
+    "Workspace",
 ]
 
 _READER = "reader"
@@ -301,6 +304,43 @@ class SeedRange(Document):
 
 
 @dataclass(frozen=True)
+class Workspace(Document):
+    """A benchmark's folder: the environment variable that names it, and what has to be in it."""
+
+    variable: str = _one(str, "")
+    files: tuple[str, ...] = _many(str)
+
+
+@dataclass(frozen=True)
+class ResultFile(Document):
+    """Where a benchmark's result lies below its workspace: `*` stands for a name that only the benchmark knows."""
+
+    form: str = _one(str, "")
+    file: str = _one(str, "")
+
+
+@dataclass(frozen=True)
+class HandOver(Document):
+    """How a benchmark's own evaluation is launched (docs/hand-over.md).
+
+    Attributes:
+        bench_name: as launchers and deploy.yml call the benchmark.
+        command: words that launch it; it runs in the workspace.
+        rehearsal: words that play a stand-in of it; empty where there is none.
+        variables: environment variables of the command.
+        randomized: how names of tasks of the randomized setting end; None where names do not tell.
+    """
+
+    bench_name: str = _one(str, "")
+    workspace: Workspace = _part(Workspace)
+    command: tuple[str, ...] = _many(str)
+    rehearsal: tuple[str, ...] = _many(str)
+    variables: Mapping[str, str] = _named(str)
+    result: ResultFile = _part(ResultFile)
+    randomized: str | None = _one(str)
+
+
+@dataclass(frozen=True)
 class EnvManifest(Document):
     """env.yml.
 
@@ -335,10 +375,10 @@ class EnvManifest(Document):
     renderers: tuple[str, ...] = _many(str)
     environment: PythonEnvironment = _part(PythonEnvironment)
     expert: str | None = _one(str)
-    splits: Mapping[str, Any] = _named(object)
+    splits: Mapping[str, Sequence[str]] = _named(list)
     evaluation_seeds: SeedRange | None = _one(SeedRange)
     success_means: str | None = _one(str)
-    hand_over: Mapping[str, Any] | None = _one(Mapping)
+    hand_over: HandOver | None = _one(HandOver)
     stand_in: str | None = _one(str)
     robot: Mapping[str, Any] | None = _one(Mapping)
     tasks: Mapping[str, Task] = _named(Task)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,13 @@ import pytest
 
 from tests.support.commands import problem, xpl
 from tests.support.places import ROOT
+from xpl.manifest import EnvManifest
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.hand_over import results
 from xpl_cli.evaluation.hand_over.launcher import Launcher, LauncherError, filled
 from xpl_cli.evaluation.records import records
 from xpl_cli.packages import environments
+from xpl_cli.standard.validate import validate
 
 POLICY = ROOT / "policy" / "demo_policy"
 NOWHERE = ["--connect", "ws://localhost:9"]
@@ -220,19 +221,21 @@ def test_what_is_no_rate_is_refused(tmp_path: Path, text: str) -> None:
 def test_a_launcher_is_data_and_held_to_its_names() -> None:
     """Unknown names, forms and keys are told; a value is never replaced again, and no shell reads it."""
     facts = environments.manifest(ROOT / "envs" / "robodojo")
-    told = dict(facts.hand_over or {})
     Launcher.read(facts)
-    changes: list[dict[str, Any]] = [
-        {"command": ["bash", "{nothing}"]},
-        {"command": "bash eval.sh"},
-        {"result": {"form": "guess", "file": "x"}},
-        {"result": {"form": "layouts", "file": "../x"}},
-        {"shell": True},
-        {"workspace": {"variable": "X"}},
+    changes: list[tuple[dict[str, Any], bool]] = [
+        ({"command": ["bash", "{nothing}"]}, True),
+        ({"command": "bash eval.sh"}, False),
+        ({"result": {"form": "guess", "file": "x"}}, False),
+        ({"result": {"form": "layouts", "file": "../x"}}, True),
+        ({"shell": True}, False),
+        ({"workspace": {"variable": "X"}}, False),
     ]
-    for change in changes:
-        with pytest.raises(LauncherError):
-            Launcher.read(replace(facts, hand_over={**told, **change}))
+    for change, is_valid in changes:
+        told = {**facts.data, "hand_over": {**facts.data["hand_over"], **change}}
+        assert (not validate(told, "env")) == is_valid
+        if is_valid or "workspace" in change:  # what is missing may be so in a manifest that is read
+            with pytest.raises(LauncherError):
+                Launcher.read(EnvManifest.parse(told))
     assert filled("{a} {b}", {"a": "{b}", "b": "$(x)"}) == "{b} $(x)"
     with pytest.raises(LauncherError, match="hands nothing over"):
         Launcher.read(environments.manifest(ROOT / "envs" / "mujoco"))
@@ -269,7 +272,8 @@ def test_robotwins_rate_is_read_where_only_robotwin_knows_the_folder(tmp_path: P
     """The one that is new; a rate does not say which episodes succeeded, so that --out is refused."""
     place = tmp_path / "RoboTwin"
     facts = environments.manifest(ROOT / "envs" / "robotwin")
-    for name in (facts.hand_over or {})["workspace"]["files"]:
+    assert facts.hand_over is not None
+    for name in facts.hand_over.workspace.files:
         path = place / name.replace("{task_name}", "click_bell")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()

@@ -142,7 +142,8 @@ def tried(
     if name is None:
         return None, False
     facts = environments.manifest(environments.find(name))
-    if facts.hand_over is not None and facts.stand_in is not None and os.environ.get(Launcher.read(facts).variable):
+    is_replaced = facts.hand_over is not None and facts.stand_in is not None
+    if is_replaced and os.environ.get(Launcher.read(facts).entry.workspace.variable):
         given = [option for option, value in unfit.items() if value is not None]
         if given:
             raise UserError(f"{name} plays in its own workspace, by its own launcher, which takes no {given[0]}")

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
@@ -19,7 +19,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from xpl.manifest import EnvManifest
+    from xpl.manifest import EnvManifest, HandOver
 
 KEY = "hand_over"
 MORE = {
@@ -32,90 +32,55 @@ MORE = {
     "package": "folder of the environment package",
     "python": "this tool's interpreter",
 }
-LAYOUTS, RATE = "layouts", "rate"
-FORMS = (LAYOUTS, RATE)
+RATE = "rate"
+"""Form of a result that does not say which episodes succeeded."""
 _NAME = re.compile(r"\{(\w*)\}")
-_FIELDS = (sdk.Deploy.BENCH_NAME, "workspace", "command", "rehearsal", "variables", sdk.Payload.RESULT, "randomized")
 
 
 class LauncherError(UserError):
-    """env.yml declares a launcher that cannot be called."""
+    """env.yml declares no launcher, or one that cannot be called."""
 
 
 @dataclass(frozen=True)
 class Launcher:
-    """A benchmark's launcher.
+    """A benchmark's launcher, as its env.yml declares it."""
 
-    Attributes:
-        bench_name: as launchers and deploy.yml call the benchmark.
-        variable: environment variable that names the workspace.
-        files: what has to be in a workspace, below its folder.
-        command: words that launch it; it runs in the workspace.
-        rehearsal: words that play a stand-in of it; empty where there is none.
-        variables: environment variables of the command.
-        result: path of the result below the workspace; `*` stands for a name that only the benchmark knows.
-        form: `layouts`, RoboDojo's _result.json; `rate`, a text whose last line is the success rate.
-        randomized: how names of tasks of the randomized setting end; None where names do not tell.
-    """
-
-    bench_name: str
-    variable: str
-    files: tuple[str, ...]
-    command: tuple[str, ...]
-    result: str
-    form: str
-    rehearsal: tuple[str, ...] = ()
-    variables: Mapping[str, str] = field(default_factory=dict)
-    randomized: str | None = None
+    entry: HandOver
 
     @classmethod
     def read(cls, facts: EnvManifest) -> Launcher:
-        """Return the launcher that an env.yml declares.
+        """Return the launcher of an environment.
 
         Raises:
-            LauncherError: there is none, or it is not of the right form.
+            LauncherError: there is none, something is missing, or a word names what there is not.
         """
-        told = facts.hand_over
-        name = facts.name
+        told, where = facts.hand_over, f"{KEY} in the env.yml of {facts.name}"
         if told is None:
-            raise LauncherError(f"{name} hands nothing over: its env.yml has no {KEY}", hint="see docs/hand-over.md")
-        try:
-            found = cls(
-                bench_name=_text(told[sdk.Deploy.BENCH_NAME]),
-                variable=_text(told["workspace"]["variable"]),
-                files=_texts(told["workspace"]["files"]),
-                command=_texts(told["command"]),
-                result=_text(told[sdk.Payload.RESULT]["file"]),
-                form=_text(told[sdk.Payload.RESULT]["form"]),
-                rehearsal=_texts(told.get("rehearsal", ())),
-                variables={_text(key): _text(value) for key, value in (told.get("variables") or {}).items()},
-                randomized=told.get("randomized"),
-            )
-        except (KeyError, TypeError, AttributeError) as error:
-            said = f"lacks {error}" if isinstance(error, KeyError) else str(error)
-            raise LauncherError(f"{KEY} in the env.yml of {name}: {said}", hint="see docs/hand-over.md") from None
-        unknown = [str(key) for key in told if key not in _FIELDS]
-        if unknown:
             raise LauncherError(
-                f"{KEY} in the env.yml of {name}: unknown {', '.join(unknown)}; the keys are {', '.join(_FIELDS)}"
+                f"{facts.name} hands nothing over: its env.yml has no {KEY}", hint="see docs/hand-over.md"
             )
-        found._check(str(name))
-        return found
-
-    def _check(self, name: str) -> None:
-        words = (*self.files, *self.command, *self.rehearsal, *self.variables.values(), self.result)
+        result = told.result
+        needed = {
+            sdk.Deploy.BENCH_NAME: told.bench_name,
+            "workspace": told.workspace.variable and told.workspace.files,
+            "command": told.command,
+            sdk.Payload.RESULT: result.form and result.file,
+        }
+        lacking = [key for key, value in needed.items() if not value]
+        if lacking:
+            raise LauncherError(f"{where} lacks {lacking[0]}, or parts of it", hint="see docs/hand-over.md")
+        words = (*told.workspace.files, *told.command, *told.rehearsal, *told.variables.values(), result.file)
         unknown = sorted({key for word in words for key in _NAME.findall(word)} - set(known_names()))
         if unknown:
-            raise LauncherError(
-                f"{KEY} in the env.yml of {name} names {{{unknown[0]}}}; there are {', '.join(known_names())}"
-            )
-        if self.form not in FORMS:
-            forms = " or ".join(FORMS)
-            raise LauncherError(f"{KEY}.result.form in the env.yml of {name} is {self.form!r}, not {forms}")
-        if not self.command:
-            raise LauncherError(f"{KEY}.command in the env.yml of {name} is empty")
-        if Path(self.result).is_absolute() or ".." in Path(self.result).parts:
-            raise LauncherError(f"{KEY}.result.file in the env.yml of {name} must lie below the workspace")
+            raise LauncherError(f"{where} names {{{unknown[0]}}}; there are {', '.join(known_names())}")
+        if Path(result.file).is_absolute() or ".." in Path(result.file).parts:
+            raise LauncherError(f"{where}: {sdk.Payload.RESULT}.file must lie below the workspace")
+        return cls(told)
+
+    @property
+    def bench_name(self) -> str:
+        """What launchers and deploy.yml call the benchmark."""
+        return self.entry.bench_name
 
     def workspace(self, given: Path | None, values: Mapping[str, str]) -> Path:
         """Return the folder of the benchmark, if all is there that a run needs.
@@ -127,15 +92,15 @@ class Launcher:
         Raises:
             NotFoundError: none was named, or something is missing in it.
         """
-        place = given if given is not None else Path(os.environ.get(self.variable) or "")
+        place = given if given is not None else Path(os.environ.get(self.entry.workspace.variable) or "")
         if not place.parts:
             raise NotFoundError(
                 f"no workspace of {self.bench_name} is known",
-                hint=f"name its folder with --workspace or in {self.variable}"
-                + ("; --rehearse plays a stand-in without one" if self.rehearsal else ""),
+                hint=f"name its folder with --workspace or in {self.entry.workspace.variable}"
+                + ("; --rehearse plays a stand-in without one" if self.entry.rehearsal else ""),
             )
         folder = place.resolve()
-        for file in self.files:
+        for file in self.entry.workspace.files:
             path = filled(file, values)
             if not (folder / path).is_file():
                 hint = None
@@ -150,13 +115,13 @@ class Launcher:
         Raises:
             UserError: there is no rehearsal.
         """
-        if rehearse and not self.rehearsal:
+        if rehearse and not self.entry.rehearsal:
             raise UserError(f"{self.bench_name} has no rehearsal", code=ExitCode.NOT_RUN)
-        return [filled(word, values) for word in (self.rehearsal if rehearse else self.command)]
+        return [filled(word, values) for word in (self.entry.rehearsal if rehearse else self.entry.command)]
 
     def environment(self, values: Mapping[str, str]) -> dict[str, str]:
         """Return the environment variables that the command gets besides."""
-        return {key: filled(word, values) for key, word in self.variables.items()}
+        return {key: filled(word, values) for key, word in self.entry.variables.items()}
 
 
 def known_names() -> tuple[str, ...]:
@@ -168,15 +133,3 @@ def known_names() -> tuple[str, ...]:
 def filled(word: str, values: Mapping[str, str]) -> str:
     """Return a word with its names replaced; what a value holds is not replaced again."""
     return _NAME.sub(lambda found: values[found.group(1)], word)
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise TypeError(f"expected a text, got {value!r}")
-    return value
-
-
-def _texts(values: Any) -> tuple[str, ...]:
-    if isinstance(values, str):
-        raise TypeError(f"expected a list of texts, got {values!r}")
-    return tuple(_text(value) for value in values)

@@ -166,7 +166,7 @@ def hand_over(request: Request) -> dict[str, Any]:
     planned = plan(request)
     if request.rehearse and request.out is not None:
         raise UserError("a rehearsal says nothing that could be recorded: leave --out away")
-    if planned.launcher.form == RATE and request.out is not None:
+    if planned.launcher.entry.result.form == RATE and request.out is not None:
         raise UserError(
             f"{planned.launcher.bench_name} tells a rate, and not which episodes succeeded: nothing can be recorded",
             hint="leave --out away",
@@ -206,13 +206,13 @@ def hand_over(request: Request) -> dict[str, Any]:
             "mean_score": None,
         }
     path = _found(planned, before)
-    if planned.launcher.form == RATE:
+    if planned.launcher.entry.result.form == RATE:
         told = {"episodes": None, "successes": None, "success_rate": results.rate(path), "mean_score": None}
         return {**answer, sdk.Payload.RESULT: str(path), **told}
     layouts = results.layouts(path)
     if request.out is not None:
         launcher = {
-            "launcher": " ".join(planned.launcher.command[:2]),
+            "launcher": " ".join(planned.launcher.entry.command[:2]),
             "launcher_result": hashlib.sha256(files.content(path)).hexdigest(),
             "launcher_run": planned.values["run_id"],
         }
@@ -309,7 +309,9 @@ def _split(url: str) -> tuple[str, str]:
 def _results(planned: Plan) -> set[Path]:
     """Return the results that lie where the one of this run is to be."""
     assert planned.workspace is not None  # noqa: S101 - for the type checker: a rehearsal leaves none
-    pattern = filled(planned.launcher.result, {name: glob.escape(value) for name, value in planned.values.items()})
+    pattern = filled(
+        planned.launcher.entry.result.file, {name: glob.escape(value) for name, value in planned.values.items()}
+    )
     found = (path for path in planned.workspace.glob(pattern) if path.is_file())
     # A checkpoint's name may hold slashes, as the benchmarks' own paths do, and must not lead out of the workspace.
     return {path for path in found if path.resolve().is_relative_to(planned.workspace)}
@@ -322,8 +324,8 @@ def _found(planned: Plan, before: set[Path]) -> Path:
         UserError: there is none, or there are several.
     """
     there = _results(planned)
-    new = there - before if "*" in planned.launcher.result else there
-    where = filled(planned.launcher.result, planned.values)
+    new = there - before if "*" in planned.launcher.entry.result.file else there
+    where = filled(planned.launcher.entry.result.file, planned.values)
     if len(new) != 1:
         count = "no result" if not new else f"{len(new)} results"
         raise UserError(

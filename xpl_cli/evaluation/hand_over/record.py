@@ -63,7 +63,7 @@ def write(folder: Path, played: Played, layouts: Sequence[Layout]) -> None:
     package, config, facts = played.package, played.config, played.facts
     if not layouts:
         raise UserError("the benchmark tells of no episode: nothing can be recorded")
-    task, setting = place(str(config[sdk.Deploy.TASK_NAME]), (facts.hand_over or {}).get("randomized"))
+    task, setting = place(str(config[sdk.Deploy.TASK_NAME]), facts.hand_over.randomized if facts.hand_over else None)
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
     entry = facts.tasks.get(config[sdk.Deploy.TASK_NAME])
     cell = {

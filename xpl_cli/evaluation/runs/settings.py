@@ -48,8 +48,8 @@ def benchmark_for(config: Mapping[str, Any]) -> str | None:
         return None
     for name in environments.names():
         facts = environments.manifest(environments.find(name))
-        told = (facts.hand_over or {}).get(sdk.Deploy.BENCH_NAME)
-        if told is not None and str(told).lower() == str(bench).lower() and task in facts.tasks:
+        told = facts.hand_over
+        if told is not None and told.bench_name.lower() == str(bench).lower() and task in facts.tasks:
             return name
     return None
 
