@@ -67,7 +67,7 @@ class _Suite:
     def __init__(self, episodes: int, folder: Path) -> None:
         adapter, environment = package.load(POLICY), environments.find(ENVIRONMENT)
         wishes = Wishes(tasks=TASK, episodes=episodes, horizon=1)
-        self.plan = plan.make(adapter, environment, adapter.config({}), wishes).line
+        self.plan = plan.make(adapter, environment, adapter.config({}), wishes).plan
         self.episodes = episodes
         self._folder = folder
         self._runs = 0
@@ -85,12 +85,12 @@ class _Suite:
 
     def play(self, lanes: int = 1) -> _Took:
         """Play without a record."""
-        slots = records.slots(self.plan)
+        slots = self.plan.slots()
         jobs = [Job(slot.index, 1, slot.task, slot.setting, slot.seed, trace=False) for slot in slots]
         began = _now()
         lines = list(runner.replay(self.plan, jobs, self._backends[lanes]))
         took = _since(began)
-        assert all(line["success"] for line in lines)
+        assert all(line.success for line in lines)
         return took
 
     def record(self, lanes: int = 1) -> _Took:
@@ -100,7 +100,7 @@ class _Suite:
         with records.Writer(self._folder / str(self._runs), self.plan) as writer:
             runner.play(writer, self._backends[lanes], Schedule(writer.run, 0, lambda _: False), _Silent())
         took = _since(began)
-        assert all(line["success"] for line in writer.run.finals.values())
+        assert all(line.success for line in writer.run.finals.values())
         return took
 
 

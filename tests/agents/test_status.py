@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.support.places import tracked
-from tests.support.recordings.runs import synthetic
+from tests.support.recordings.runs import renamed, synthetic
 from tests.support.told import Command, fault
 from xpl_cli.agents.status import memory, standing
 from xpl_cli.audit.rules import registry
@@ -286,7 +286,7 @@ def _played_by(foo: Path, folder: Path) -> None:
     head, *rest = (folder / records.FILE).read_text().splitlines(keepends=True)
     plan = json.loads(head)
     plan["policy"]["digest"] = fingerprints.package_digest(foo)
-    (folder / records.FILE).write_text("".join([json.dumps(records.named(plan)) + "\n", *rest]))
+    (folder / records.FILE).write_text("".join([json.dumps(renamed(plan)) + "\n", *rest]))
 
 
 def test_an_evaluation_that_was_cut_off_goes_on(filled: Path) -> None:

@@ -75,8 +75,8 @@ def test_a_loop_that_forges_the_judge_of_a_recorded_run_has_failed(room: Path) -
     _deploy(room, FORGED)
     _eval(room, "--out", "run", "--episodes", "2", "--film", "0", "--json")
     finals = records.read(room / "run").finals
-    assert [line["success"] for line in finals.values()] == [False, False]
-    assert {line["failure"] for line in finals.values()} == {"policy"}
+    assert [line.success for line in finals.values()] == [False, False]
+    assert {line.failure for line in finals.values()} == {"policy"}
 
 
 _SLOW = pytest.mark.slow
@@ -346,8 +346,8 @@ def test_a_loop_that_ends_itself_where_it_loses_gains_nothing(room: Path, end: s
     rates = [json.loads(one.stdout)["overall"]["success_rate"] for one in (done, honest)]
     assert rates == [pytest.approx(4 / 6)] * 2
     finals = records.read(room / "cheat").finals
-    assert [line["end_reason"] for line in finals.values() if line["failure"]] == ["policy_died"] * 2
-    assert [line["attempt"] for line in finals.values() if line["failure"]] == [3, 3]
+    assert [line.end_reason for line in finals.values() if line.failure] == ["policy_died"] * 2
+    assert [line.attempt for line in finals.values() if line.failure] == [3, 3]
 
 
 _NONSENSE = """
@@ -389,8 +389,8 @@ def test_a_loop_that_makes_its_environment_raise_where_it_loses_gains_nothing(ro
     done = _eval(room, "--out", "run", "--episodes", "6", "--film", "0", "--json")
     assert done.returncode == ExitCode.CLEAN, done.stderr
     finals = records.read(room / "run").finals
-    assert [line["failure"] for line in finals.values()] == [None, None, "task"] * 2
-    assert {line["attempt"] for line in finals.values()} == {1}
+    assert [line.failure for line in finals.values()] == [None, None, "task"] * 2
+    assert {line.attempt for line in finals.values()} == {1}
 
 
 @pytest.mark.slow

@@ -255,7 +255,7 @@ def _tried(data: st.DataObject, sound: Path, folder: Path) -> None:
     run = _changed(sound, folder / "run", line, number)
     found = records.read(run, skip=True)
     assert all(f"line {number}" in skipped for skipped in found.skipped)
-    assert all(validate(one, lines.definition(one["kind"])) == [] for one in found.attempts)
+    assert all(validate(one.as_json(), lines.definition("episode")) == [] for one in found.attempts)
     document = written.write(found, run / "report", 0)
     json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
     if any(map(contradiction, found.finals.values())):

@@ -12,7 +12,6 @@ import pytest
 import typer
 
 from tests.support.places import ROOT
-from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import plan
 from xpl_cli.main import app
 from xpl_cli.packages import package
@@ -42,14 +41,12 @@ def test_the_command_plays_what_the_table_shows() -> None:
     given = command.make_context(name, arguments).params
     adapter = package.load(ROOT / given["policy"])
     wishes = plan.Wishes(given["task"], given["setting"], given["episodes"], horizon=given["horizon"])
-    planned = plan.make(adapter, find(given["env"]), adapter.config(), wishes).line
+    planned = plan.make(adapter, find(given["env"]), adapter.config(), wishes).plan
     rows = [line.split()[:3] for line in _block("table").splitlines()]
-    expected = [
-        [cell["task"], cell["setting"], f"{given['episodes']}/{given['episodes']}"] for cell in planned["cells"]
-    ]
+    expected = [[*cell.place, f"{given['episodes']}/{given['episodes']}"] for cell in planned.cells]
     assert [row for row in rows if row in expected] == expected
-    assert all(cell["frozen"] for cell in planned["cells"])
-    assert f"{len(records.slots(planned))} episodes" in TEXT
+    assert all(cell.frozen for cell in planned.cells)
+    assert f"{len(planned.slots())} episodes" in TEXT
 
 
 @pytest.mark.slow

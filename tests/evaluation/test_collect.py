@@ -7,21 +7,25 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from tests.support.commands import xpl
 from tests.support.peer import wait_until
 from tests.support.places import ROOT
+from tests.support.recordings.runs import episode, planned
 from xpl import trajectory
 from xpl_cli.basics.errors import UserError
 from xpl_cli.environments import check
 from xpl_cli.evaluation.lanes import orders, recorder
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.model import PlannedCell
 from xpl_cli.evaluation.runs import collect, plan
 from xpl_cli.packages import environments
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 PLAIN = ("offline", "--policy", "demo_policy", "--images", "16x16", "--horizon", "4")
 
@@ -83,25 +87,26 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
     """Whatever came beyond, as when several are played at once, is put aside and counts for nothing."""
     failures = [None, "task", "infrastructure", None, None]
     lines = {
-        index: {
-            "index": index,
-            "task": "lift",
-            "setting": "clean",
-            "steps": 7,
-            "success": not failure,
-            "failure": failure,
-        }
+        index: episode(index=index, task="lift", steps=7, success=not failure, failure=failure)
         for index, failure in enumerate(failures)
     }
     for index, failure in enumerate(failures):
         if failure is None:
             (tmp_path / recorder.file_of(index)).write_bytes(b"12345")
-    cells = [{"task": "lift", "setting": "clean"}]
-    line = {"environment": {"name": "E"}, "embodiment": "arx_x5", "action_type": "joint", "cells": cells}
+    line = planned(cells=[PlannedCell("lift", "clean", None, range(5), frozen=False)])
     request = collect.Request("E", orders.Demos(str(tmp_path), orders.SUCCESS), episodes=2)
     told = collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
     assert told["tasks"] == [
-        {**cells[0], "episodes": 2, "wanted": 2, "tried": 4, "discarded": 1, "spoilt": 1, "steps": 14}
+        {
+            "task": "lift",
+            "setting": "clean",
+            "episodes": 2,
+            "wanted": 2,
+            "tried": 4,
+            "discarded": 1,
+            "spoilt": 1,
+            "steps": 14,
+        }
     ]
     assert (told["bytes"], [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (10, 0)
     assert "1 of 4 tries discarded, 1 spoilt" in collect.text(told)
@@ -130,7 +135,7 @@ def test_an_evaluation_keeps_its_episodes_on_request(tmp_path: Path) -> None:
     _json(*place)
     found = trajectory.open_folder(demos)[0]
     final = records.read(run).finals[0]
-    assert [len(found), found.episode["steps"], found.episode["seed"]] == [5, final["steps"], final["seed"]]
+    assert [len(found), found.episode["steps"], found.episode["seed"]] == [5, final.steps, final.seed]
     again = xpl("eval", "demo_policy", "--env", "offline", "--record", demos)
     assert (again.code, "already" in again.stderr) == (2, True)
     assert xpl("eval", "demo_policy", "--env", "offline", "--keep", "all").code == 2
@@ -153,4 +158,4 @@ def test_the_expert_of_a_simulation_is_recorded_through_a_kill(tmp_path: Path) -
     assert len(found) == 4
     assert all(one.episode["success"] for one in found)
     finals = records.read(demos / "run").finals
-    assert [one.episode["seed"] for one in found] == [line["seed"] for line in finals.values() if line["success"]][:4]
+    assert [one.episode.seed for one in found] == [line.seed for line in finals.values() if line.success][:4]

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from tests.support.recordings.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, renamed, synthetic
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.statistics import comparison, intervals, verdicts
 from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
 from xpl_cli.evaluation.statistics.intervals import Pairs
 from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 Line = dict[str, Any]
 ONE: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"]}
@@ -28,7 +30,7 @@ def rewritten(folder: Path, change: Callable[[Line], Line] = lambda line: line, 
     """Change the episodes of a record, and its plan, which gets the name that goes with it."""
     file = folder / records.FILE
     first, machine, *rest = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
-    lines = [records.named({**first, **plan}), machine, *map(change, rest)]
+    lines = [renamed({**first, **plan}), machine, *map(change, rest)]
     file.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     return folder
 
@@ -126,7 +128,7 @@ def test_spoilt_episodes_are_compared_as_failed_and_others_only_where_both_have_
     foo = synthetic(tmp_path / "foo", **ONE, episodes=40, policy="Foo", rate=1.0, faults=Faults(infrastructure=0.2))
     bar = synthetic(tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0))
     found = compared(foo, bar)
-    spoilt = [line["seed"] for line in records.read(foo).finals.values() if line["failure"] == "infrastructure"]
+    spoilt = [line.seed for line in records.read(foo).finals.values() if line.failure == "infrastructure"]
     row = found["overall"]
     assert row["pairs"] == 30
     assert row["only_second"] >= sum(5 <= seed < 35 for seed in spoilt) > 0

@@ -9,21 +9,23 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from tests.support.peer import xpl
 from tests.support.places import ROOT
+from tests.support.recordings.runs import episode
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.evaluation.runs import look, outcome
+from xpl_cli.evaluation.runs import look
+from xpl_cli.evaluation.runs.outcome import Evaluation, Played
 from xpl_cli.evaluation.runs.settings import with_robot
 from xpl_cli.packages import environments, package
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from xpl_cli.serving.launch import RunningServer
 
@@ -52,6 +54,8 @@ def test_a_batch_of_environments_runs_as_many_episodes_as_asked_for(tmp_path: Pa
 def test_several_tasks_are_played_by_one_server_and_told_apart(tmp_path: Path) -> None:
     """A list, as splits are; seeds begin anew with each task, and the report is of all."""
     options = ["--env", "mujoco", "--task", "lift_cube,push_block", "--set", "env_cfg_type=arx_x5_single"]
+    said = xpl("eval", "scripted_expert", *options, cwd=tmp_path)
+    assert said.stdout.splitlines()[1:3] == ["  lift_cube: 1 of 1", "  push_block: 1 of 1"]
     done = xpl("eval", "scripted_expert", *options, "--json", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stderr
     report = json.loads(done.stdout)
@@ -59,7 +63,6 @@ def test_several_tasks_are_played_by_one_server_and_told_apart(tmp_path: Path) -
     assert report["task"] == "lift_cube,push_block"
     played = [(episode["task"], episode["seed"], episode["success"]) for episode in report["episodes"]]
     assert played == [("lift_cube", 0, True), ("push_block", 0, True)]
-    assert outcome.text(report).splitlines()[1:] == ["  lift_cube: 1 of 1", "  push_block: 1 of 1"]
 
 
 @pytest.mark.slow
@@ -483,9 +486,10 @@ def test_the_robot_is_the_first_that_policy_and_environment_both_have(environmen
 
 def test_an_episode_that_is_spoilt_for_good_counts_as_failed() -> None:
     """Without a verdict nobody can tell who was to blame; where no episode has a success, there is no rate."""
-    won = {"success": True, "score": 1.0, "end_reason": "success"}
-    spoilt = {"success": None, "score": None, "end_reason": "infrastructure"}
-    told = outcome.report({}, [won, spoilt], 1.0)
-    assert (told["successes"], told["success_rate"], told["mean_score"]) == (1, 0.5, 0.5)
-    assert told["infrastructure_failures"] == 1
-    assert outcome.report({}, [spoilt], 1.0)["success_rate"] is None
+    won = episode()
+    spoilt = episode(success=None, score=None, end_reason="infrastructure", failure="infrastructure")
+    played = Played("Foo", "mujoco", "lift_cube", "clean", "arx_x5", "joint")
+    told = Evaluation(played, [won, spoilt])
+    assert (told.successes, told.success_rate, told.mean_score, told.spoilt) == (1, 0.5, 0.5, 1)
+    assert Evaluation(played, [spoilt]).success_rate is None
+    assert validate(told.as_json(), "evaluation") == []

@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -18,6 +18,9 @@ from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def _run(folder: Path, policy: str, **wishes: Any) -> records.Run:
@@ -88,8 +91,7 @@ def test_a_run_of_which_too_much_was_spoilt_is_not_ranked(tmp_path: Path) -> Non
 def test_a_record_that_contradicts_itself_about_success_is_not_ranked(tmp_path: Path, edit: dict[str, Any]) -> None:
     """An edited success is refused before it is counted."""
     run = _run(tmp_path, "Edited", rate=0.0, faults=Faults(policy=0.0))
-    line = run.finals[3]
-    line.update(edit)
+    run.finals[3] = replace(run.finals[3], **edit)
     with pytest.raises(UserError, match=r"episode 3 .*: the record was changed"):
         _rank(run, _run(tmp_path, "Honest"))
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from tests.support.adapters import drill
 from tests.support.peer import xpl
+from tests.support.recordings.runs import planned
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job
 from xpl_cli.evaluation.lanes.retold import retold
@@ -19,6 +18,10 @@ from xpl_cli.evaluation.records import manner, records
 from xpl_cli.evaluation.records.manner import Manner
 from xpl_cli.evaluation.statistics.matching import differences
 from xpl_cli.serving.launch import serving
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 TOKEN = "drill-sergeant-drill-sergeant-drill"
 BATCH = """
@@ -58,7 +61,7 @@ def _eval(room: Path, policy: str, *options: str) -> Any:
 
 
 def _outcomes(run: records.Run) -> list[tuple[Any, ...]]:
-    return [(line["task"], line["seed"], line["success"], line["digest"]) for line in run.finals.values()]
+    return [(line.task, line.seed, line.success, line.digest) for line in run.finals.values()]
 
 
 def test_a_policy_that_is_not_here_is_recorded(room: Path, elsewhere: str) -> None:
@@ -66,13 +69,13 @@ def test_a_policy_that_is_not_here_is_recorded(room: Path, elsewhere: str) -> No
     done = _eval(room, "Foreign", "--episodes", "4", "--connect", elsewhere, "--token-file", "token")
     assert done.returncode == 0, done.stderr
     run = records.read(room / "run")
-    policy = run.plan["policy"]
-    assert (policy["name"], policy["checkpoint"]) == ("Foreign", None)
+    policy = run.plan.policy
+    assert (policy.name, policy.checkpoint) == ("Foreign", None)
     told = manner.of(run.plan)
     assert told.announced is not None
     assert told.announced["policy"]["embodiment"] == "franka_single"
     assert elsewhere not in (room / "run" / records.FILE).read_text()
-    assert [line["success"] for line in run.finals.values()] == [True, True, False, True]
+    assert [line.success for line in run.finals.values()] == [True, True, False, True]
 
 
 @pytest.mark.slow
@@ -102,9 +105,9 @@ def test_a_batch_is_recorded_with_its_size(room: Path) -> None:
     assert done.returncode == 0, done.stderr
     run = records.read(room / "run")
     assert manner.of(run.plan) == Manner(num_envs=2)
-    assert [line["success"] for line in run.finals.values()] == [True, True, False] * 2
-    assert sum("inference" in line for line in run.finals.values()) == 4
-    assert not any("trace" in line or "film" in line for line in run.finals.values())
+    assert [line.success for line in run.finals.values()] == [True, True, False] * 2
+    assert sum(line.inference is not None for line in run.finals.values()) == 4
+    assert not any(line.trace or line.film for line in run.finals.values())
     alone = xpl("eval", "Drilled", "--env", "drill", "--out", "alone", *options, cwd=room)
     assert alone.returncode == 0, alone.stderr
     assert [str(one) for one in differences(run, records.read(room / "alone"))] == ["episodes at once: 2 against 1"]
@@ -120,7 +123,7 @@ def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
     assert done.returncode == 0, done.stderr
     run = records.read(room / "run")
     assert manner.of(run.plan) == Manner(instruction=manner.SWAP)
-    assert [(line["seed"], line["failure"]) for line in run.finals.values()] == [(0, "policy"), (1, None)]
+    assert [(line.seed, line.failure) for line in run.finals.values()] == [(0, "policy"), (1, None)]
     # Whoever sees the figures sees that they are not the policy's own.
     warning = "The policy was told what another episode is about"
     assert warning in done.stdout
@@ -180,8 +183,8 @@ def test_a_manner_reads_what_it_wrote() -> None:
     foreign = Manner(announced={"policy": {"name": "x"}})
     for how in (Manner(), Manner(3), Manner(2, {"policy": {}}), foreign, Manner(instruction=manner.BLANK)):
         config = how.written_in({"seed": 1})
-        assert manner.of({"policy": {"config": json.loads(json.dumps(config))}}) == how
+        assert manner.of(planned(json.loads(json.dumps(config)))) == how
         assert manner.without(config) == {"seed": 1}
         assert how.is_usual is (how.sentence == "")
     for odd in (1, {"num_envs": True}, {"num_envs": "4"}, {"num_envs": 0}, {"announced": []}, {"instruction": "?"}):
-        assert manner.of({"policy": {"config": {"xpl.run": odd}}}) == Manner()
+        assert manner.of(planned({"xpl.run": odd})) == Manner()

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -16,6 +15,10 @@ from xpl_cli.evaluation.leaderboard import field, ranking
 from xpl_cli.evaluation.leaderboard import written as board
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.report import live, written
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 LOOKS = [(width, dark) for width in (1280, 390) for dark in (False, True)]
 HOSTILE = '</script><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">'
@@ -105,7 +108,7 @@ def test_the_list_can_be_narrowed(page: Page, url: str, run: Path) -> None:
     page.open(url)
     choose = "const box = document.querySelector('#{0}'); box.value = '{1}'; box.dispatchEvent(new Event('{2}'));"
     page(f"{{ {choose.format('outcome', 'policy', 'change')} }}")
-    failed = sum(one["failure"] == "policy" for one in finals)
+    failed = sum(one.failure == "policy" for one in finals)
     assert _text(page, "#place") == f"1 to {failed} of {failed}"
     page(f"{{ {choose.format('outcome', '', 'change')} }}")
     page(f"{{ {choose.format('media', 'film', 'change')} }}")
@@ -113,10 +116,10 @@ def test_the_list_can_be_narrowed(page: Page, url: str, run: Path) -> None:
     page(f"{{ {choose.format('media', '', 'change')} }}")
     page(f"{{ {choose.format('search', '29', 'input')} }}")
     rows = page("[...document.querySelectorAll('#list tr.episode')].map(row => row.id)")
-    wanted = [one["index"] for one in finals if 29 in (one["seed"], one["index"])]
+    wanted = [one.index for one in finals if 29 in (one.seed, one.index)]
     assert rows == [f"episode-{index}" for index in wanted]
     page("document.querySelector('button.link').click()")
-    assert page("document.querySelector('#search').value") in {one.get("error") or one["end_reason"] for one in finals}
+    assert page("document.querySelector('#search').value") in {one.error or one.end_reason for one in finals}
 
 
 def test_texts_of_others_stay_texts(page: Page, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def orders(tmp_path: Path) -> tuple[Orders, ServerOrders]:
     """Return what lanes and servers of a run are told."""
     environment, adapter = drill.environment(tmp_path), package.load(drill.adapter(tmp_path))
     request = evaluate.Request(adapter, str(environment), tmp_path / "run", None)
-    line = plan.make(adapter, environment, adapter.config({}), plan.Wishes()).line
+    line = plan.make(adapter, environment, adapter.config({}), plan.Wishes()).plan
     return evaluate.orders(request, environment, line)
 
 
@@ -57,14 +57,14 @@ def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: Playe
     assert player.ready() == post
     drill.mark(tmp_path, "policy-dies-0", 0)
     outcome = _played(player)
-    assert outcome.line["success"]
+    assert outcome.ending.success
     assert outcome.facts == post.facts
     assert outcome.trace is not None
     drill.mark(tmp_path, "policy-dies-0", 1)
-    assert _played(player).line["end_reason"] == "policy_died"
+    assert _played(player).ending.end_reason == "policy_died"
     again = _played(player)
-    assert again.line["digest"] == outcome.line["digest"]
-    assert again.line["server"] != outcome.line["server"]
+    assert again.ending.digest == outcome.ending.digest
+    assert again.conduct.server != outcome.conduct.server
 
 
 def _played(player: Player) -> Outcome:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -14,6 +12,11 @@ from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.lanes.backend import Job
 from xpl_cli.evaluation.lanes.orders import ALL, SUCCESS, Demos, Orders
 from xpl_cli.evaluation.lanes.recorder import recorded
+from xpl_cli.evaluation.records.model import Ending
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
 STATE = ("arm_joint_state", "ee_joint_state")
 
@@ -83,8 +86,8 @@ def _orders(folder: Path, keep: str = ALL, **settings: bool) -> Orders:
     return Orders("policy/P", "1" * 64, "envs/E", "2" * 64, {}, settings, demos=demos)
 
 
-def _line(*, success: bool = True, failure: str | None = None) -> dict[str, Any]:
-    return {"success": success, "failure": failure, "steps": 4, "score": float(success), "end_reason": "success"}
+def _line(*, success: bool = True, failure: str | None = None) -> Ending:
+    return Ending(success=success, failure=failure, steps=4, score=float(success), end_reason="success")
 
 
 def _job(index: int) -> Job:
@@ -151,9 +154,7 @@ def test_a_batch_becomes_one_file_for_each_episode(tmp_path: Path) -> None:
         (ALL, _line(success=False, failure="infrastructure"), False),
     ],
 )
-def test_only_episodes_that_are_wanted_leave_a_file(
-    tmp_path: Path, keep: str, line: dict[str, Any], kept: bool
-) -> None:
+def test_only_episodes_that_are_wanted_leave_a_file(tmp_path: Path, keep: str, line: Ending, kept: bool) -> None:
     """Those that succeeded, or that were played to their end; never one that broke off."""
     with recorded(Counting(2), _orders(tmp_path, keep), [_job(0)], 25.0) as recorder:
         assert recorder is not None

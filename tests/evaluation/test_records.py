@@ -6,9 +6,9 @@ import json
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -17,8 +17,12 @@ from tests.support.recordings.runs import synthetic
 from tests.support.work import calls
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.model import Episode
 from xpl_cli.evaluation.records.records import RecordError, Writer
 from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.fixture
@@ -35,20 +39,20 @@ def _write(folder: Path, lines: list[Any]) -> None:
     (folder / records.FILE).write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
 
 
-def _next(folder: Path, index: int = 5) -> dict[str, Any]:
+def _next(folder: Path, index: int = 5) -> Episode:
     """Return a final line of an episode that was not played."""
     run = records.read(folder)
-    slot = records.slots(run.plan)[index]
-    return {**run.finals[0], "index": index, "task": slot.task, "setting": slot.setting, "seed": slot.seed}
+    slot = run.plan.slots()[index]
+    return replace(run.finals[0], index=index, task=slot.task, setting=slot.setting, seed=slot.seed)
 
 
 def test_a_record_is_what_its_lines_say(folder: Path) -> None:
     """Plan, machines, attempts in their order, and the final line of every episode that has one."""
     run = records.read(folder)
     lines = _lines(folder)
-    assert run.plan == lines[0]
+    assert run.plan.as_json() == lines[0]
     assert run.machines == {lines[1]["machine"]: lines[1]["facts"]}
-    assert run.attempts == lines[2:]
+    assert [Episode.parse(line) for line in lines[2:]] == run.attempts
     assert list(run.finals) == [0, 1, 2, 3, 4]
     assert not run.torn
     assert records.read(folder / records.FILE) == run
@@ -67,7 +71,7 @@ def test_a_line_that_was_cut_short_anywhere_counts_for_nothing_and_is_written_an
         assert run.torn == (end > start)
         with Writer(folder, whole.plan) as writer:
             writer.add(whole.finals[4])
-        assert json.loads(file.read_bytes().splitlines()[-1]) == whole.finals[4]
+        assert json.loads(file.read_bytes().splitlines()[-1]) == whole.finals[4].as_json()
         assert records.read(folder).finals == whole.finals
 
 
@@ -133,7 +137,7 @@ def test_a_record_has_one_writer_and_one_plan(folder: Path) -> None:
     plan = records.read(folder).plan
     with Writer(folder, plan), pytest.raises(RecordError, match="being written by another process"):
         Writer(folder, plan)
-    other = records.named({**plan, "policy": {**plan["policy"], "digest": "0" * 64}, "until_width": 0.1})
+    other = replace(plan, policy=replace(plan.policy, digest="0" * 64), until_width=0.1).named()
     with pytest.raises(RecordError, match=r"policy\.digest, until_width differ"):
         Writer(folder, other)
 
@@ -157,12 +161,12 @@ def test_a_machine_is_written_once(folder: Path) -> None:
 def test_half_a_line_is_taken_back_where_the_disk_is_full(folder: Path) -> None:
     """The next line stands on its own, and the error says what is wrong."""
     script = """
-        import resource, sys
+        import dataclasses, resource, sys
         from pathlib import Path
         from xpl_cli.evaluation.records import records
         folder = Path(sys.argv[1])
         run = records.read(folder)
-        line = {**run.finals[0], "index": 5, **{"task": "stack_cubes", "setting": "clean", "seed": 1}}
+        line = dataclasses.replace(run.finals[0], index=5, task="stack_cubes", setting="clean", seed=1)
         with records.Writer(folder, run.plan) as writer:
             size = (folder / records.FILE).stat().st_size
             resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, resource.RLIM_INFINITY))

@@ -14,9 +14,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -30,6 +28,10 @@ from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.report import curves, episodes, live, media, phrases, written
 from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 MUCH = 1 << 30
 FILES = {written.PAGE, written.MARKDOWN, written.DOCUMENT, written.TABLE, written.EPISODES}
@@ -143,11 +145,11 @@ def test_the_list_holds_every_episode(tmp_path: Path) -> None:
     data = _data((_write(run) / written.PAGE).read_text())["episodes"]
     finals = list(records.read(run).finals.values())
     columns, values = data["columns"], data["values"]
-    assert [values[place] for place in columns["task"]] == [one["task"] for one in finals]
-    assert [values[place] for place in columns["error"]] == [one.get("error") for one in finals]
+    assert [values[place] for place in columns["task"]] == [one.task for one in finals]
+    assert [values[place] for place in columns["error"]] == [one.error for one in finals]
     assert [values[place] for place in columns["outcome"]] == [episodes.verdict(one) for one in finals]
     assert {"success", "task", "policy", "infrastructure"} == {values[place] for place in columns["outcome"]}
-    assert sum(map(len, data["earlier"].values())) == sum(one["attempt"] - 1 for one in finals) > 0
+    assert sum(map(len, data["earlier"].values())) == sum(one.attempt - 1 for one in finals) > 0
 
 
 # --- Films and curves -------------------------------------------------------------------------------------------------
@@ -171,11 +173,9 @@ def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path)
     shown = media.shown(run, 9 * size, "")
     assert sum("trace" in entry for entry in shown.values()) > 10
     chosen = [run.finals[int(index)] for index, entry in shown.items() if "curves" in entry]
-    cells = {(one["task"], one["setting"]) for one in chosen}
+    cells = {(one.task, one.setting) for one in chosen}
     assert len(cells) == 4
-    assert all(
-        {one["success"] for one in chosen if (one["task"], one["setting"]) == cell} == {True, False} for cell in cells
-    )
+    assert all({one.success for one in chosen if (one.task, one.setting) == cell} == {True, False} for cell in cells)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import statistics
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -13,6 +12,9 @@ from tests.support.peer import xpl
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.leaderboard import tables, tally, trees
 from xpl_cli.evaluation.leaderboard.tally import protocol
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 TIME = "2026-08-01_10-00-00"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import shutil
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,6 +17,7 @@ from tests.support.recordings.runs import synthetic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.model import Conduct, Ending
 from xpl_cli.evaluation.records.records import Writer
 from xpl_cli.evaluation.runs import runner
 from xpl_cli.evaluation.runs.schedule import Schedule
@@ -24,8 +26,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-GOOD = {"success": True, "score": 1.0, "end_reason": "success", "failure": None}
-WHEN = {"started": "2026-11-21T12:00:00Z", "wall_seconds": 1.0}
+    from xpl_cli.evaluation.records.model import Episode, Plan
+
+GOOD = Ending(success=True, score=1.0, end_reason="success")
+WHEN = Conduct(started="2026-11-21T12:00:00Z", wall_seconds=1.0)
 
 
 class Killed(Exception):  # noqa: N818 - no error, but what a test does
@@ -64,7 +68,7 @@ class Script:
 class Silent:
     """A view that shows nothing."""
 
-    def add(self, line: dict[str, Any], left: int) -> None:
+    def add(self, line: Episode, left: int) -> None:
         """Show nothing."""
         assert left >= 0
 
@@ -74,27 +78,27 @@ def _never(_outcomes: Sequence[bool | None]) -> bool:
 
 
 def _good(job: Job) -> list[Outcome]:
-    return [Outcome(job, {**GOOD, **WHEN}, {"processor": "x"})]
+    return [Outcome(job, GOOD, WHEN, {"processor": "x"})]
 
 
 def _first(_count: int) -> int:
     return 0
 
 
-def _play(folder: Path, plan: dict[str, Any], backend: Script, enough: Any = _never) -> records.Run:
+def _play(folder: Path, plan: Plan, backend: Script, enough: Any = _never) -> records.Run:
     with Writer(folder, plan) as writer:
         runner.play(writer, backend, Schedule(writer.run, 0, enough), Silent())
     return records.read(folder)
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     """Return a plan of two cells with three episodes each, and three attempts."""
     folder = synthetic(tmp_path_factory.mktemp("plan"), tasks=["a"], episodes=3, played=0)
     return records.read(folder).plan
 
 
-def test_episodes_are_played_in_the_order_of_the_plan(plan: dict[str, Any], tmp_path: Path) -> None:
+def test_episodes_are_played_in_the_order_of_the_plan(plan: Plan, tmp_path: Path) -> None:
     """Each once."""
     backend = Script(2, _good, _first)
     run = _play(tmp_path, plan, backend)
@@ -102,7 +106,7 @@ def test_episodes_are_played_in_the_order_of_the_plan(plan: dict[str, Any], tmp_
     assert {job.attempt for job in backend.played} == {1}
 
 
-def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: dict[str, Any], tmp_path: Path) -> None:
+def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: Plan, tmp_path: Path) -> None:
     """What fails for good is final as a failure of the infrastructure; attempts are counted from 1."""
 
     def answer(job: Job) -> list[Outcome]:
@@ -111,13 +115,13 @@ def test_a_spoilt_attempt_is_played_again_after_others_and_within_a_bound(plan: 
     backend = Script(1, answer, _first)
     run = _play(tmp_path, plan, backend)
     assert [job.index for job in backend.played] == [0, 1, 2, 1, 3, 1, 4, 5]
-    assert [(line["attempt"], line["final"]) for line in run.attempts if line["index"] == 1] == [
+    assert [(line.attempt, line.final) for line in run.attempts if line.index == 1] == [
         (1, False), (2, False), (3, True),
     ]  # fmt: skip
-    assert (run.finals[1]["failure"], run.finals[1]["success"]) == ("infrastructure", None)
+    assert (run.finals[1].failure, run.finals[1].success) == ("infrastructure", None)
 
 
-def test_attempts_before_an_interruption_count(plan: dict[str, Any], tmp_path: Path) -> None:
+def test_attempts_before_an_interruption_count(plan: Plan, tmp_path: Path) -> None:
     """A run that is resumed does not begin to count anew."""
     spoilt = 0
 
@@ -135,10 +139,10 @@ def test_attempts_before_an_interruption_count(plan: dict[str, Any], tmp_path: P
     assert [(job.index, job.attempt) for job in backend.played][:3] == [(0, 2), (1, 2), (2, 1)]
 
 
-def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: dict[str, Any], tmp_path: Path) -> None:
+def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: Plan, tmp_path: Path) -> None:
     """Nothing can be played: the run stops, nearly all stays open, and resuming plays it."""
-    cells = [{**cell, "seeds": list(range(20))} for cell in plan["cells"]]
-    long = records.named({**plan, "cells": cells})
+    cells = [replace(cell, seeds=list(range(20))) for cell in plan.cells]
+    long = replace(plan, cells=cells).named()
     with pytest.raises(UserError, match="12 attempts in a row") as caught:
         _play(tmp_path, long, Script(3, lambda job: [lost(job, "gone")], _first))
     assert caught.value.code == ExitCode.NOT_RUN
@@ -146,9 +150,9 @@ def test_an_outage_ends_the_run_before_it_eats_the_episodes(plan: dict[str, Any]
     assert len(_play(tmp_path, long, Script(3, _good, _first)).finals) == 40
 
 
-def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: dict[str, Any], tmp_path: Path) -> None:
+def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: Plan, tmp_path: Path) -> None:
     """Only attempts that began after the last one that went well tell of one."""
-    cells = [{**cell, "seeds": list(range(40))} for cell in plan["cells"]]
+    cells = [replace(cell, seeds=list(range(40))) for cell in plan.cells]
     lost_once = Counter[int]()
 
     def answer(job: Job) -> list[Outcome]:
@@ -157,12 +161,12 @@ def test_many_lanes_that_are_lost_at_once_are_no_outage(plan: dict[str, Any], tm
             return [lost(job, "node died")]
         return _good(job)
 
-    run = _play(tmp_path, records.named({**plan, "cells": cells}), Script(17, answer, _first))
+    run = _play(tmp_path, replace(plan, cells=cells).named(), Script(17, answer, _first))
     assert len(run.finals) == 80
-    assert not any(line["failure"] for line in run.finals.values())
+    assert not any(line.failure for line in run.finals.values())
 
 
-def test_an_outcome_that_comes_again_or_too_late_is_dropped(plan: dict[str, Any], tmp_path: Path) -> None:
+def test_an_outcome_that_comes_again_or_too_late_is_dropped(plan: Plan, tmp_path: Path) -> None:
     """Of each attempt the first counts, and a lost one that comes back counts no more."""
     late: list[Outcome] = []
 
@@ -173,11 +177,11 @@ def test_an_outcome_that_comes_again_or_too_late_is_dropped(plan: dict[str, Any]
         return [*late, *_good(job), *_good(job)]
 
     run = _play(tmp_path, plan, Script(2, answer, _first))
-    assert [line["index"] for line in run.attempts].count(0) == 2
-    assert (run.finals[0]["attempt"], len(run.finals), len(run.attempts)) == (2, 6, 7)
+    assert [line.index for line in run.attempts].count(0) == 2
+    assert (run.finals[0].attempt, len(run.finals), len(run.attempts)) == (2, 6, 7)
 
 
-def test_a_backend_may_have_nothing_to_tell(plan: dict[str, Any], tmp_path: Path) -> None:
+def test_a_backend_may_have_nothing_to_tell(plan: Plan, tmp_path: Path) -> None:
     """As a cluster does whose lanes have just changed."""
     pauses = iter([True, False] * 12)
     backend = Script(2, _good, _first)
@@ -186,10 +190,10 @@ def test_a_backend_may_have_nothing_to_tell(plan: dict[str, Any], tmp_path: Path
     assert len(_play(tmp_path, plan, backend).finals) == 6
 
 
-def test_a_cell_ends_when_it_is_enough(plan: dict[str, Any], tmp_path: Path) -> None:
+def test_a_cell_ends_when_it_is_enough(plan: Plan, tmp_path: Path) -> None:
     """By its episodes in the order of the plan, whatever the order in which they end; the other cell goes on."""
-    cells = [{**cell, "seeds": list(range(20))} for cell in plan["cells"]]
-    long = records.named({**plan, "cells": cells})
+    cells = [replace(cell, seeds=list(range(20))) for cell in plan.cells]
+    long = replace(plan, cells=cells).named()
 
     def enough(outcomes: Sequence[bool | None]) -> bool:
         return len(outcomes) >= 5
@@ -207,7 +211,7 @@ def test_a_cell_ends_when_it_is_enough(plan: dict[str, Any], tmp_path: Path) -> 
 @settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data(), lanes=st.integers(1, 4))
 def test_whatever_happens_each_episode_is_final_once(
-    plan: dict[str, Any], tmp_path: Path, data: st.DataObject, lanes: int
+    plan: Plan, tmp_path: Path, data: st.DataObject, lanes: int
 ) -> None:
     """Lanes die, outcomes come twice or late, the run is killed and resumed: nothing is counted twice or missing."""
     folder = tmp_path / "run"
@@ -231,9 +235,9 @@ def test_whatever_happens_each_episode_is_final_once(
         except (Killed, UserError):
             continue
     assert list(run.finals) == [0, 1, 2, 3, 4, 5]
-    finals = [line for line in run.attempts if line["final"]]
+    finals = [line for line in run.attempts if line.final]
     assert len(finals) == 6
     for index in run.finals:
-        numbers = [line["attempt"] for line in run.attempts if line["index"] == index]
+        numbers = [line.attempt for line in run.attempts if line.index == index]
         assert numbers == list(range(1, len(numbers) + 1))
-        assert len(numbers) <= plan["control"]["attempts"]
+        assert len(numbers) <= plan.control.attempts

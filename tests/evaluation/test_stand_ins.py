@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.recordings.runs import synthetic
+from tests.support.recordings.runs import episode, synthetic
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.leaderboard import export, field, trees
 from xpl_cli.evaluation.records import records, stand_ins
 from xpl_cli.evaluation.report import markdown
-from xpl_cli.evaluation.runs import outcome
+from xpl_cli.evaluation.runs.outcome import Evaluation, Played
 from xpl_cli.evaluation.statistics.comparison import compare
 from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.submission import prepare
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SETTING = "stand_in_robot"
 SAID = "stands in for a part of"
@@ -42,16 +44,10 @@ def test_every_report_says_it_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate", [None, 1.0])
 def test_an_evaluation_says_it_beside_its_figure(setting: str, is_said: bool, rate: float | None) -> None:
     """Also where no episode has a success to speak of."""
-    told: dict[str, Any] = {
-        **dict.fromkeys(("policy", "environment", "task", "embodiment", "action_type"), "x"),
-        "setting": setting,
-        "episodes": [],
-        "success_rate": rate,
-        "mean_score": rate,
-        "successes": 0,
-        "seconds": 1.0,
-    }
-    assert (SAID in outcome.text(told)) is is_said
+    played = Played("x", "x", "x", setting, "x", "joint")
+    told = Evaluation(played, [episode(success=None if rate is None else True, score=rate)])
+    assert told.success_rate == rate
+    assert (SAID in told.text()) is is_said
 
 
 def test_no_leaderboard_takes_it(tmp_path: Path) -> None:

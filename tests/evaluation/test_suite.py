@@ -11,7 +11,7 @@ import subprocess
 import sys
 import uuid
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -25,6 +25,9 @@ from xpl_cli.evaluation.runs import evaluate, plan
 from xpl_cli.evaluation.statistics import summary
 from xpl_cli.packages import package
 from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from xpl_cli.evaluation.records.model import PlannedCell
 
 UNSTEADY = ("started", "wall_seconds", "inference", "server", "worker", "machine", "trace", "film")
 """What a line says of the time and place of an episode."""
@@ -56,7 +59,7 @@ def _eval(room: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 def _outcomes(run: records.Run) -> list[dict[str, Any]]:
     """Return what has to be equal for equal plans."""
-    return [{key: value for key, value in line.items() if key not in UNSTEADY} for line in run.finals.values()]
+    return [{key: value for key, value in vars(line).items() if key not in UNSTEADY} for line in run.finals.values()]
 
 
 def _table(run: records.Run) -> str:
@@ -77,27 +80,23 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     lines = [json.loads(line) for line in (room / "run" / records.FILE).read_text().splitlines()]
     assert [problem for line in lines for problem in validate(line, "record")] == []
     run = records.read(room / "run")
-    assert [(line["task"], line["seed"]) for line in run.finals.values()] == [
+    assert [(line.task, line.seed) for line in run.finals.values()] == [
         (task, seed) for task in ("hold", "wait") for seed in range(4)
     ]
-    assert [line["success"] for line in run.finals.values()] == [seed in drill.WINS for seed in range(4)] * 2
-    assert [line["failure"] for line in run.finals.values()] == [None, None, "task", None] * 2
-    assert len({line["worker"] for line in run.finals.values()}) == 2
-    assert [index for index, line in run.finals.items() if "film" in line] == [0, 4]
+    assert [line.success for line in run.finals.values()] == [seed in drill.WINS for seed in range(4)] * 2
+    assert [line.failure for line in run.finals.values()] == [None, None, "task", None] * 2
+    assert len({line.worker for line in run.finals.values()}) == 2
+    assert [index for index, line in run.finals.items() if line.film] == [0, 4]
     for line in run.finals.values():
-        for kind in ("trace", "film"):
-            if kind in line:
-                content = (room / "run" / line[kind]["path"]).read_bytes()
-                assert hashlib.sha256(content).hexdigest() == line[kind]["digest"]
-        assert line["inference"]["count"] == sum(line["inference"]["histogram"]) == 3
+        for file in filter(None, (line.trace, line.film)):
+            assert hashlib.sha256((room / "run" / file.path).read_bytes()).hexdigest() == file.digest
+        assert line.inference.count == sum(line.inference.histogram) == 3
     alone = xpl("eval", "Drilled", "--env", "drill", "--out", "alone", *OPTIONS, cwd=room)
     assert alone.returncode == ExitCode.CLEAN, alone.stderr
     other = records.read(room / "alone")
     assert _outcomes(other) == _outcomes(run)
     assert _table(other) == _table(run)
-    assert [line["trace"]["digest"] for line in other.finals.values()] == [
-        line["trace"]["digest"] for line in run.finals.values()
-    ]
+    assert [line.trace.digest for line in other.finals.values()] == [line.trace.digest for line in run.finals.values()]
 
 
 @pytest.mark.slow
@@ -133,17 +132,17 @@ def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_agai
     run = records.read(tmp_path / "run")
     assert [problem for line in run.attempts for problem in validate(line, "record")] == []
     finals = run.finals
-    assert [finals[index]["failure"] for index in range(6)] == [None, "policy", "task", None, "infrastructure", "task"]
-    assert [finals[index]["attempt"] for index in range(6)] == [2, 1, 1, 2, 3, 1]
-    assert (finals[1]["success"], finals[1]["end_reason"]) == (False, "policy_error")
-    assert "no idea what to do about 1" in finals[1]["error"]
-    assert (finals[4]["success"], finals[4]["score"]) == (None, None)
-    assert "SIGKILL" in finals[4]["error"]
-    spoilt = [line for line in run.attempts if line["failure"] == "infrastructure"]
-    assert [line["index"] for line in spoilt].count(0) == 0
-    (died,) = (line for line in run.attempts if line["end_reason"] == "policy_died")
-    assert (died["index"], died["failure"], died["success"], died["final"]) == (0, "policy", False, False)
-    assert not any("film" in line for line in run.attempts)
+    assert [finals[index].failure for index in range(6)] == [None, "policy", "task", None, "infrastructure", "task"]
+    assert [finals[index].attempt for index in range(6)] == [2, 1, 1, 2, 3, 1]
+    assert (finals[1].success, finals[1].end_reason) == (False, "policy_error")
+    assert "no idea what to do about 1" in finals[1].error
+    assert (finals[4].success, finals[4].score) == (None, None)
+    assert "SIGKILL" in finals[4].error
+    spoilt = [line for line in run.attempts if line.failure == "infrastructure"]
+    assert [line.index for line in spoilt].count(0) == 0
+    (died,) = (line for line in run.attempts if line.end_reason == "policy_died")
+    assert (died.index, died.failure, died.success, died.final) == (0, "policy", False, False)
+    assert not any(line.film for line in run.attempts)
     overall = summary.summarise(run)["overall"]
     assert (overall["successes"], overall["judged"]) == (2, 5)
     assert overall["success_rate"] == pytest.approx(1 / 6)  # one was spoilt, and one won after its policy had died
@@ -215,13 +214,12 @@ def test_evaluation_seeds_are_those_of_the_environment_where_it_has_some(room: P
     (seeds / "hold.json").write_text(json.dumps({"clean": [70, 71, 72, 73]}))
     adapter = package.load(room / "policy" / "Drilled")
 
-    def cell(**wishes: Any) -> dict[str, Any]:
+    def cell(**wishes: Any) -> PlannedCell:
         made = plan.make(adapter, seeds.parent, adapter.config(), plan.Wishes(**wishes))
-        found: dict[str, Any] = made.line["cells"][0]
-        return found
+        return made.plan.cells[0]
 
-    assert (cell(first=2, episodes=2)["seeds"], cell(first=2, episodes=2)["frozen"]) == ([72, 73], True)
-    assert cell(until_width=0.2)["seeds"] == [70, 71, 72, 73]
+    assert (cell(first=2, episodes=2).seeds, cell(first=2, episodes=2).frozen) == ([72, 73], True)
+    assert cell(until_width=0.2).seeds == [70, 71, 72, 73]
     with pytest.raises(UserError, match="has 4 evaluation seeds"):
         cell(first=3, episodes=2)
 
@@ -260,8 +258,8 @@ def _killed_again_and_again(room: Path, command: list[str], kills: int, seed: in
 def _agree(killed: Path, whole: Path) -> None:
     """Two runs of one plan have the same episodes once each, the same table to the byte, and the same traces."""
     one, other = records.read(killed), records.read(whole)
-    assert one.plan["run"] == other.plan["run"]
-    assert sorted(line["index"] for line in one.attempts if line["final"]) == list(other.finals)
+    assert one.plan.run == other.plan.run
+    assert sorted(line.index for line in one.attempts if line.final) == list(other.finals)
     assert _outcomes(one) == _outcomes(other)
     assert _table(one).encode() == _table(other).encode()
     for index in one.finals:
@@ -310,8 +308,8 @@ def test_lanes_and_servers_that_are_killed_are_replaced(tmp_path: Path) -> None:
         _, told = process.communicate()
     assert process.returncode == ExitCode.CLEAN, told.decode()
     run = records.read(tmp_path / "run")
-    assert [line["success"] for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
-    spoilt = [line["error"] for line in run.attempts if line["failure"] == "infrastructure"]
+    assert [line.success for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
+    spoilt = [line.error for line in run.attempts if line.failure == "infrastructure"]
     assert any("was ended by signal SIGKILL" in error for error in spoilt)
     assert 2 <= len(spoilt) <= 4
     assert not processes(mark)
@@ -327,9 +325,9 @@ def test_a_lane_whose_server_does_not_start_any_more_leaves_its_episodes_to_othe
     assert done.returncode == ExitCode.CLEAN, done.stderr
     run = records.read(tmp_path / "run")
     # Who ends its own process is not spared the episode.
-    assert [line["failure"] for line in run.attempts if line["failure"] not in {None, "task"}] == ["policy"]
+    assert [line.failure for line in run.attempts if line.failure not in {None, "task"}] == ["policy"]
     assert "counted as failed" in done.stdout
-    assert [line["success"] for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
+    assert [line.success for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
     drill.mark(tmp_path, "policy-dies-for-good", 1)
     alone = xpl("eval", "Drilled", "--env", "drill", "--out", "alone", "--episodes", "2", cwd=tmp_path)
     assert (alone.returncode, "the weights are gone" in alone.stderr) == (ExitCode.NOT_RUN, True)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.recordings.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, renamed, synthetic
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs.stopping import stopping_point
 from xpl_cli.evaluation.statistics import intervals, wording
 from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.standard.validate import validate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 Line = dict[str, Any]
 
@@ -24,7 +26,7 @@ def rewritten(folder: Path, change: Callable[[list[Line]], list[Line]], **plan: 
     """Change the lines of a record after its first, which gets new values and the name that goes with them."""
     file = folder / records.FILE
     first, *rest = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
-    lines = [records.named({**first, **plan}), *change(rest)]
+    lines = [renamed({**first, **plan}), *change(rest)]
     file.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     return folder
 
@@ -194,7 +196,7 @@ def test_what_was_played_after_a_cell_had_ended_does_not_count(tmp_path: Path) -
     cell: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"], "episodes": 60, "rate": 0.95}
     whole = summary_of(rewritten(synthetic(tmp_path / "whole", **cell), lambda lines: lines, until_width=0.3))
     row = whole["overall"]
-    outcomes = [line["success"] for line in records.read(tmp_path / "whole").finals.values()]
+    outcomes = [line.success for line in records.read(tmp_path / "whole").finals.values()]
     assert row["judged"] == stopping_point(outcomes, 0.3)
     assert (row["unplayed"], whole["course"]["beyond"]) == (0, 60 - row["judged"])
     assert "not counted" in whole["course"]["notes"][0]

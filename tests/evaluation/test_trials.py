@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import textwrap
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from tests.support.adapters import drill
 from tests.support.peer import xpl
 from xpl_cli.basics.errors import ExitCode
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 HOOKS = """
     import json

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 import pty
 import sys
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs.view import Tally, view
+
+if TYPE_CHECKING:
+    import io
+    from pathlib import Path
+
+    from xpl_cli.evaluation.records.model import Episode
 
 
 @pytest.fixture
@@ -24,11 +29,11 @@ def run(tmp_path: Path) -> records.Run:
     return records.read(synthetic(tmp_path, ["lift"], episodes=4, rate=1.0, played=3, faults=faults))
 
 
-def _next(run: records.Run, index: int, **more: Any) -> dict[str, Any]:
+def _next(run: records.Run, index: int, **more: Any) -> Episode:
     """Return a line that is recorded now."""
-    slot = records.slots(run.plan)[index]
+    slot = run.plan.slots()[index]
     place = {"index": index, "task": slot.task, "setting": slot.setting, "seed": slot.seed}
-    return {**run.finals[0], "error": None, **place, **more}
+    return replace(run.finals[0], **place, **more)
 
 
 SPOILT = {"success": None, "failure": "infrastructure", "end_reason": "infrastructure", "error": "the server ended"}

@@ -6,12 +6,13 @@ import json
 import stat
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.recordings.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, episode, synthetic
 from xpl_cli.audit.rules.model import TargetReport
 from xpl_cli.audit.rules.verdict import judged
 from xpl_cli.basics.errors import NotFoundError, UserError
@@ -21,7 +22,9 @@ from xpl_cli.submission import archive, bundle, claims, consistency, prepare, re
 from xpl_cli.submission.replay import Match, Pair, Verdict
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.records import Run
+
+    Line = dict[str, Any]
 
 LIMIT = 10**7
 
@@ -181,7 +184,8 @@ class TestClaims:
         run = _run(tmp_path / "run")
         policy = prepare.described(run)
         audit = judged(TargetReport("policy/Foo", "Foo", "policy")).as_json()
-        manifest = bundle.manifest(policy, [claims.claim(run)], audit, {"audit.json": b"{}"})
+        entries = {"audit.json": bundle.Entry.of(b"{}")}
+        manifest = bundle.Manifest(policy, [claims.claim(run)], entries, audit).as_json()
         assert validate(manifest, "submission") == []
         assert sum(cell["played"] for cell in manifest["runs"][0]["cells"]) == len(run.finals)
         assert str(tmp_path) not in bundle.document(manifest).decode()
@@ -189,22 +193,23 @@ class TestClaims:
     def test_an_environment_is_a_name_and_no_path(self, tmp_path: Path) -> None:
         """A path might lead into the bundle itself, to an environment in which everything succeeds."""
         run = _run(tmp_path / "run")
-        run.plan["environment"]["name"] = "unpacked/envs/easy"
+        environment = replace(run.plan.environment, name="unpacked/envs/easy")
         with pytest.raises(UserError, match="expected the name of a package"):
-            claims.environment(run)
+            claims.environment(replace(run, plan=replace(run.plan, environment=environment)))
 
 
 def _pair(recorded: bool | None, replayed: bool | None, *, digests: str = "ab", equal: bool = False) -> Pair:
     """Return an episode that was played twice; `digests` has one letter for each time."""
-    told = {"index": 0, "task": "lift_cube", "setting": "clean", "seed": 1, "end_reason": "max_steps", "failure": None}
     old, new = (
-        {**told, "success": won, "digest": name} for won, name in zip((recorded, replayed), digests, strict=True)
+        episode(success=won, digest=name, end_reason="max_steps")
+        for won, name in zip((recorded, replayed), digests, strict=True)
     )
     return Pair(old, new, is_equal_machine=equal)
 
 
 def _spoilt(pair: Pair) -> Pair:
-    return Pair(pair.recorded, {**pair.replayed, "failure": "infrastructure", "success": None}, is_equal_machine=False)
+    replayed = replace(pair.replayed, failure="infrastructure", success=None)
+    return Pair(pair.recorded, replayed, is_equal_machine=False)
 
 
 class TestJudgement:
@@ -271,7 +276,7 @@ class TestJudgement:
         run = _run(tmp_path / "run", faults=Faults(infrastructure=0.3))
         drawn = replay.draw([run], 1000, 7)
         assert [index for _, index in drawn] == replay.eligible(run)
-        assert all(run.finals[index]["failure"] != "infrastructure" for _, index in drawn)
+        assert all(run.finals[index].failure != "infrastructure" for _, index in drawn)
         assert len(drawn) < len(run.finals)
         few = replay.draw([run], 5, 7)
         assert few == replay.draw([run], 5, 7)

@@ -7,6 +7,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +15,13 @@ import pytest
 
 from tests.support import forked
 from tests.support.places import ROOT
+from tests.support.recordings.runs import renamed
 from xpl_cli.audit.engine.engine import audit
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.fingerprints import Checkpoint
 from xpl_cli.evaluation.runs import evaluate
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.lifecycle.checkpoints import fetch, specification
@@ -29,7 +32,9 @@ from xpl_cli.submission.replaying import Player
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import TargetReport
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.records import Run
+
+    Line = dict[str, Any]
 
 EXPERT = ROOT / "policy" / "scripted_expert"
 UNAUDITED = "the audit ran without the gates offline, mujoco"
@@ -172,7 +177,7 @@ def test_seeds_that_are_not_the_frozen_ones_are_found(packed: Path, tmp_path: Pa
 
     def choose(lines: list[Line]) -> None:
         lines[0]["cells"][0]["seeds"] = [1, 2]
-        lines[0].update(records.named(lines[0]), created=lines[0]["created"])
+        lines[0].update(renamed(lines[0]))
         for line, seed in zip(lines[-2:], (1, 2), strict=True):
             line["seed"] = seed
 
@@ -209,7 +214,7 @@ class TestReplay:
         assert replay.judge(pairs, 2, deterministic=True).verdict is replay.Verdict.AGREES
         # What nobody played has other states, and is found in the first episode that is played.
         forged = [
-            replay.Pair({**pair.recorded, "digest": "0" * 64}, pair.replayed, pair.is_equal_machine) for pair in pairs
+            replay.Pair(replace(pair.recorded, digest="0" * 64), pair.replayed, pair.is_equal_machine) for pair in pairs
         ]
         assert replay.judge(forged, 2, deterministic=True).verdict is replay.Verdict.DISAGREES
 
@@ -232,9 +237,8 @@ class TestReplay:
 
     def test_weights_that_are_not_here_are_named(self, run: Run) -> None:
         """Without the checkpoint of the run nothing is played, and what to do is said."""
-        checkpoint = {"path": "checkpoints/base", "digest": "0" * 64}
-        policy = {**run.plan["policy"], "checkpoint": checkpoint}
-        other = records.Run(run.folder, {**run.plan, "policy": policy}, run.machines, run.attempts, run.finals)
+        policy = replace(run.plan.policy, checkpoint=Checkpoint("checkpoints/base", "0" * 64))
+        other = replace(run, plan=replace(run.plan, policy=policy))
         with pytest.raises(UserError, match="checkpoints/base") as raised:
             Player(EXPERT).play(other, [0])
         assert raised.value.code == ExitCode.NOT_RUN

@@ -153,9 +153,9 @@ def test_a_run_counts_that_is_of_this_adapter_s_weights(tmp_path: Path, monkeypa
     with pytest.raises(UserError, match="other files"):
         prove._evaluated(adapter, run)
     plan = records.read(run).plan
-    monkeypatch.setattr(fingerprints, "package_digest", lambda folder: plan["policy"]["digest"])
+    monkeypatch.setattr(fingerprints, "package_digest", lambda folder: plan.policy.digest)
     told = prove._evaluated(adapter, run)
-    assert (told["environment"], told["episodes"]) == (plan["environment"]["name"], 12)
+    assert (told["environment"], told["episodes"]) == (plan.environment.name, 12)
     assert 0 <= told["successes"] <= 12
     part = synthetic(tmp_path / "part", episodes=3, played=5)
     with pytest.raises(UserError, match="not finished"):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from xpl_cli import __version__
 from xpl_cli.basics import files
@@ -14,9 +15,10 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import archive
+from xpl_cli.submission.claims import Claim
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator
 
 MANIFEST, AUDIT, CHECKPOINTS, ENVIRONMENT = "submission.json", "audit.json", "checkpoints.json", "environment.json"
 RECORDS = "records.jsonl"
@@ -40,35 +42,79 @@ def adapter_folder(name: str) -> str:
     return f"policy/{name}"
 
 
-def manifest(
-    policy: Mapping[str, Any],
-    runs: Sequence[Mapping[str, Any]],
-    audit: Mapping[str, Any],
-    files: Mapping[str, Path | bytes],
-) -> dict[str, Any]:
-    """Return the manifest of a bundle.
+@dataclass(frozen=True)
+class Adapter:
+    """The adapter that was evaluated, as in the plan of each run."""
 
-    Args:
-        policy: name, spec and digest of the adapter.
-        runs: what each run claims (`claims.claim`).
-        audit: the verdict on the adapter.
-        files: every other file of the bundle.
+    name: str
+    spec: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file of a bundle."""
+
+    sha256: str
+    size: int
+
+    @classmethod
+    def of(cls, content: Path | bytes) -> Self:
+        """Describe a file of this machine, or what is to stand in one."""
+        if isinstance(content, bytes):
+            return cls(hashlib.sha256(content).hexdigest(), len(content))
+        with content.open("rb") as stream:
+            return cls(hashlib.file_digest(stream, "sha256").hexdigest(), content.stat().st_size)
+
+
+@dataclass(frozen=True)
+class Checkpoints:
+    """The weights that were evaluated (checkpoints.json).
+
+    Attributes:
+        loaded: digest of the checkpoint that every run loaded; None: none.
+        name: the entry of `declared` that it is.
+        declared: checkpoints of policy.yml.
     """
-    return {
-        "schema": spec.schema("submission")["title"],
-        "tool": {"name": "xpl", "version": __version__},
-        "policy": dict(policy),
-        "audit": dict(audit),
-        "runs": list(runs),
-        "files": {name: _described(files[name]) for name in sorted(files)},
-    }
+
+    loaded: str | None
+    name: str | None
+    declared: Sequence[Mapping[str, Any]]
 
 
-def _described(content: Path | bytes) -> dict[str, Any]:
-    if isinstance(content, bytes):
-        return {"sha256": hashlib.sha256(content).hexdigest(), "size": len(content)}
-    with content.open("rb") as stream:
-        return {"sha256": hashlib.file_digest(stream, "sha256").hexdigest(), "size": content.stat().st_size}
+@dataclass(frozen=True)
+class Manifest:
+    """What a bundle says of itself (submission.json).
+
+    Attributes:
+        policy: whose runs it holds.
+        runs: what each of them claims.
+        files: every other file, by its name.
+        audit: the verdict on the adapter, as JSON has it; None where nothing is said.
+    """
+
+    policy: Adapter
+    runs: Sequence[Claim]
+    files: Mapping[str, Entry]
+    audit: Mapping[str, Any] | None = None
+
+    @classmethod
+    def parse(cls, told: Mapping[str, Any]) -> Self:
+        """Return what a valid submission.json says."""
+        return cls(
+            Adapter(**told["policy"]),
+            [Claim.parse(run) for run in told["runs"]],
+            {name: Entry(**entry) for name, entry in told["files"].items()},
+            told.get("audit"),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as it is written."""
+        return {
+            "schema": spec.schema("submission")["title"],
+            "tool": {"name": "xpl", "version": __version__},
+            **{name: told for name, told in asdict(self).items() if told is not None},
+        }
 
 
 @dataclass(frozen=True)
@@ -84,13 +130,13 @@ class Bundle:
 
     folder: Path
     digest: str
-    manifest: Mapping[str, Any]
+    manifest: Manifest
     digests: Mapping[str, str]
 
     @property
     def adapter(self) -> Path:
         """The adapter's folder."""
-        return self.folder / adapter_folder(self.manifest["policy"]["name"])
+        return self.folder / adapter_folder(self.manifest.policy.name)
 
     def read(self, name: str) -> Any:
         """Return a document of it.
@@ -102,7 +148,7 @@ class Bundle:
 
     def problems(self) -> Iterator[str]:
         """Yield where its files are not those that the manifest names, or its documents not what their schemas say."""
-        named = {name: entry["sha256"] for name, entry in self.manifest["files"].items()}
+        named = {name: entry.sha256 for name, entry in self.manifest.files.items()}
         for name in sorted({*named, *self.digests} - {MANIFEST}):
             if name not in self.digests:
                 yield f"{name} is missing"
@@ -136,7 +182,7 @@ def opened(path: Path, folder: Path, *, limit: int) -> Bundle:
     found = validate(told, "submission")
     if found:
         raise UserError(f"{path} is no bundle that this version knows: {MANIFEST}: {found[0]}")
-    return Bundle(folder, digests[MANIFEST], told, digests)
+    return Bundle(folder, digests[MANIFEST], Manifest.parse(told), digests)
 
 
 def _json(path: Path, name: str) -> Any:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
 
-from xpl import _spec as sdk
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.records.cells import cells
 from xpl_cli.packages import environments
@@ -19,21 +20,61 @@ if TYPE_CHECKING:
 _WORD = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def claim(run: Run) -> dict[str, Any]:
-    """Return what a bundle says of a run: an entry of `runs` in submission.schema.json."""
-    return {
-        "run": run.plan["run"],
-        "folder": folder(run),
-        "environment": run.plan["environment"]["name"],
-        "embodiment": run.plan["embodiment"],
-        sdk.Deploy.ACTION_TYPE: run.plan[sdk.Deploy.ACTION_TYPE],
-        "cells": [_counts(cell) for cell in cells(run)],
-    }
+@dataclass(frozen=True)
+class CellClaim:
+    """Numbers of episodes of one task in one setting: planned, played, with a success to speak of, successful."""
+
+    task: str
+    setting: str
+    planned: int
+    played: int
+    judged: int
+    successes: int
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a bundle says of a run: an entry of `runs` in submission.schema.json.
+
+    Attributes:
+        run: its name.
+        folder: where its records.jsonl lies.
+        environment, embodiment, action_type: as in its plan.
+        cells: the numbers.
+    """
+
+    run: str
+    folder: str
+    environment: str
+    embodiment: str
+    action_type: str
+    cells: Sequence[CellClaim]
+
+    @classmethod
+    def parse(cls, told: Mapping[str, Any]) -> Self:
+        """Return the claim that a valid manifest makes."""
+        return cls(**{**told, "cells": [CellClaim(**cell) for cell in told["cells"]]})
+
+    def total(self, name: str) -> int:
+        """Return the sum of one of the numbers over all cells."""
+        return sum(getattr(cell, name) for cell in self.cells)
+
+
+def claim(run: Run) -> Claim:
+    """Return what a bundle says of a run."""
+    return Claim(
+        run.plan.run,
+        folder(run),
+        run.plan.environment.name,
+        run.plan.embodiment,
+        run.plan.action_type,
+        [_counts(cell) for cell in cells(run)],
+    )
 
 
 def folder(run: Run) -> str:
     """Return where a run lies in a bundle; what its own folder is called is nobody's business."""
-    return f"runs/{run.plan['run'][:12]}"
+    return f"runs/{run.plan.run[:12]}"
 
 
 def environment(run: Run) -> Path:
@@ -43,18 +84,12 @@ def environment(run: Run) -> Path:
         NotFoundError: there is none.
         UserError: the name is a path, which might lead anywhere, even into a bundle.
     """
-    name = run.plan["environment"]["name"]
+    name = run.plan.environment.name
     if not _WORD.fullmatch(name):
-        raise UserError(f"run {run.plan['run'][:12]} names the environment {name!r}: expected the name of a package")
+        raise UserError(f"run {run.plan.run[:12]} names the environment {name!r}: expected the name of a package")
     return environments.find(name)
 
 
-def _counts(cell: Cell) -> dict[str, Any]:
-    return {
-        "task": cell.task,
-        "setting": cell.setting,
-        "planned": cell.planned,
-        "played": len(cell.counted),
-        "judged": len(cell.outcomes),
-        "successes": sum(cell.outcomes),
-    }
+def _counts(cell: Cell) -> CellClaim:
+    outcomes = cell.outcomes
+    return CellClaim(cell.task, cell.setting, cell.planned, len(cell.counted), len(outcomes), sum(outcomes))

@@ -14,7 +14,8 @@ from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction, is_o
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.records import Run
 
 _SUCCESS_OF = {None: (True, None), "task": (False,), "policy": (False, None), INFRASTRUCTURE: (None,)}
 """What `success` may be for each class of failure."""
@@ -37,7 +38,7 @@ def problems(run: Run) -> Iterator[str]:
         yield from _episode(line, run)
     yield from _attempts(run)
     yield from _unjudged(run)
-    spoilt = sum(line["failure"] == INFRASTRUCTURE for line in run.finals.values())
+    spoilt = sum(line.failure == INFRASTRUCTURE for line in run.finals.values())
     if spoilt > MOST_SPOILT * len(run.finals):
         told = f"{spoilt} of its {len(run.finals)} episodes were spoilt by the infrastructure"
         yield f"{told}, more than {MOST_SPOILT:.0%}"
@@ -46,40 +47,39 @@ def problems(run: Run) -> Iterator[str]:
         yield f"{missing} of its episodes were not played; `xpl eval --resume` plays them"
 
 
-def _name(line: Line) -> str:
-    return f"episode {line['index']}, attempt {line['attempt']}" if line["kind"] == "episode" else f"its {line['kind']}"
-
-
-def _episode(line: Line, run: Run) -> Iterator[str]:
+def _episode(line: Episode, run: Run) -> Iterator[str]:
     """Yield what does not fit in one line of an episode."""
-    name = _name(line)
+    name = f"episode {line.index}, attempt {line.attempt}"
     for key in ("embodiment", sdk.Deploy.ACTION_TYPE):
-        if line[key] != run.plan[key]:
-            yield f"{name} has the {key} {line[key]!r}, but its plan says {run.plan[key]!r}"
-    if line["success"] not in _SUCCESS_OF[line["failure"]]:
-        yield f"{name} has success {json.dumps(line['success'])} with failure {json.dumps(line['failure'])}"
+        told, planned = getattr(line, key), getattr(run.plan, key)
+        if told != planned:
+            yield f"{name} has the {key} {told!r}, but its plan says {planned!r}"
+    if line.success not in _SUCCESS_OF[line.failure]:
+        yield f"{name} has success {json.dumps(line.success)} with failure {json.dumps(line.failure)}"
     elif (said := contradiction(line)) is not None:
         yield f"{name} {said}"
-    if line["machine"] not in run.machines:
+    if line.machine not in run.machines:
         yield f"{name} names a machine that the records do not tell of"
-    inference = line.get("inference") or {"count": 0, "seconds": 0.0}
-    if inference["seconds"] > line["wall_seconds"] + _SLACK_S:
-        yield f"{name} took {line['wall_seconds']} s, of which {inference['seconds']} s waiting for the policy"
-    if sum(inference.get("histogram", [inference["count"]])) != inference["count"]:
-        yield f"{name} counts {inference['count']} round trips, but its histogram has another number of them"
+    inference = line.inference
+    if inference is None:
+        return
+    if inference.seconds > line.wall_seconds + _SLACK_S:
+        yield f"{name} took {line.wall_seconds} s, of which {inference.seconds} s waiting for the policy"
+    if inference.histogram is not None and sum(inference.histogram) != inference.count:
+        yield f"{name} counts {inference.count} round trips, but its histogram has another number of them"
 
 
 def _attempts(run: Run) -> Iterator[str]:
     """Yield where an episode was not played as often as the plan says: again where it was spoilt, and only there."""
-    by_index: dict[int, list[Line]] = defaultdict(list)
+    by_index: dict[int, list[Episode]] = defaultdict(list)
     for line in run.attempts:
-        by_index[line["index"]].append(line)
-    most = run.plan["control"]["attempts"]
+        by_index[line.index].append(line)
+    most = run.plan.control.attempts
     for index, lines in sorted(by_index.items()):
-        numbers = [line["attempt"] for line in lines]
+        numbers = [line.attempt for line in lines]
         if numbers != list(range(1, len(lines) + 1)) or len(lines) > most:
             yield f"episode {index} has the attempts {_listed(numbers)}: expected 1, 2, ..., at most {most}"
-        if lines[-1]["final"] and lines[-1]["failure"] == INFRASTRUCTURE and len(lines) < most:
+        if lines[-1].final and lines[-1].failure == INFRASTRUCTURE and len(lines) < most:
             yield f"episode {index} was given up after {len(lines)} attempts: its plan allows {most}"
         if not all(is_open(line) for line in lines[:-1]):
             yield f"episode {index} was played again although the infrastructure had not spoilt it"
@@ -88,7 +88,7 @@ def _attempts(run: Run) -> Iterator[str]:
 def _unjudged(run: Run) -> Iterator[str]:
     """Yield episodes that have neither success nor failure in a task where others have: they would not count."""
     for cell in cells(run):
-        silent = [line["index"] for line in cell.counted if line["success"] is None and line["failure"] is None]
+        silent = [line.index for line in cell.counted if line.success is None and line.failure is None]
         if silent and cell.outcomes:
             yield f"episodes {_listed(silent)} neither succeeded nor failed, while others of {cell.task} did"
 

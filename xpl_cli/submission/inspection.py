@@ -13,6 +13,7 @@ from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments, package, robots
 from xpl_cli.submission import audited, bundle, claims, consistency
+from xpl_cli.submission.bundle import Checkpoints
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.verdict import Verdict
@@ -49,9 +50,9 @@ def inspect(found: Bundle, progress: Progress) -> tuple[tuple[Check, ...], list[
         return (files,), []
     runs: list[Run] = []
     try:
-        runs += [records.read(found.folder / entry["folder"]) for entry in found.manifest["runs"]]
+        runs += [records.read(found.folder / claim.folder) for claim in found.manifest.runs]
         for run in runs:  # what comes next reads manifests that name its robot
-            robots.meet(run.plan["policy"]["config"], f"run {run.plan['run'][:12]}")
+            robots.meet(run.plan.policy.config, f"run {run.plan.run[:12]}")
     except UserError as error:
         return (files, Check("records", (_shown(str(error), found),))), []
     checks = [files]
@@ -73,9 +74,9 @@ def verdict(found: Bundle, checks: Sequence[Check]) -> Verdict | None:
 
 def _target(found: Bundle) -> dict[str, Any]:
     """Return what the audit report says of the adapter of the bundle; nothing if it is of another one."""
-    policy, report = found.manifest["policy"], found.read(bundle.AUDIT)
+    policy, report = found.manifest.policy, found.read(bundle.AUDIT)
     target: dict[str, Any] = report["targets"][0] if len(report["targets"]) == 1 else {}
-    return target if (target.get("name"), report["spec"]) == (policy["name"], policy["spec"]) else {}
+    return target if (target.get("name"), report["spec"]) == (policy.name, policy.spec) else {}
 
 
 def _shown(problem: str, found: Bundle) -> str:
@@ -85,60 +86,59 @@ def _shown(problem: str, found: Bundle) -> str:
 
 def _records(_: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     for run in runs:
-        yield from (f"run {run.plan['run'][:12]}: {problem}" for problem in consistency.problems(run))
+        yield from (f"run {run.plan.run[:12]}: {problem}" for problem in consistency.problems(run))
 
 
 def _claims(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the manifest says something else than the records, or names a run twice."""
-    told = [entry["run"] for entry in found.manifest["runs"]]
+    told = [entry.run for entry in found.manifest.runs]
     if len(set(told)) < len(told):
         yield "a run is there twice"
-    for entry, run in zip(found.manifest["runs"], runs, strict=True):
+    for entry, run in zip(found.manifest.runs, runs, strict=True):
         claim = claims.claim(run)
-        for key in claim:
-            if key != "cells" and entry[key] != claim[key]:
-                yield f"{bundle.MANIFEST} says {key} {entry[key]!r}, its records {claim[key]!r}"
-        if entry["cells"] != claim["cells"]:
-            yield f"{bundle.MANIFEST} counts otherwise than the records of run {run.plan['run'][:12]}"
+        for key, recorded in vars(claim).items():
+            if key != "cells" and (said := getattr(entry, key)) != recorded:
+                yield f"{bundle.MANIFEST} says {key} {said!r}, its records {recorded!r}"
+        if entry.cells != claim.cells:
+            yield f"{bundle.MANIFEST} counts otherwise than the records of run {run.plan.run[:12]}"
 
 
 def _adapter(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the adapter is not the one that was evaluated."""
-    told = found.manifest["policy"]
+    told = found.manifest.policy
     adapter = package.load(found.adapter)
     digest = fingerprints.package_digest(adapter.path)
-    if digest != told["digest"]:
-        yield f"the adapter's files have the digest {digest[:12]}, but {bundle.MANIFEST} says {told['digest'][:12]}"
+    if digest != told.digest:
+        yield f"the adapter's files have the digest {digest[:12]}, but {bundle.MANIFEST} says {told.digest[:12]}"
     for run in runs:
-        played = run.plan["policy"]
-        for key in ("name", "spec", "digest"):
-            if played[key] != told[key]:
-                yield f"run {run.plan['run'][:12]} is of a policy with the {key} {played[key]}, not {told[key]}"
+        for key, wanted in vars(told).items():
+            if (played := getattr(run.plan.policy, key)) != wanted:
+                yield f"run {run.plan.run[:12]} is of a policy with the {key} {played}, not {wanted}"
 
 
 def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the weights that were loaded are not those that are specified."""
-    told = found.read(bundle.CHECKPOINTS)
+    told = Checkpoints(**found.read(bundle.CHECKPOINTS))
     adapter = package.load(found.adapter)
-    if told["declared"] != [entry.data for entry in adapter.manifest.checkpoints]:
+    if told.declared != [entry.data for entry in adapter.manifest.checkpoints]:
         yield f"{bundle.CHECKPOINTS} does not declare what the adapter's policy.yml declares"
     known = specification.declared(adapter)
-    if told["loaded"] is not None and (told["name"] not in known or known[told["name"]].digest != told["loaded"]):
-        yield f"the checkpoint that was loaded ({told['loaded'][:12]}...) is not the one called {told['name']!r}"
+    if told.loaded is not None and (told.name not in known or known[told.name].digest != told.loaded):
+        yield f"the checkpoint that was loaded ({told.loaded[:12]}...) is not the one called {told.name!r}"
     for run in runs:
-        checkpoint = run.plan["policy"]["checkpoint"]
-        if (None if checkpoint is None else checkpoint["digest"]) != told["loaded"]:
-            yield f"run {run.plan['run'][:12]} loaded another checkpoint than {bundle.CHECKPOINTS} says"
+        checkpoint = run.plan.policy.checkpoint
+        if (None if checkpoint is None else checkpoint.digest) != told.loaded:
+            yield f"run {run.plan.run[:12]} loaded another checkpoint than {bundle.CHECKPOINTS} says"
 
 
 def _audit(found: Bundle, _: Sequence[Run]) -> Iterator[str]:
     """Yield why the audit report does not speak for the adapter."""
-    policy, target = found.manifest["policy"], _target(found)
+    policy, target = found.manifest.policy, _target(found)
     if not target:
-        yield f"the audit is not of {policy['name']} by {policy['spec']}"
+        yield f"the audit is not of {policy.name} by {policy.spec}"
         return
     yield from audited.problems(target, found.adapter)
-    claim = found.manifest.get("audit")
+    claim = found.manifest.audit
     if claim is not None and any(claim[key] != target.get(key) for key in claim):
         yield f"{bundle.MANIFEST} says otherwise what is proven than {bundle.AUDIT}"
     for gate in target["gates"]:
@@ -153,28 +153,28 @@ def _plan(_: Bundle, runs: Sequence[Run]) -> Iterator[str]:
             folder = claims.environment(run)
         except NotFoundError:
             continue
-        if fingerprints.package_digest(folder) == run.plan["environment"]["digest"]:
+        if fingerprints.package_digest(folder) == run.plan.environment.digest:
             yield from _unlike(folder, run)
 
 
 def _unlike(folder: Path, run: Run) -> Iterator[str]:
     """Yield where a plan has tasks or frozen seeds that its environment has not."""
     tasks = environments.manifest(folder).tasks
-    for cell in run.plan["cells"]:
-        if cell["task"] not in tasks:
-            yield f"{folder.name} has no task {cell['task']}"
-        elif cell["frozen"] and not set(cell["seeds"]) <= set(check.seeds(folder, cell["task"], cell["setting"])):
-            yield f"the seeds of {cell['task']} ({cell['setting']}) are not those that {folder.name} has frozen"
+    for cell in run.plan.cells:
+        if cell.task not in tasks:
+            yield f"{folder.name} has no task {cell.task}"
+        elif cell.frozen and not set(cell.seeds) <= set(check.seeds(folder, cell.task, cell.setting)):
+            yield f"the seeds of {cell.task} ({cell.setting}) are not those that {folder.name} has frozen"
 
 
 def _extras(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield curves and films that are not those of the records; they need not be there."""
-    for entry, run in zip(found.manifest["runs"], runs, strict=True):
+    for entry, run in zip(found.manifest.runs, runs, strict=True):
         for line in run.attempts:
-            for told in (line[extra] for extra in ("trace", "film") if extra in line):
-                name = f"{entry['folder']}/{told['path']}"
-                if found.digests.get(name, told["digest"]) != told["digest"]:
-                    yield f"{name} is not what episode {line['index']} recorded"
+            for told in filter(None, (line.trace, line.film)):
+                name = f"{entry.folder}/{told.path}"
+                if found.digests.get(name, told.digest) != told.digest:
+                    yield f"{name} is not what episode {line.index} recorded"
 
 
 _LOOKS: dict[str, _Look] = {

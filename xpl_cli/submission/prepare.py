@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,7 +72,7 @@ class Answer:
     notes: tuple[str, ...] = ()
     digest: str | None = None
     sha256: str | None = None
-    manifest: Mapping[str, Any] | None = None
+    manifest: bundle.Manifest | None = None
 
 
 def submit(request: Request) -> Answer:
@@ -111,15 +111,16 @@ def pack(request: Request, runs: Sequence[Run], report: TargetReport) -> Answer:
     """
     files = _files(request, runs, report)
     claimed = [claims.claim(run) for run in runs]
-    manifest = bundle.manifest(described(runs[0]), claimed, judged(report).as_json(), files)
-    content = bundle.document(manifest)
+    entries = {name: bundle.Entry.of(files[name]) for name in sorted(files)}
+    manifest = bundle.Manifest(described(runs[0]), claimed, entries, judged(report).as_json())
+    content = bundle.document(manifest.as_json())
     sha256 = archive.write(request.out, {**files, bundle.MANIFEST: content})
     return Answer((), ExitCode.CLEAN, tuple(_notes(runs)), hashlib.sha256(content).hexdigest(), sha256, manifest)
 
 
 def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
     """Yield what speaks against these runs, each with the run that it is about."""
-    names = [run.plan["run"] for run in runs]
+    names = [run.plan.run for run in runs]
     if len(set(names)) < len(names):
         yield "a run is given twice: each counts once"
     digest = fingerprints.package_digest(package.path)
@@ -129,39 +130,41 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
         yield "the runs loaded different checkpoints: a bundle is about one"
     for run in runs:
         about = f"{run.folder}: "
-        policy = run.plan["policy"]
-        if policy["name"] != package.name:
-            yield f"{about}it is of {policy['name']}, not of {package.name}"
-        elif policy["digest"] != digest:
+        policy = run.plan.policy
+        if policy.name != package.name:
+            yield f"{about}it is of {policy.name}, not of {package.name}"
+        elif policy.digest != digest:
             yield f"{about}it was played with other files than {package.path} holds now: evaluate again"
         yield from (about + problem for problem in _environment(run))
         yield from (about + problem for problem in consistency.problems(run))
-        if _loaded(run) is not None and _loaded(run) not in {one.digest for one in declared.values()}:
+        checkpoint = policy.checkpoint
+        if checkpoint is not None and checkpoint.digest not in {one.digest for one in declared.values()}:
             yield (
-                f"{about}it loaded the checkpoint {policy['checkpoint']['path']}, which policy.yml does not specify by "
-                f"its sha256 ({_loaded(run)}): nobody else could get it"
+                f"{about}it loaded the checkpoint {checkpoint.path}, which policy.yml does not specify by its sha256 "
+                f"({checkpoint.digest}): nobody else could get it"
             )
 
 
 def _environment(run: Run) -> Iterator[str]:
-    told = run.plan["environment"]
+    told = run.plan.environment
     try:
         folder = claims.environment(run)
     except NotFoundError as error:
         yield str(error)
         return
-    if fingerprints.package_digest(folder) != told["digest"]:
-        yield f"it was played in another version of {told['name']} than the one here: evaluate again"
+    if fingerprints.package_digest(folder) != told.digest:
+        yield f"it was played in another version of {told.name} than the one here: evaluate again"
 
 
 def _loaded(run: Run) -> str | None:
-    checkpoint = run.plan["policy"]["checkpoint"]
-    return None if checkpoint is None else str(checkpoint["digest"])
+    checkpoint = run.plan.policy.checkpoint
+    return None if checkpoint is None else checkpoint.digest
 
 
-def described(run: Run) -> dict[str, str]:
+def described(run: Run) -> bundle.Adapter:
     """Return what a manifest says of the adapter that was evaluated."""
-    return {key: run.plan["policy"][key] for key in ("name", "spec", "digest")}
+    policy = run.plan.policy
+    return bundle.Adapter(policy.name, policy.spec, policy.digest)
 
 
 def _audited(request: Request, runs: Sequence[Run]) -> tuple[TargetReport, ExitCode]:
@@ -173,7 +176,7 @@ def _audited(request: Request, runs: Sequence[Run]) -> tuple[TargetReport, ExitC
     from xpl_cli.packages.package import POLICY
 
     options = Options(
-        overrides=overrides(request.package, [run.plan["policy"]["config"] for run in runs]),
+        overrides=overrides(request.package, [run.plan.policy.config for run in runs]),
         python=request.python,
         env=request.env,
         profile=Profile.FULL,
@@ -202,7 +205,7 @@ def _files(request: Request, runs: Sequence[Run], report: TargetReport) -> dict[
     audit = as_json([report], Context(here=package.path.parent.parent))
     files: dict[str, Path | bytes] = {
         bundle.AUDIT: bundle.document(audit),
-        bundle.CHECKPOINTS: bundle.document(_checkpoints(package, runs[0])),
+        bundle.CHECKPOINTS: bundle.document(asdict(_checkpoints(package, runs[0]))),
         bundle.ENVIRONMENT: bundle.document(_environments(request, runs)),
     }
     base = bundle.adapter_folder(package.name)
@@ -210,21 +213,21 @@ def _files(request: Request, runs: Sequence[Run], report: TargetReport) -> dict[
     for run in runs:
         files[f"{claims.folder(run)}/{records.FILE}"] = run.folder / records.FILE
         for line in run.attempts:
-            for path in (line[extra]["path"] for extra in request.extras if extra in line):
-                files[f"{claims.folder(run)}/{path}"] = run.folder / path
+            for file in filter(None, (getattr(line, extra) for extra in request.extras)):
+                files[f"{claims.folder(run)}/{file.path}"] = run.folder / file.path
     return files
 
 
-def _checkpoints(package: Package, run: Run) -> dict[str, Any]:
+def _checkpoints(package: Package, run: Run) -> bundle.Checkpoints:
     known = specification.declared(package)
     loaded = _loaded(run)
     name = next((name for name, one in known.items() if loaded is not None and one.digest == loaded), None)
-    return {"loaded": loaded, "name": name, "declared": [dict(entry.data) for entry in package.manifest.checkpoints]}
+    return bundle.Checkpoints(loaded, name, [dict(entry.data) for entry in package.manifest.checkpoints])
 
 
 def _environments(request: Request, runs: Sequence[Run]) -> dict[str, Any]:
     package = request.package
-    places = {run.plan["environment"]["name"]: claims.environment(run) for run in runs}
+    places = {run.plan.environment.name: claims.environment(run) for run in runs}
     return {
         "policy": lock_of(package.path, package.manifest.environment, python=request.python, env=request.env),
         "environments": {
@@ -239,6 +242,6 @@ def _notes(runs: Sequence[Run]) -> Iterator[str]:
     elsewhere = sum(here not in run.machines for run in runs)
     if elsewhere:
         yield f"{elsewhere} of the runs were played on other machines: environment.json tells of this one"
-    spoilt = sum(line["failure"] == INFRASTRUCTURE for run in runs for line in run.finals.values())
+    spoilt = sum(line.failure == INFRASTRUCTURE for run in runs for line in run.finals.values())
     if spoilt:
         yield f"{spoilt} episodes were spoilt by the infrastructure, and count as failed"

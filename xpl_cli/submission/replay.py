@@ -20,7 +20,8 @@ from xpl_cli.evaluation.statistics.intervals import CONFIDENCE, Interval, Pairs,
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.records import Run
 
 MARGIN = 0.1
 """Success rates that are surely no farther apart than this agree, on machines of which nothing exact can be asked."""
@@ -56,19 +57,19 @@ class Pair:
         is_equal_machine: whether facts of both machines are the same.
     """
 
-    recorded: Line
-    replayed: Line
+    recorded: Episode
+    replayed: Episode
     is_equal_machine: bool
 
     @property
     def match(self) -> Match:
         """How the two compare."""
         old, new = self.recorded, self.replayed
-        if new["failure"] == INFRASTRUCTURE:
+        if new.failure == INFRASTRUCTURE:
             return Match.SPOILT
-        if old["success"] != new["success"]:
+        if old.success != new.success:
             return Match.DIFFERENT
-        is_same = old.get("digest") is not None and old["digest"] == new.get("digest")
+        is_same = old.digest is not None and old.digest == new.digest
         return Match.SAME if is_same else Match.OUTCOME
 
     def as_json(self, run: str) -> dict[str, Any]:
@@ -76,11 +77,11 @@ class Pair:
         keys = ("success", "score", "end_reason", "steps", "digest", "failure")
         return {
             "run": run,
-            **{key: self.recorded[key] for key in ("index", "task", "setting", sdk.Deploy.SEED)},
+            **{key: getattr(self.recorded, key) for key in ("index", "task", "setting", sdk.Deploy.SEED)},
             "match": self.match.value,
             "equal_machine": self.is_equal_machine,
-            "recorded": {key: self.recorded.get(key) for key in keys},
-            "replayed": {key: self.replayed.get(key) for key in keys} | {"error": self.replayed.get("error")},
+            "recorded": {key: getattr(self.recorded, key) for key in keys},
+            "replayed": {key: getattr(self.replayed, key) for key in keys} | {"error": self.replayed.error},
         }
 
 
@@ -130,7 +131,7 @@ def draw(runs: Sequence[Run], count: int, seed: int) -> list[tuple[Run, int]]:
 def eligible(run: Run) -> list[int]:
     """Return the episodes of a run that count, spoilt ones left out."""
     lines = (line for cell in cells(run) for line in cell.counted)
-    return [line["index"] for line in lines if line["failure"] != INFRASTRUCTURE]
+    return [line.index for line in lines if line.failure != INFRASTRUCTURE]
 
 
 def judge(pairs: Sequence[Pair], total: int, *, deterministic: bool) -> Finding:
@@ -158,11 +159,11 @@ def judge(pairs: Sequence[Pair], total: int, *, deterministic: bool) -> Finding:
 
 def _is_broken(pair: Pair) -> bool:
     """Tell whether an episode should have repeated itself and has not."""
-    return pair.is_equal_machine and pair.recorded.get("digest") is not None and pair.match is not Match.SAME
+    return pair.is_equal_machine and pair.recorded.digest is not None and pair.match is not Match.SAME
 
 
 def _judged_by_outcome(compared: Sequence[Pair], total: int, counts: Mapping[str, int]) -> Finding:
-    outcomes = Counter((bool(pair.recorded["success"]), bool(pair.replayed["success"])) for pair in compared)
+    outcomes = Counter((bool(pair.recorded.success), bool(pair.replayed.success)) for pair in compared)
     pairs = Pairs(outcomes[True, True], outcomes[True, False], outcomes[False, True], outcomes[False, False])
     flips = counts.get(Match.DIFFERENT.value, 0)
     is_all = len(compared) == total
@@ -189,7 +190,7 @@ def _judged_by_outcome(compared: Sequence[Pair], total: int, counts: Mapping[str
 
 def _name(pair: Pair) -> str:
     told = pair.recorded
-    return f"episode {told['index']} ({told['task']}, {told['setting']}, seed {told[sdk.Deploy.SEED]})"
+    return f"episode {told.index} ({told.task}, {told.setting}, seed {told.seed})"
 
 
 def disagreements(pairs: Iterable[Pair]) -> list[str]:
@@ -198,8 +199,8 @@ def disagreements(pairs: Iterable[Pair]) -> list[str]:
     found = []
     for pair in pairs:
         if pair.match is Match.DIFFERENT:
-            old, new = said[pair.recorded["success"]], said[pair.replayed["success"]]
-            found.append(f"{_name(pair)} {old} in the record, and {new} here ({pair.replayed['end_reason']})")
+            old, new = said[pair.recorded.success], said[pair.replayed.success]
+            found.append(f"{_name(pair)} {old} in the record, and {new} here ({pair.replayed.end_reason})")
         elif pair.match is Match.SPOILT:
-            found.append(f"{_name(pair)} was spoilt here: {pair.replayed.get('error')}")
+            found.append(f"{_name(pair)} was spoilt here: {pair.replayed.error}")
     return found

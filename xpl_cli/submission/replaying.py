@@ -12,7 +12,7 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.lanes.backend import Job
 from xpl_cli.evaluation.lanes.local import LocalBackend, shared
-from xpl_cli.evaluation.records import fingerprints, records
+from xpl_cli.evaluation.records import fingerprints
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.runs import evaluate, runner
 from xpl_cli.lifecycle.checkpoints import fetch, specification
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
     from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
-    from xpl_cli.evaluation.records.records import Line, Run, Slot
+    from xpl_cli.evaluation.records.fingerprints import Checkpoint
+    from xpl_cli.evaluation.records.model import Episode, Slot
+    from xpl_cli.evaluation.records.records import Run
     from xpl_cli.packages.package import Package
 
 
@@ -77,20 +79,20 @@ class Player:
         here = fingerprints.digest_of(fingerprints.machine_facts())
         lines = self._lines(run, indices)
         return [
-            Pair(run.finals[index], lines[index], is_equal_machine=run.finals[index]["machine"] == here)
+            Pair(run.finals[index], lines[index], is_equal_machine=run.finals[index].machine == here)
             for index in indices
         ]
 
-    def _lines(self, run: Run, indices: Sequence[int]) -> dict[int, Line]:
+    def _lines(self, run: Run, indices: Sequence[int]) -> dict[int, Episode]:
         """Return what came of each episode; one that the infrastructure spoils is played again, as in any run."""
-        slots = records.slots(run.plan)
-        found: dict[int, Line] = {}
+        slots = run.plan.slots()
+        found: dict[int, Episode] = {}
         with contextlib.closing(self._backend(run)) as backend:
-            for attempt in range(1, run.plan["control"]["attempts"] + 1):
+            for attempt in range(1, run.plan.control.attempts + 1):
                 jobs = [_job(slots[index], attempt) for index in indices if _is_open(found.get(index))]
                 for line in runner.replay(run.plan, jobs, backend):
-                    self.progress.step(f"replay: episode {line['index']}, {line['task']}: {line['end_reason']}")
-                    found[line["index"]] = line
+                    self.progress.step(f"replay: episode {line.index}, {line.task}: {line.end_reason}")
+                    found[line.index] = line
         return found
 
     def _backend(self, run: Run) -> LocalBackend:
@@ -101,18 +103,18 @@ class Player:
         """Return what lanes and servers are told, made sure that it is what was recorded."""
         plan = run.plan
         adapter = self._package
-        if fingerprints.package_digest(adapter.path) != plan["policy"]["digest"]:
+        if fingerprints.package_digest(adapter.path) != plan.policy.digest:
             raise UserError(
                 f"{adapter.path} does not have the files of the run: it cannot stand for the bundle's adapter"
             )
-        config = plan["policy"]["config"]
-        robots.meet(config, f"run {plan['run'][:12]}")
-        self._find_weights(config, plan["policy"]["checkpoint"])
+        config = plan.policy.config
+        robots.meet(config, f"run {plan.run[:12]}")
+        self._find_weights(config, plan.policy.checkpoint)
         folder = claims.environment(run)
         facts = environments.manifest(folder)
         if facts.is_real:
             raise UserError(f"{folder.name} does not wait for the policy: no episode repeats", code=ExitCode.NOT_RUN)
-        if fingerprints.package_digest(folder) != plan["environment"]["digest"]:
+        if fingerprints.package_digest(folder) != plan.environment.digest:
             raise UserError(f"{folder.name} here is another version than the run's", code=ExitCode.NOT_RUN)
         request = evaluate.Request(
             adapter,
@@ -127,18 +129,18 @@ class Player:
         )
         return evaluate.orders(request, folder, plan)
 
-    def _find_weights(self, config: Mapping[str, Any], loaded: Mapping[str, str] | None) -> None:
+    def _find_weights(self, config: Mapping[str, Any], loaded: Checkpoint | None) -> None:
         """See to it that the adapter loads the checkpoint of the run.
 
         Raises:
             UserError: it is not here.
         """
         if loaded is not None and not self.is_ours:
-            self._link(loaded["digest"])
+            self._link(loaded.digest)
         found = fingerprints.checkpoint_of(self._package, config)
-        if (found and found["digest"]) != (loaded and loaded["digest"]):
+        if (found and found.digest) != (loaded and loaded.digest):
             raise UserError(
-                f"the checkpoint of the run ({loaded['path'] if loaded else 'none'}) is not here",
+                f"the checkpoint of the run ({loaded.path if loaded else 'none'}) is not here",
                 hint="`xpl verify --unpack DIR --sample 0`, then `xpl checkpoint fetch` for the adapter in DIR, then "
                 "`xpl verify`; or --policy names an adapter that has it",
                 code=ExitCode.NOT_RUN,
@@ -155,5 +157,5 @@ def _job(slot: Slot, attempt: int) -> Job:
     return Job(slot.index, attempt, slot.task, slot.setting, slot.seed, trace=False)
 
 
-def _is_open(line: Line | None) -> bool:
-    return line is None or line["failure"] == INFRASTRUCTURE
+def _is_open(line: Episode | None) -> bool:
+    return line is None or line.failure == INFRASTRUCTURE

@@ -16,7 +16,7 @@ def sentences(report: Report) -> Iterator[str]:
         return
     for claim in () if report.verdict is None else report.verdict.unproven:
         yield f"the {claim.claim.subject}: {claim.reason}"
-    judged = sum(cell["judged"] for run in report.runs for cell in run["cells"])
+    judged = sum(run.total("judged") for run in report.runs)
     played = len(report.pairs)
     if not played:
         yield (

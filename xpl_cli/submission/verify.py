@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 import tempfile
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +20,12 @@ from xpl_cli.submission import bundle, inspection, replay
 from xpl_cli.submission.replaying import Player
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from xpl_cli.audit.rules.verdict import Verdict
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.submission.bundle import Bundle
+    from xpl_cli.submission.claims import Claim
     from xpl_cli.submission.inspection import Check
 
 
@@ -77,7 +78,7 @@ class Report:
 
     digest: str
     policy: str
-    runs: tuple[Mapping[str, Any], ...]
+    runs: tuple[Claim, ...]
     checks: tuple[Check, ...]
     verdict: Verdict | None = None
     seed: int | None = None
@@ -104,7 +105,7 @@ class Report:
             "schema": spec.schema("verification")["title"],
             "bundle": self.digest,
             "policy": self.policy,
-            "runs": list(self.runs),
+            "runs": [asdict(run) for run in self.runs],
             "audit": None if self.verdict is None else self.verdict.as_json(),
             "checks": [{"name": check.name, "problems": list(check.problems)} for check in self.checks],
             "replay": played,
@@ -124,8 +125,8 @@ def verify(request: Request) -> Report:
         request.progress.step(f"{request.path.name}: unpacking")
         found = bundle.opened(request.path, Path(name), limit=request.limit)
         checks, runs = inspection.inspect(found, request.progress)
-        told = tuple(found.manifest["runs"])
-        report = Report(found.digest, found.manifest["policy"]["name"], told, checks, inspection.verdict(found, checks))
+        told = found.manifest
+        report = Report(found.digest, told.policy.name, tuple(told.runs), checks, inspection.verdict(found, checks))
         if not request.sample:
             return report
         if any(check.problems for check in checks):
@@ -162,7 +163,7 @@ def _replayed(request: Request, found: Bundle, report: Report, runs: Sequence[Ru
     try:
         for run in runs:
             indices = [index for one, index in drawn if one is run]
-            pairs += [(run.plan["run"], pair) for pair in player.play(run, indices)]
+            pairs += [(run.plan.run, pair) for pair in player.play(run, indices)]
     except UserError as error:
         said = f"{error}" if error.hint is None else f"{error} ({error.hint})"
         return replace(report, seed=seed, pairs=tuple(pairs), unplayed=said)

@@ -207,19 +207,19 @@ def _evaluated(adapter: Adapter, path: Path) -> dict[str, Any]:
     from xpl_cli.evaluation.records.fingerprints import package_digest
 
     run = records.read(path)
-    played, found = run.plan["policy"], cells(run)
+    played, found = run.plan.policy, cells(run)
     unplayed = sum(cell.unplayed for cell in found)
-    if played["digest"] != package_digest(adapter.path):
+    if played.digest != package_digest(adapter.path):
         raise UserError(f"{path} is a run of other files than {adapter.folder}: expected one of this very adapter")
-    if played["checkpoint"] is None:
+    if played.checkpoint is None:
         raise UserError(f"{path} is a run without weights: its configuration leads to no checkpoint")
     outcomes = [outcome for cell in found for outcome in cell.outcomes]
     if unplayed or not outcomes:
         raise UserError(f"{path} is not finished: {unplayed} episodes are still to come", hint="xpl eval --resume")
     return {
-        "run": run.plan["run"],
-        "environment": run.plan["environment"]["name"],
-        "checkpoint": played["checkpoint"]["digest"],
+        "run": run.plan.run,
+        "environment": run.plan.environment.name,
+        "checkpoint": played.checkpoint.digest,
         "episodes": len(outcomes),
         "successes": sum(outcomes),
     }

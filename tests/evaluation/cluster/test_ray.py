@@ -11,9 +11,8 @@ import os
 import signal
 import subprocess
 import uuid
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 
@@ -23,6 +22,9 @@ from tests.support.peer import MARK, processes, wait_until
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.records import records
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 FOLDER = Path(__file__).resolve().parent
 PYTHON = build.interpreter("ray", locks=FOLDER)
@@ -124,8 +126,8 @@ def lines(folder: Path) -> int:
 
 def same(one: records.Run, other: records.Run) -> bool:
     """Tell whether two runs have the same final episodes."""
-    finals = [{i: [line.get(key) for key in SAME] for i, line in run.finals.items()} for run in (one, other)]
-    return one.plan["run"] == other.plan["run"] and finals[0] == finals[1]
+    finals = [{i: [getattr(line, key) for key in SAME] for i, line in run.finals.items()} for run in (one, other)]
+    return one.plan.run == other.plan.run and finals[0] == finals[1]
 
 
 @pytest.fixture(scope="module")
@@ -164,15 +166,15 @@ def test_a_node_and_the_leader_are_killed_and_every_episode_counts_once(
         wait_until(lambda: not cluster.left(), "nothing of the run is left on the node that lives")
     run = records.read(out)
     assert list(run.finals) == list(range(20))
-    assert sorted(line["index"] for line in run.attempts if line["final"]) == list(range(20))
+    assert sorted(line.index for line in run.attempts if line.final) == list(range(20))
     assert run.attempts[: len(before.attempts)] == before.attempts
-    lost = [line for line in run.attempts if line["failure"] == INFRASTRUCTURE]
+    lost = [line for line in run.attempts if line.failure == INFRASTRUCTURE]
     assert 1 <= len(lost) <= 2, lost
-    assert all("lost" in line["error"] and not line["final"] for line in lost)
+    assert all("lost" in line.error and not line.final for line in lost)
     assert same(run, reference(20))
     assert "raylet" not in printed, "Ray's own notes are no data"
     for line in run.finals.values():
-        assert (out / line["trace"]["path"]).is_file()
+        assert (out / line.trace.path).is_file()
 
 
 def test_a_run_that_is_told_to_end_does_and_takes_all_along(tmp_path: Path) -> None:
@@ -202,10 +204,10 @@ def test_policy_servers_with_a_gpu_are_apart_and_move_to_another_node(tmp_path: 
         wait_until(lambda: not cluster.left(), "nothing of the run is left")
     run = records.read(out)
     assert len(run.finals) == 10
-    assert all(line["success"] for line in run.finals.values())
-    servers = {line["server"] for line in run.finals.values()}
+    assert all(line.success for line in run.finals.values())
+    servers = {line.server for line in run.finals.values()}
     assert len(servers) >= 2, "each server, and each of its places, has an instance of its own"
-    spoilt = [line for line in run.attempts if line["failure"] == INFRASTRUCTURE]
+    spoilt = [line for line in run.attempts if line.failure == INFRASTRUCTURE]
     assert 1 <= len(spoilt) <= 4, spoilt
 
 

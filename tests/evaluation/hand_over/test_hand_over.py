@@ -16,6 +16,7 @@ from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.hand_over import results
 from xpl_cli.evaluation.hand_over.launcher import Launcher, LauncherError, filled
 from xpl_cli.evaluation.records import records
+from xpl_cli.evaluation.records.model import PlannedCell
 from xpl_cli.packages import environments
 from xpl_cli.standard.validate import validate
 
@@ -98,11 +99,9 @@ def test_what_it_found_is_recorded(workspace: Path, tmp_path: Path, task: str, s
     ended = _call("--workspace", workspace, "--out", out, "--task", task)
     assert ended.code == 0, ended.stderr
     run = records.read(out)
-    assert run.plan["cells"] == [
-        {"task": "stack_bowls", "setting": setting, "dimension": "generalisation", "seeds": [0, 3], "frozen": True}
-    ]
+    assert run.plan.cells == [PlannedCell("stack_bowls", setting, "generalisation", [0, 3], frozen=True)]
     lines = run.finals.values()
-    assert [(line["seed"], line["success"], line["score"], line["failure"]) for line in lines] == [
+    assert [(line.seed, line.success, line.score, line.failure) for line in lines] == [
         (0, True, 1.0, None),
         (3, False, 0.15, "task"),
     ]

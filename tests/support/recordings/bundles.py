@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.places import ROOT
-from tests.support.recordings.runs import synthetic
+from tests.support.recordings.runs import renamed, synthetic
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.packages import package
-from xpl_cli.submission import archive, bundle, claims
+from xpl_cli.submission import archive, bundle, claims, prepare
 
 ADAPTER = ROOT / "policy" / "scripted_expert"
 _INTERPRETER: dict[str, Any] = {"python": "3.11.7", "installed": {}, "lock": None}
@@ -39,10 +39,10 @@ def made(folder: Path) -> dict[str, bytes]:
 def manifest(files: Mapping[str, bytes], folder: Path) -> dict[str, Any]:
     """Return the manifest of such files; what it claims is of the run that `made` recorded."""
     run = records.read(folder / "run")
-    told = {key: run.plan["policy"][key] for key in ("name", "spec", "digest")}
     (target,) = json.loads(files[bundle.AUDIT])["targets"]
     audit = {key: target[key] for key in ("verdict", "statement", "proven", "unproven")}
-    return bundle.manifest(told, [claims.claim(run)], audit, files)
+    entries = {name: bundle.Entry.of(content) for name, content in files.items()}
+    return bundle.Manifest(prepare.described(run), [claims.claim(run)], entries, audit).as_json()
 
 
 def archived(path: Path, files: Mapping[str, bytes], told: Mapping[str, Any]) -> Path:
@@ -62,7 +62,7 @@ def _recorded(folder: Path) -> records.Run:
     adapter = package.load(ADAPTER)
     plan["policy"] |= {"digest": fingerprints.package_digest(ADAPTER), "checkpoint": None}
     plan["policy"]["spec"] = adapter.manifest.spec
-    lines = [records.named(plan), *others]
+    lines = [renamed(plan), *others]
     file.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
     return records.read(folder)
 

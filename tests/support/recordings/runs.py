@@ -9,11 +9,13 @@ import json
 import math
 import random
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from xpl_cli.evaluation.records.model import Episode, Plan, PlannedCell, name_of
 
 BEGAN = dt.datetime(2026, 11, 21, 9, 0, tzinfo=dt.UTC)
 DIMENSIONS = ("precision", "long-horizon", "memory")
@@ -78,11 +80,11 @@ def synthetic(  # noqa: PLR0917 - what most tests vary
         for number, task in enumerate(tasks)
         for setting in settings
     ]
-    plan = _plan(policy, spec, cells)
+    first = _plan(policy, spec, cells)
     machine = {"kind": "machine", "machine": _digest(_FACTS), "facts": _FACTS}
     draw = random.Random(f"{seed} {policy}")  # noqa: S311 - made-up results, not secrets
     wanted = [(cell, own) for cell in cells for own in cell["seeds"]]
-    lines = [plan, machine]
+    lines = [first, machine]
     clock = BEGAN
     for index, (cell, own) in enumerate(wanted[:played]):
         chance = rate if isinstance(rate, (int, float)) else rate[cell["task"], cell["setting"]]
@@ -99,8 +101,27 @@ def synthetic(  # noqa: PLR0917 - what most tests vary
     return folder
 
 
+def renamed(first: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the first line of a record, whose plan somebody has changed, with the name that goes with it."""
+    return {**first, "run": name_of(first)}
+
+
+def planned(config: Mapping[str, Any] | None = None, cells: Sequence[PlannedCell] = ()) -> Plan:
+    """Return a plan of some cells, for a policy that is configured so."""
+    told = Plan.parse(_plan("Foo", "v1", []))
+    return replace(told, policy=replace(told.policy, config=config or {}), cells=cells)
+
+
+def episode(**told: Any) -> Episode:
+    """Return a final line of an episode that succeeded, but for what is told."""
+    place = {"index": 0, "attempt": 1, "final": True, "task": "lift_cube", "setting": "clean", "seed": 1}
+    robot = {"embodiment": "arx_x5", "action_type": "joint", "machine": _digest(_FACTS)}
+    ending = {"success": True, "score": 1.0, "end_reason": "success"}
+    return Episode(**{**place, **robot, **ending, "started": _time(BEGAN), "wall_seconds": 1.0, **told})
+
+
 def _plan(policy: str, spec: str, cells: list[dict[str, Any]]) -> dict[str, Any]:
-    plan: dict[str, Any] = {
+    told: dict[str, Any] = {
         "kind": "run",
         "schema": "xpl.record/1",
         "policy": {
@@ -117,7 +138,7 @@ def _plan(policy: str, spec: str, cells: list[dict[str, Any]]) -> dict[str, Any]
         "cells": cells,
         "until_width": None,
     }
-    return {**plan, "run": _digest(plan), "created": _time(BEGAN)}
+    return {**told, "run": _digest(told), "created": _time(BEGAN)}
 
 
 def _attempts(

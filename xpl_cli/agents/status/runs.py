@@ -61,11 +61,11 @@ def _read(file: Path, target: Target) -> Recorded | None:
         run = records.read(file)
     except UserError:
         return None
-    policy = run.plan["policy"]
-    if policy["name"] != target.path.name:
+    policy = run.plan.policy
+    if policy.name != target.path.name:
         return None
     unplayed = sum(cell.unplayed for cell in cells.cells(run))
     state = Course.INTERRUPTED if unplayed else Course.COMPLETE
-    if policy["digest"] != package_digest(target.path):
+    if policy.digest != package_digest(target.path):
         state = Course.OTHER_FILES
-    return Recorded(str(file.parent), run.plan["environment"]["name"], len(run.finals), unplayed, state)
+    return Recorded(str(file.parent), run.plan.environment.name, len(run.finals), unplayed, state)

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.evaluation.lanes import trial
+from xpl_cli.evaluation.records.model import Ending
 
 if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
 
 _TASK, _SETTING = "task", "setting"
-RESULT: Final = trial.outcome([{"success": False, "score": 0.25, "steps": 3, "end_reason": "max_steps"}])
+RESULT: Final = trial.outcome([Ending(success=False, score=0.25, steps=3, end_reason="max_steps")])
 """How a trial went."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,7 @@ from xpl_cli.basics.strangers import one_line
 from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY, POLICY_ENV
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
+    from xpl_cli.submission.claims import Claim
     from xpl_cli.submission.prepare import Answer
     from xpl_cli.submission.verify import Report
 
@@ -139,21 +139,22 @@ def _answer_json(answer: Answer, policy: str, path: Path) -> dict[str, Any]:
         "sha256": answer.sha256,
         "problems": list(answer.problems),
         "notes": list(answer.notes),
-        "runs": [] if answer.manifest is None else answer.manifest["runs"],
-        "audit": None if answer.manifest is None else answer.manifest["audit"],
+        "runs": [] if answer.manifest is None else [asdict(run) for run in answer.manifest.runs],
+        "audit": None if answer.manifest is None else answer.manifest.audit,
         "exit_code": int(answer.code),
         "next": [] if answer.digest is None else [shlex.join(["xpl", "verify", str(path)])],
     }
 
 
 def _answer_text(answer: Answer, path: Path) -> str:
-    assert answer.manifest is not None  # noqa: S101 - for the type checker: a bundle without problems has one
-    cells = [cell for run in answer.manifest["runs"] for cell in run["cells"]]
-    won, judged = (sum(cell[key] for cell in cells) for key in ("successes", "judged"))
+    manifest = answer.manifest
+    assert manifest is not None and manifest.audit is not None  # noqa: S101, PT018 - a bundle without problems has both
+    runs, cells = len(manifest.runs), sum(len(run.cells) for run in manifest.runs)
+    won, judged = (sum(run.total(key) for run in manifest.runs) for key in ("successes", "judged"))
     lines = [
-        f"{path}: {len(answer.manifest['runs'])} runs, {len(cells)} tasks and settings, {won} of {judged} succeeded",
+        f"{path}: {runs} runs, {cells} tasks and settings, {won} of {judged} succeeded",
         f"bundle {answer.digest}",
-        f"audit  {one_line(answer.manifest['audit']['statement'])}",
+        f"audit  {one_line(manifest.audit['statement'])}",
         *(f"note: {note}" for note in answer.notes),
         f"next: xpl verify {path}",
     ]
@@ -177,16 +178,12 @@ def _report_text(report: Report) -> str:
     return "\n".join(lines)
 
 
-def _run_text(run: Mapping[str, Any]) -> str:
+def _run_text(run: Claim) -> str:
     """Return what a bundle claims of a run."""
-    from xpl import _spec as spec
-
-    planned, played, judged, won = (
-        sum(cell[key] for cell in run["cells"]) for key in ("planned", "played", "judged", "successes")
-    )
+    planned, played, judged, won = map(run.total, ("planned", "played", "judged", "successes"))
     spoilt = f", {played - judged} not judged" if played > judged else ""
-    where = f"{run['environment']}, {run['embodiment']}, {run[spec.Deploy.ACTION_TYPE]} control"
-    return f"  run {run['run'][:12]}: {where}: {won} of {judged} succeeded, {played} of {planned} played{spoilt}"
+    where = f"{run.environment}, {run.embodiment}, {run.action_type} control"
+    return f"  run {run.run[:12]}: {where}: {won} of {judged} succeeded, {played} of {planned} played{spoilt}"
 
 
 def _listed(sentences: tuple[str, ...] | list[str]) -> list[str]:

@@ -275,21 +275,21 @@ def _told(request: look.Request, policy: str, *, as_json: bool) -> None:
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
     from xpl_cli.basics.progress import progress
-    from xpl_cli.evaluation.runs import look, outcome
+    from xpl_cli.evaluation.runs import look
     from xpl_cli.standard import spec as standard
 
     with desk(request.environment), progress() as say:
-        report = look.evaluate(request, say)
+        found = look.evaluate(request, say)
     if as_json:
-        console.data_json({**report, "next": outcome.following(report, policy)})
-        if report["infrastructure_failures"]:
+        console.data_json({**found.as_json(), "next": found.following(policy)})
+        if found.spoilt:
             raise typer.Exit(ExitCode.NOT_RUN)
         return
-    console.data(outcome.text(report))
-    failed = report["infrastructure_failures"]
-    if failed:
-        count = len(report["episodes"])
+    console.data(found.text())
+    if found.spoilt:
+        count = len(found.episodes)
         raise UserError(
-            f"{failed} of {count} trials were spoilt by the infrastructure, and say nothing", code=ExitCode.NOT_RUN
+            f"{found.spoilt} of {count} trials were spoilt by the infrastructure, and say nothing",
+            code=ExitCode.NOT_RUN,
         )
     console.data(standard.data("package")["eval_finish_line"])

@@ -26,7 +26,7 @@ from xpl_cli.environments.play import chosen
 from xpl_cli.evaluation.hand_over import process, record, results
 from xpl_cli.evaluation.hand_over.launcher import RATE, Launcher, filled
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.records.records import now
+from xpl_cli.evaluation.records.model import now
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:

@@ -11,6 +11,14 @@ from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.failures import SUCCESS, TASK
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, machine_facts, package_digest
+from xpl_cli.evaluation.records.model import (
+    Control,
+    Episode,
+    Plan,
+    PlannedCell,
+    PlannedEnvironment,
+    PlannedPolicy,
+)
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -19,7 +27,6 @@ if TYPE_CHECKING:
 
     from xpl.manifest import EnvManifest
     from xpl_cli.evaluation.hand_over.results import Layout
-    from xpl_cli.evaluation.records.records import Line
     from xpl_cli.packages.package import Package
 
 NO_SUCCESS = "no_success"
@@ -66,59 +73,39 @@ def write(folder: Path, played: Played, layouts: Sequence[Layout]) -> None:
     task, setting = place(str(config[sdk.Deploy.TASK_NAME]), facts.hand_over.randomized if facts.hand_over else None)
     robot = get_embodiment(str(config[sdk.Deploy.ENV_CFG_TYPE])).name
     entry = facts.tasks.get(config[sdk.Deploy.TASK_NAME])
-    cell = {
-        "task": task,
-        "setting": setting,
-        "dimension": None if entry is None else entry.dimension,
-        "seeds": [layout.number for layout in layouts],
-        "frozen": True,
-    }
-    plan = records.named(
-        {
-            "kind": "run",
-            "schema": records.SCHEMA,
-            "policy": {
-                "name": package.name,
-                "spec": spec.VERSION,
-                "digest": package_digest(package.path),
-                "config": dict(config),
-                "checkpoint": checkpoint_of(package, config),
-            },
-            "environment": {
-                "name": facts.name,
-                "spec": spec.VERSION,
-                "digest": package_digest(played.environment),
-            },
-            "embodiment": robot,
-            sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
-            "control": {"horizon": None, "attempts": 1},
-            "cells": [cell],
-            "until_width": None,
-        }
+    numbers = [layout.number for layout in layouts]
+    plan = Plan(
+        policy=PlannedPolicy(
+            package.name, spec.VERSION, package_digest(package.path), dict(config), checkpoint_of(package, config)
+        ),
+        environment=PlannedEnvironment(facts.name, spec.VERSION, package_digest(played.environment)),
+        embodiment=robot,
+        action_type=config[sdk.Deploy.ACTION_TYPE],
+        control=Control(horizon=None, attempts=1),
+        cells=[PlannedCell(task, setting, None if entry is None else entry.dimension, numbers, frozen=True)],
     )
-    with records.Writer(folder, plan) as writer:
+    with records.Writer(folder, plan.named()) as writer:
         machine = writer.machine({**machine_facts(), **played.launcher})
-        for index, layout in enumerate(layouts):
-            line: Line = {
-                "kind": "episode",
-                "index": index,
-                "attempt": 1,
-                "final": True,
-                "task": task,
-                "setting": setting,
-                sdk.Deploy.SEED: layout.number,
-                "embodiment": robot,
-                sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
-                "success": layout.success,
-                "score": layout.score,
-                "failure": None if layout.success else TASK,
-                "end_reason": SUCCESS if layout.success else NO_SUCCESS,
-                "started": played.started,
+        for slot, layout in zip(plan.slots(), layouts, strict=True):
+            episode = Episode(
+                index=slot.index,
+                attempt=1,
+                final=True,
+                task=task,
+                setting=setting,
+                seed=slot.seed,
+                embodiment=robot,
+                action_type=plan.action_type,
+                success=layout.success,
+                score=layout.score,
+                failure=None if layout.success else TASK,
+                end_reason=SUCCESS if layout.success else NO_SUCCESS,
+                started=played.started,
                 # A benchmark tells no times of single episodes.
-                "wall_seconds": round(played.seconds / len(layouts), 3),
-                "machine": machine,
-            }
-            writer.add(line)
+                wall_seconds=round(played.seconds / len(layouts), 3),
+                machine=machine,
+            )
+            writer.add(episode)
 
 
 def place(task_name: str, randomized: str | None) -> tuple[str, str]:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from xpl_cli.evaluation.records.failures import spoilt
-from xpl_cli.evaluation.records.records import now
+from xpl_cli.evaluation.records.model import Conduct, now
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from xpl_cli.evaluation.records.records import Line
+    from xpl_cli.evaluation.records.model import Ending
 
 LOCAL, RAY = "local", "ray"
 NAMES = (LOCAL, RAY)
@@ -61,8 +61,8 @@ class Outcome:
 
     Attributes:
         job: the job.
-        line: what the episode's line says of how it went (`spec/v1/record.schema.json`): all but its key, its place
-            in the plan, whether it is final, its machine and its files.
+        ending: how it ended.
+        conduct: when it was played, for how long, and by whom.
         facts: the machine on which it was played; empty where that is not known.
         trace: an .npz with its curves, or None.
         film: an animated WebP, or None.
@@ -70,7 +70,8 @@ class Outcome:
     """
 
     job: Job
-    line: Line
+    ending: Ending
+    conduct: Conduct
     facts: Mapping[str, Any] = field(default_factory=dict)
     trace: bytes | None = None
     film: bytes | None = None
@@ -99,5 +100,5 @@ class Backend(Protocol):
 
 def lost(job: Job, reason: str, worker: str | None = None, facts: Mapping[str, Any] | None = None) -> Outcome:
     """Return the outcome of a job whose player is gone."""
-    line = {**spoilt(reason), "started": now(), "wall_seconds": 0.0, "worker": worker}
-    return Outcome(job, line, facts or {}, is_server_suspect=True)
+    conduct = Conduct(started=now(), wall_seconds=0.0, worker=worker)
+    return Outcome(job, spoilt(reason), conduct, facts or {}, is_server_suspect=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,13 +34,13 @@ from xpl_cli.evaluation.loop.desk import LoopError
 from xpl_cli.evaluation.loop.process import Loop, LoopLostError
 from xpl_cli.evaluation.records import failures
 from xpl_cli.evaluation.records.fingerprints import machine_facts
-from xpl_cli.evaluation.records.records import now
+from xpl_cli.evaluation.records.model import Conduct, now
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import environments
 from xpl_cli.serving.secrets import client_tls_context
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.records.records import Line
+    from xpl_cli.evaluation.records.model import Ending
 
 
 class Lane:
@@ -99,18 +100,18 @@ class Lane:
         """
         self._load()
         started, clock = now(), time.perf_counter()
-        watch, lines = self._played(jobs, url)
-        told = {"started": started, "wall_seconds": round(time.perf_counter() - clock, 3), "worker": self._worker}
+        watch, endings = self._played(jobs, url)
+        took = round(time.perf_counter() - clock, 3)
+        conduct = Conduct(started=started, wall_seconds=took, worker=self._worker)
         server = self._server()  # None where its connection was let go of
         outcomes = []
-        for job, line in zip(jobs, lines, strict=True):
-            if watch is None or line["failure"] == INFRASTRUCTURE:
-                outcomes.append(Outcome(job, {**line, **told}, self._machine, is_server_suspect=True))
+        for job, ending in zip(jobs, endings, strict=True):
+            if watch is None or ending.failure == INFRASTRUCTURE:
+                outcomes.append(Outcome(job, ending, conduct, self._machine, is_server_suspect=True))
                 continue
-            seen = {**line, **told, "server": server}
-            if job is jobs[0]:  # a batch is answered once for all
-                seen["inference"] = watch.inference
-            outcomes.append(Outcome(job, seen, self._machine, watch.trace(), watch.film(), server is None))
+            inference = watch.inference if job is jobs[0] else None  # a batch is answered once for all
+            seen = replace(conduct, server=server, inference=inference)
+            outcomes.append(Outcome(job, ending, seen, self._machine, watch.trace(), watch.film(), server is None))
         return outcomes
 
     def close(self) -> None:
@@ -153,7 +154,7 @@ class Lane:
             hang_up(scene)
             scene.env.close()
 
-    def _played(self, jobs: Sequence[Job], url: str) -> tuple[Watch | None, list[Line]]:
+    def _played(self, jobs: Sequence[Job], url: str) -> tuple[Watch | None, list[Ending]]:
         """Return who looked on, if it came to that, and what is recorded of each outcome."""
         watch = None
         try:
@@ -169,28 +170,28 @@ class Lane:
                     client = self._connected(scene, url)
                 except ServerFailedError as error:
                     return watch, self._failed(watch, error, len(jobs))
-                lines = self._tried(watch, client, jobs)
+                endings = self._tried(watch, client, jobs)
                 if recorder is not None:
-                    recorder.keep(lines)
-                return watch, lines
+                    recorder.keep(endings)
+                return watch, endings
         except SpoiltError as error:
             self._drop()
             return watch, [failures.spoilt(str(error))] * len(jobs)
 
-    def _tried(self, watch: Watch, client: Client, jobs: Sequence[Job]) -> list[Line]:
+    def _tried(self, watch: Watch, client: Client, jobs: Sequence[Job]) -> list[Ending]:
         """Announce a trial, judge it, and tell the policy how it went.
 
         Raises:
             SpoiltError: the infrastructure broke it off.
         """
         told = trial.case(jobs[0].task, jobs[0].setting, self._orders.settings, self._orders.num_envs)
-        lines = self._judged(watch, client, len(jobs), told)
+        endings = self._judged(watch, client, len(jobs), told)
         is_connected = self._scene is not None and self._scene.client is not None
-        if is_connected and not trial.end(client, lines):
+        if is_connected and not trial.end(client, endings):
             self._drop()
-        return lines
+        return endings
 
-    def _judged(self, watch: Watch, client: Client, count: int, told: Mapping[str, Any]) -> list[Line]:
+    def _judged(self, watch: Watch, client: Client, count: int, told: Mapping[str, Any]) -> list[Ending]:
         """Run the loop and return how each episode went.
 
         Raises:
@@ -216,7 +217,7 @@ class Lane:
             raise SpoiltError(str(error)) from None
         return self._failed(watch, broken, count)
 
-    def _failed(self, watch: Watch, error: Exception, count: int) -> list[Line]:
+    def _failed(self, watch: Watch, error: Exception, count: int) -> list[Ending]:
         """Return how episodes went that the policy's side broke off.
 
         Raises:

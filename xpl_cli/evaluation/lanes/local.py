@@ -93,7 +93,7 @@ class LocalBackend:
         self._lanes.remove(lane)
         lane.end()
         if not self._lanes:
-            reason = str(told.line["error"])
+            reason = str(told.ending.error)
             raise UserError(reason, hint="put that right, and go on with --resume", code=ExitCode.NOT_RUN)
         self._returned.append(told.job)
 

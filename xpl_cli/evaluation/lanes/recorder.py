@@ -17,16 +17,14 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.play import chosen
 from xpl_cli.evaluation.lanes.orders import ALL, KEEP, Demos
 from xpl_cli.evaluation.lanes.watch import Listener
-from xpl_cli.evaluation.records.records import now
+from xpl_cli.evaluation.records.model import now
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl_cli.evaluation.lanes.backend import Job
     from xpl_cli.evaluation.lanes.orders import Orders
-    from xpl_cli.evaluation.records.records import Line
-
-_TOLD = ("success", "score", "steps", "end_reason", "corrections", "digest")
+    from xpl_cli.evaluation.records.model import Ending
 
 
 def file_of(index: int) -> str:
@@ -34,9 +32,9 @@ def file_of(index: int) -> str:
     return f"episode_{index:07d}.hdf5"
 
 
-def is_kept(line: Line, keep: str) -> bool:
+def is_kept(ending: Ending, keep: str) -> bool:
     """Tell whether an episode is one to be kept."""
-    return line["failure"] in (None, "task") and (keep == ALL or bool(line["success"]))
+    return ending.failure in (None, "task") and (keep == ALL or bool(ending.success))
 
 
 @contextlib.contextmanager
@@ -111,11 +109,11 @@ class Recorder:
         self._asked = False
         return self._env.take_action_batch(actions, env_idx_list)
 
-    def keep(self, lines: Sequence[Line]) -> None:
+    def keep(self, endings: Sequence[Ending]) -> None:
         """Put the files of the episodes that are to be kept in place.
 
         Args:
-            lines: how each went, in the order of the jobs.
+            endings: how each went, in the order of the jobs.
 
         Raises:
             UserError: one could not be written.
@@ -123,10 +121,10 @@ class Recorder:
         try:
             if self._failed is not None:
                 raise self._failed
-            for env, (job, line) in enumerate(zip(self._jobs, lines, strict=True)):
+            for env, (job, ending) in enumerate(zip(self._jobs, endings, strict=True)):
                 writer = self._writers.get(env)
-                if writer is not None and is_kept(line, self._demos.keep):
-                    writer.episode = self._facts(job, line)
+                if writer is not None and is_kept(ending, self._demos.keep):
+                    writer.episode = self._facts(job, ending)
                     del self._writers[env]
                     writer.commit()
         except (trajectory.TrajectoryError, ImportError) as error:
@@ -171,7 +169,7 @@ class Recorder:
             privileged=demos.privileged,
         )
 
-    def _facts(self, job: Job, line: Line) -> dict[str, Any]:
+    def _facts(self, job: Job, ending: Ending) -> dict[str, Any]:
         """Return what is told of an episode: what was played by whom, and how it went."""
         orders = self._orders
         return {
@@ -184,7 +182,10 @@ class Recorder:
             sdk.Deploy.ACTION_TYPE: orders.settings[sdk.Deploy.ACTION_TYPE],
             "policy": Path(orders.policy).name,
             "policy_digest": orders.policy_digest,
-            **{name: line[name] for name in _TOLD if name in line},
+            **{name: getattr(ending, name) for name in ("success", "score", "end_reason")},
+            **{
+                name: told for name in ("steps", "corrections", "digest") if (told := getattr(ending, name)) is not None
+            },
             "recorded": now(),
             "writer": f"xpl {__version__}",
         }

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl import Client
-    from xpl_cli.evaluation.records.records import Line
+    from xpl_cli.evaluation.records.model import Ending
 
 _TOLD = ("success", "score", "steps", "end_reason")
 _UNKNOWN = (sdk.ErrorCode.UNKNOWN_MESSAGE_TYPE, sdk.ErrorCode.INVALID_FRAME)
@@ -41,9 +41,9 @@ def case(task: str, setting: str, settings: Mapping[str, Any], num_envs: int = 1
     }
 
 
-def outcome(lines: Sequence[Line]) -> dict[str, Any]:
+def outcome(endings: Sequence[Ending]) -> dict[str, Any]:
     """Return what is told of how a trial went: of one episode as it is, of several as a list."""
-    told = [{name: line.get(name) for name in _TOLD} for line in lines]
+    told = [{name: getattr(ending, name) for name in _TOLD} for ending in endings]
     return told[0] if len(told) == 1 else {"results": told}
 
 
@@ -61,13 +61,13 @@ def begin(client: Client, told: Mapping[str, Any]) -> None:
             raise
 
 
-def end(client: Client, lines: Sequence[Line]) -> bool:
+def end(client: Client, endings: Sequence[Ending]) -> bool:
     """Tell the policy how a trial went; return whether the connection can be used for the next one.
 
     The verdict stands whatever the policy's hook does: what it raises is told to whoever watches.
     """
     try:
-        client.trial_end(outcome(lines))
+        client.trial_end(outcome(endings))
     except PolicyServerError as error:
         if error.code not in _UNKNOWN:
             console.note(f"the policy's on_trial_end failed: {error}")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as sdk
+from xpl_cli.evaluation.records.model import Inference
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -91,12 +92,12 @@ class Watch:
         return reports
 
     @property
-    def inference(self) -> dict[str, Any]:
-        """Count, total and histogram of the policy's answers, as a record has them."""
+    def inference(self) -> Inference:
+        """Count, total and histogram of the policy's answers."""
         counts = [0] * _BINS
         for seconds in self._latencies:
             counts[_bin(seconds)] += 1
-        return {"count": len(self._latencies), "seconds": round(sum(self._latencies), 6), "histogram": counts}
+        return Inference(len(self._latencies), round(sum(self._latencies), 6), counts)
 
     def trace(self) -> bytes | None:
         """Return the curves as an .npz; None where none were kept.

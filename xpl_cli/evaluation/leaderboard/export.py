@@ -36,14 +36,12 @@ _DIGITS = 12
 
 def robodojo(run: Run) -> Iterator[tuple[Path, str]]:
     """Yield path and text of each file of a run, below RoboDojo's folder of results."""
-    plan, config = run.plan, run.plan["policy"]["config"]
+    plan, config = run.plan, run.plan.policy.config
     began = _began(run).strftime("%Y-%m-%d_%H-%M-%S")
-    settings = (
-        f"{config.get(sdk.Deploy.SEED, 0)}_ckpt_name={_checkpoint(run)},action_type={plan[sdk.Deploy.ACTION_TYPE]}"
-    )
+    settings = f"{config.get(sdk.Deploy.SEED, 0)}_ckpt_name={_checkpoint(run)},action_type={plan.action_type}"
     for cell in _told(run):
         task = {_PLAIN: cell.task, _RANDOMIZED: f"{cell.task}_random"}.get(cell.setting, f"{cell.task}_{cell.setting}")
-        place = _place(task, plan["policy"]["name"], plan["embodiment"]) / settings / began / "_result.json"
+        place = _place(task, plan.policy.name, plan.embodiment) / settings / began / "_result.json"
         yield place, json.dumps(_details(cell), indent=2, ensure_ascii=False) + "\n"
 
 
@@ -51,7 +49,7 @@ def robotwin(run: Run) -> Iterator[tuple[Path, str]]:
     """Yield path and text of each file of a run, below RoboTwin's folder of results."""
     began = _began(run).strftime("%Y-%m-%d %H:%M:%S")
     for cell in _told(run):
-        place = _place(cell.task, run.plan["policy"]["name"], cell.setting, _checkpoint(run)) / began / "_result.txt"
+        place = _place(cell.task, run.plan.policy.name, cell.setting, _checkpoint(run)) / began / "_result.txt"
         yield place, f"{sum(cell.certain) / len(cell.certain)}\n"
 
 
@@ -91,7 +89,7 @@ def _details(cell: Cell) -> dict[str, Any]:
     judged = [line for line in cell.counted if cell.certainly(line) is not None]
     details = {
         str(number): {
-            "layout_id": line[sdk.Deploy.SEED],
+            "layout_id": line.seed,
             "success": bool(cell.certainly(line)),
             "score": 1.0 if cell.certainly(line) else (score(line) or 0.0),
         }
@@ -112,14 +110,14 @@ def _told(run: Run) -> Iterator[Cell]:
 
 
 def _began(run: Run) -> dt.datetime:
-    return dt.datetime.fromisoformat(run.plan["created"])
+    return dt.datetime.fromisoformat(run.plan.created)
 
 
 def _checkpoint(run: Run) -> str:
     """Return what the checkpoint is called in a path: its name in deploy.yml, or the beginning of its digest."""
-    policy = run.plan["policy"]
-    digest = policy["checkpoint"]["digest"][:_DIGITS] if policy["checkpoint"] else "none"
-    return _UNFIT.sub("_", str(policy["config"].get(sdk.Deploy.CKPT_NAME) or digest))
+    policy = run.plan.policy
+    digest = policy.checkpoint.digest[:_DIGITS] if policy.checkpoint else "none"
+    return _UNFIT.sub("_", str(policy.config.get(sdk.Deploy.CKPT_NAME) or digest))
 
 
 def _place(*names: str) -> Path:

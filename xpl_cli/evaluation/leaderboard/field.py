@@ -6,21 +6,17 @@ import textwrap
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, cells
 from xpl_cli.evaluation.records.failures import MOST_SPOILT, contradiction
-from xpl_cli.evaluation.records.records import named, slots
 from xpl_cli.evaluation.statistics.matching import Difference, differences
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from xpl_cli.evaluation.records.records import Line, Run
-
-_Case = tuple[str, str, int]
-"""Task, setting and seed."""
+    from xpl_cli.evaluation.records.model import Case, Place
+    from xpl_cli.evaluation.records.records import Run
 
 _MACHINE = "machine: "
 _MOST_TOLD = 4
@@ -94,15 +90,13 @@ def _refuse_contradictions(run: Run) -> None:
     for line in run.finals.values():
         said = contradiction(line)
         if said is not None:
-            raise UserError(
-                f"{run.folder}: episode {line['index']} {said}: the record was changed", code=ExitCode.NOT_RUN
-            )
+            raise UserError(f"{run.folder}: episode {line.index} {said}: the record was changed", code=ExitCode.NOT_RUN)
 
 
 def _spoilt(run: Run) -> str | None:
     """Return why so much of a run was spoilt that it is not ranked, or None."""
     finals = run.finals.values()
-    count = sum(line["failure"] == INFRASTRUCTURE for line in finals)
+    count = sum(line.failure == INFRASTRUCTURE for line in finals)
     if count <= MOST_SPOILT * len(finals):
         return None
     return (
@@ -141,32 +135,22 @@ def _restricted(runs: Sequence[Run]) -> Iterator[Run]:
     shared = set.intersection(*counted)
     if not shared:
         raise UserError("these runs have no episode in common", code=ExitCode.NOT_RUN)
-    order = [slot for slot in slots(runs[0].plan) if (slot.task, slot.setting, slot.seed) in shared]
+    order = [slot for slot in runs[0].plan.slots() if slot.case in shared]
     for run in runs:
-        entries = {(cell["task"], cell["setting"]): cell for cell in run.plan["cells"]}
-        places = dict.fromkeys((slot.task, slot.setting) for slot in order)
-        plan = {
-            **run.plan,
-            "until_width": None,
-            "cells": [
-                {**entries[place], "seeds": [slot.seed for slot in order if (slot.task, slot.setting) == place]}
-                for place in places
-            ],
-        }
-        by_case = {_case(line): line for line in run.finals.values()}
-        finals = {
-            slot.index: {**by_case[slot.task, slot.setting, slot.seed], "index": slot.index} for slot in slots(plan)
-        }
-        places_of = {_case(line): index for index, line in finals.items()}
-        attempts = [{**line, "index": places_of[_case(line)]} for line in run.attempts if _case(line) in places_of]
-        yield replace(run, plan=named(plan), attempts=attempts, finals=finals)
+        entries = {cell.place: cell for cell in run.plan.cells}
+        seeds: dict[Place, list[int]] = {}
+        for slot in order:
+            seeds.setdefault((slot.task, slot.setting), []).append(slot.seed)
+        kept = [replace(entries[place], seeds=found) for place, found in seeds.items()]
+        plan = replace(run.plan, until_width=None, cells=kept).named()
+        by_case = {line.case: line for line in run.finals.values()}
+        finals = {slot.index: replace(by_case[slot.case], index=slot.index) for slot in plan.slots()}
+        places_of = {line.case: index for index, line in finals.items()}
+        attempts = [replace(line, index=places_of[line.case]) for line in run.attempts if line.case in places_of]
+        yield replace(run, plan=plan, attempts=attempts, finals=finals)
 
 
-def _cases(run: Run) -> Iterator[_Case]:
+def _cases(run: Run) -> Iterator[Case]:
     """Yield what a run's success rates are made of."""
     for cell in cells(run):
-        yield from (_case(line) for line in cell.counted if cell.certainly(line) is not None)
-
-
-def _case(line: Line) -> _Case:
-    return line["task"], line["setting"], line[sdk.Deploy.SEED]
+        yield from (line.case for line in cell.counted if cell.certainly(line) is not None)

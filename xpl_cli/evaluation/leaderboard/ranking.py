@@ -79,12 +79,12 @@ def _strength(summary: Mapping[str, Any], by: str) -> tuple[float, float]:
 
 
 def _row(run: Run, summary: Mapping[str, Any], gap: Mapping[str, Any] | None) -> dict[str, Any]:
-    overall, policy = summary["overall"], run.plan["policy"]
+    overall, policy = summary["overall"], run.plan.policy
     return {
         "folder": str(run.folder),
-        "run": run.plan["run"],
-        "policy": policy["name"],
-        "checkpoint": policy["checkpoint"] and policy["checkpoint"]["digest"],
+        "run": run.plan.run,
+        "policy": policy.name,
+        "checkpoint": policy.checkpoint and policy.checkpoint.digest,
         **{name: overall[name] for name in ("planned", "successes", "success_rate", "success_interval")},
         "judged": overall["judged"] + overall["failures"][INFRASTRUCTURE],  # which count as failed
         **{name: overall[name] for name in ("mean_score", "score_interval", "failures", "if_spoilt")},

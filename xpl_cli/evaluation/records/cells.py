@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
-from xpl import _spec as sdk
-from xpl_cli.evaluation.records.records import Line, Slot, slots
 from xpl_cli.evaluation.runs.stopping import stopping_point
 from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs, bootstrap, exact, wilson
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
+    from xpl_cli.evaluation.records.model import Ending, Episode, PlannedCell
     from xpl_cli.evaluation.records.records import Run
 
 INFRASTRUCTURE: Final = "infrastructure"
@@ -24,6 +23,8 @@ METHODS: Final[dict[str, Callable[[int, int], Interval]]] = {
     "exact": exact,
 }
 """Intervals of a success rate, by name."""
+
+_Case = TypeVar("_Case")
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Cell:
     dimension: str | None
     frozen: bool
     planned: int
-    counted: tuple[Line, ...]
+    counted: tuple[Episode, ...]
     beyond: int
     ended: bool
     survived: frozenset[int] = frozenset()
@@ -69,7 +70,7 @@ class Cell:
     @property
     def scores(self) -> list[float]:
         """Scores of the episodes, 0 for those that were spoilt; none where no episode has one."""
-        found = [score(line) for line in self.counted if line["failure"] != INFRASTRUCTURE]
+        found = [score(line) for line in self.counted if line.failure != INFRASTRUCTURE]
         known = [told for told in found if told is not None]
         tells = bool(known) or (self.is_judged and not found)
         return [*known, *[0.0] * self.failed(INFRASTRUCTURE)] if tells else []
@@ -77,22 +78,22 @@ class Cell:
     @property
     def by_seed(self) -> dict[int, bool]:
         """Seed to whether the episode certainly succeeded."""
-        told = ((line[sdk.Deploy.SEED], self.certainly(line)) for line in self.counted)
+        told = ((line.seed, self.certainly(line)) for line in self.counted)
         return {seed: found for seed, found in told if found is not None} if self._tells else {}
 
     @property
     def _tells(self) -> bool:
         """Whether there is a success to speak of; where all episodes were spoilt, other cells of the run tell."""
-        is_silent = any(outcome(line) is None and line["failure"] != INFRASTRUCTURE for line in self.counted)
+        is_silent = any(outcome(line) is None and line.failure != INFRASTRUCTURE for line in self.counted)
         return bool(self.outcomes) or (self.is_judged and not is_silent)
 
-    def certainly(self, line: Line) -> bool | None:
+    def certainly(self, line: Episode) -> bool | None:
         """Return whether an episode of this cell succeeded beyond doubt (`certainly`)."""
         return certainly(line, self.survived)
 
     def failed(self, kind: str) -> int:
         """Return the number of episodes whose failure is of this class."""
-        return sum(line["failure"] == kind for line in self.counted)
+        return sum(line.failure == kind for line in self.counted)
 
     def success_rate(self, method: str) -> Estimate | None:
         """Return the rate of certain successes, its interval by one of METHODS; None if no episode tells of success."""
@@ -107,14 +108,14 @@ class Cell:
         return Estimate(sum(scores) / len(scores), bootstrap(scores)) if scores else None
 
 
-def outcome(line: Mapping[str, Any]) -> bool | None:
+def outcome(line: Ending) -> bool | None:
     """Return whether an episode succeeded, or None if that cannot be said."""
-    if line["failure"] == INFRASTRUCTURE:
+    if line.failure == INFRASTRUCTURE:
         return None
-    return False if line["failure"] is not None else line["success"]
+    return False if line.failure is not None else line.success
 
 
-def certainly(line: Mapping[str, Any], survived: Collection[int]) -> bool | None:
+def certainly(line: Episode, survived: Collection[int]) -> bool | None:
     """Return whether an episode succeeded beyond doubt, or None if there is nothing to succeed at.
 
     Nobody gains by an attempt that ends without a verdict: an episode counts as failed where the infrastructure spoilt
@@ -125,26 +126,25 @@ def certainly(line: Mapping[str, Any], survived: Collection[int]) -> bool | None
         line: the final line.
         survived: episodes in an earlier attempt of which the policy's process had died (`survivors`).
     """
-    if line["failure"] == INFRASTRUCTURE:
+    if line.failure == INFRASTRUCTURE:
         return False
     found = outcome(line)
-    return found and line["index"] not in survived if found is not None else None
+    return found and line.index not in survived if found is not None else None
 
 
-def survivors(attempts: Iterable[Mapping[str, Any]]) -> frozenset[int]:
+def survivors(attempts: Iterable[Episode]) -> frozenset[int]:
     """Return the episodes that were played again because the policy's process had died."""
-    return frozenset(line["index"] for line in attempts if line["failure"] == "policy" and not line["final"])
+    return frozenset(line.index for line in attempts if line.failure == "policy" and not line.final)
 
 
-def score(line: Mapping[str, Any]) -> float | None:
+def score(line: Ending) -> float | None:
     """Return an episode's score, or None if it has none; a policy that failed before there was one has 0."""
-    if line["failure"] == INFRASTRUCTURE:
+    if line.failure == INFRASTRUCTURE:
         return None
-    found: float | None = line["score"]
-    return 0.0 if found is None and line["failure"] == "policy" else found
+    return 0.0 if line.score is None and line.failure == "policy" else line.score
 
 
-def matched(first: Mapping[Any, bool], second: Mapping[Any, bool]) -> Pairs:
+def matched(first: Mapping[_Case, bool], second: Mapping[_Case, bool]) -> Pairs:
     """Return how often both, one or none succeeded, of the cases that two have in common."""
     counts = Counter((first[case], second[case]) for case in first.keys() & second.keys())
     return Pairs(counts[True, True], counts[True, False], counts[False, True], counts[False, False])
@@ -152,20 +152,20 @@ def matched(first: Mapping[Any, bool], second: Mapping[Any, bool]) -> Pairs:
 
 def cells(run: Run) -> list[Cell]:
     """Return the cells of a run in the order of its plan."""
-    places: dict[int, list[Slot]] = defaultdict(list)
-    for slot in slots(run.plan):
-        places[slot.cell].append(slot)
-    width, survived = run.plan.get("until_width"), survivors(run.attempts)
+    places: dict[int, list[int]] = defaultdict(list)
+    for slot in run.plan.slots():
+        places[slot.cell].append(slot.index)
+    width, survived = run.plan.until_width, survivors(run.attempts)
     is_judged = any(outcome(line) is not None for line in run.finals.values())
     found = [
-        _cell(entry, [run.finals.get(slot.index) for slot in places[number]], width, survived)
-        for number, entry in enumerate(run.plan["cells"])
+        _cell(planned, [run.finals.get(index) for index in places[number]], width, survived)
+        for number, planned in enumerate(run.plan.cells)
     ]
     return [replace(cell, is_judged=is_judged) for cell in found]
 
 
 def _cell(
-    entry: Mapping[str, Any], finals: Sequence[Line | None], width: float | None, survived: frozenset[int]
+    planned: PlannedCell, finals: Sequence[Episode | None], width: float | None, survived: frozenset[int]
 ) -> Cell:
     played = [line for line in finals if line is not None]
     point = None
@@ -174,10 +174,10 @@ def _cell(
         point = stopping_point((certainly(line, survived) for line in leading if line is not None), width)
     counted = tuple(played if point is None else played[:point])
     return Cell(
-        task=entry["task"],
-        setting=entry["setting"],
-        dimension=entry["dimension"],
-        frozen=entry["frozen"],
+        task=planned.task,
+        setting=planned.setting,
+        dimension=planned.dimension,
+        frozen=planned.frozen,
         planned=len(finals),
         counted=counted,
         beyond=len(played) - len(counted),

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
-from xpl import _spec as sdk
 from xpl.safety import FAR_FIRST_ACTION, NON_FINITE
 from xpl.vector import INFRASTRUCTURE
+from xpl_cli.evaluation.records.model import Ending
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from xpl_cli.evaluation.records.records import Line
 
 TASK, POLICY = "task", "policy"
 POLICY_ERROR, POLICY_DIED = "policy_error", "policy_died"
@@ -21,84 +20,67 @@ MOST_SPOILT = 0.1
 """Share of a run's episodes that the infrastructure may spoil; with more of them it is neither ranked nor bundled."""
 _GUARDED = (FAR_FIRST_ACTION, NON_FINITE)
 _NO_SUCCESS = (None, MAX_STEPS, POLICY_ERROR, POLICY_DIED, INFRASTRUCTURE, *_GUARDED)
-_TOLD = (
-    sdk.Obs.INSTRUCTION,
-    "layout",
-    "success",
-    "score",
-    "stages",
-    "steps",
-    "end_reason",
-    "corrections",
-    "safety",
-    "digest",
-)
+_TOLD = {item.name for item in fields(Ending)} - {"failure", "error"}
+_SPOILT: dict[str, Any] = {"success": None, "score": None, "failure": INFRASTRUCTURE, "end_reason": INFRASTRUCTURE}
 _UNFINISHED = "the evaluation loop returned before the episode had ended"
 
 
-def played(result: Mapping[str, Any]) -> Line:
+def played(result: Mapping[str, Any]) -> Ending:
     """Return what an environment's result says of an episode whose loop returned.
 
     Whoever has nothing to succeed at (success None) has no failure either.
     """
     told = _told(result)
-    if told["end_reason"] == INFRASTRUCTURE:
-        return {**told, **spoilt(str(result.get("error") or "the environment was lost"))}
-    if told["success"] or told["success"] is None:
-        return {**told, "failure": None}
-    if told["end_reason"] is None:
+    if told.end_reason == INFRASTRUCTURE:
+        return replace(told, **_SPOILT, error=str(result.get("error") or "the environment was lost"))
+    if told.success or told.success is None:
+        return told
+    if told.end_reason is None:
         return failed(result, _UNFINISHED)
-    if told["end_reason"] in _GUARDED:
-        return {**told, "failure": POLICY, "error": f"a guard ended the episode: {told['end_reason']}"}
-    return {**told, "failure": TASK}
+    if told.end_reason in _GUARDED:
+        return replace(told, failure=POLICY, error=f"a guard ended the episode: {told.end_reason}")
+    return replace(told, failure=TASK)
 
 
-def failed(result: Mapping[str, Any], reason: str) -> Line:
+def failed(result: Mapping[str, Any], reason: str) -> Ending:
     """Return what is recorded where the policy broke an episode off: no success, and the score that it had come to."""
-    return {**_told(result), "success": False, "failure": POLICY, "end_reason": POLICY_ERROR, "error": reason}
+    return replace(_told(result), success=False, failure=POLICY, end_reason=POLICY_ERROR, error=reason)
 
 
-def died(result: Mapping[str, Any], reason: str) -> Line:
+def died(result: Mapping[str, Any], reason: str) -> Ending:
     """Return what is recorded where a process that runs the adapter's code ended or hung: a failure of the policy.
 
     It may be played again, because machines do kill processes; an episode of which no attempt survives has failed.
     """
-    return {**failed(result, reason), "end_reason": POLICY_DIED}
+    return replace(failed(result, reason), end_reason=POLICY_DIED)
 
 
-def is_open(line: Mapping[str, Any]) -> bool:
+def is_open(ending: Ending) -> bool:
     """Tell whether an attempt that ended so may be followed by another one."""
-    return bool(line["failure"] == INFRASTRUCTURE or line["end_reason"] == POLICY_DIED)
+    return ending.failure == INFRASTRUCTURE or ending.end_reason == POLICY_DIED
 
 
-def contradiction(line: Mapping[str, Any]) -> str | None:
-    """Return in what the line of an episode contradicts itself about success, or None."""
-    if line["success"] is False:
-        return "did not succeed, but ended with success" if line["end_reason"] == SUCCESS else None
-    if not line["success"]:
+def contradiction(ending: Ending) -> str | None:
+    """Return in what an episode contradicts itself about success, or None."""
+    if ending.success is False:
+        return "did not succeed, but ended with success" if ending.end_reason == SUCCESS else None
+    if not ending.success:
         return None
-    stages = line.get("stages")
     against = {
-        f"with a failure of the class {line['failure']}": line["failure"] is not None,
-        f"but ended with {line['end_reason'] or 'nothing'}": line["end_reason"] in _NO_SUCCESS,
-        "with a score of 0": line["score"] == 0,
-        "but reached no stage": stages and not any(stages.values()),
+        f"with a failure of the class {ending.failure}": ending.failure is not None,
+        f"but ended with {ending.end_reason or 'nothing'}": ending.end_reason in _NO_SUCCESS,
+        "with a score of 0": ending.score == 0,
+        "but reached no stage": ending.stages and not any(ending.stages.values()),
     }
     found = next((said for said, holds in against.items() if holds), None)
     return None if found is None else f"succeeded, {found}"
 
 
-def spoilt(reason: str) -> Line:
+def spoilt(reason: str) -> Ending:
     """Return what is recorded where an attempt says nothing about the policy."""
-    return {
-        "success": None,
-        "score": None,
-        "failure": INFRASTRUCTURE,
-        "end_reason": INFRASTRUCTURE,
-        "error": reason,
-    }
+    return Ending(**_SPOILT, error=reason)
 
 
-def _told(result: Mapping[str, Any]) -> Line:
-    kept = {key: result[key] for key in _TOLD if key in result}
-    return {"success": None, "score": None, "end_reason": None, **kept}
+def _told(result: Mapping[str, Any]) -> Ending:
+    """Return what an environment says of an episode; whose failure it was is not for it to say."""
+    return Ending(**{name: result[name] for name in _TOLD if name in result})

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,14 @@ if TYPE_CHECKING:
 _LIBRARIES = ("numpy", "mujoco-core", "gymnasium")
 _LEFTOVERS = frozenset({sdk.CHECKPOINT_DIRECTORY, "data", "logs", "results", "runs", "__pycache__"})
 """Folders directly in a package that running leaves there, as the scaffold's .gitignore has it."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What was loaded: its path, relative to the adapter where it lies in it, and the digest of its files."""
+
+    path: str
+    digest: str
 
 
 def digest_of(value: Any) -> str:
@@ -49,7 +58,7 @@ def package_digest(folder: Path) -> str:
     return digest_of(parts)
 
 
-def checkpoint_of(package: Package, config: Mapping[str, Any]) -> dict[str, str] | None:
+def checkpoint_of(package: Package, config: Mapping[str, Any]) -> Checkpoint | None:
     """Return path and digest of the checkpoint that a configuration leads to; None where it leads to none.
 
     Raises:
@@ -62,7 +71,7 @@ def checkpoint_of(package: Package, config: Mapping[str, Any]) -> dict[str, str]
     except checkpoint.CheckpointError:
         return None
     shown = path.relative_to(package.path) if path.is_relative_to(package.path) else path
-    return {"path": shown.as_posix(), "digest": hashed(path)[0]}
+    return Checkpoint(shown.as_posix(), hashed(path)[0])
 
 
 def machine_facts() -> dict[str, Any]:

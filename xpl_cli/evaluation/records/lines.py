@@ -16,9 +16,6 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-Line = dict[str, Any]
-"""A line of the file, as the schema has it."""
-
 KINDS: Final = ("run", "machine", "episode")
 MOST_BYTES: Final = 4 << 20
 """What no line comes near: one with a layout of a thousand things has 100 kB."""
@@ -37,8 +34,8 @@ class NotJsonError(LineError):
     """Bytes that are no JSON at all: what may be left of a line that a crash cut short."""
 
 
-def parsed(raw: bytes) -> Line:
-    """Return a line.
+def parsed(raw: bytes) -> dict[str, Any]:
+    """Return a line, as the schema has it.
 
     Args:
         raw: its bytes, without the end of the line.
@@ -69,7 +66,7 @@ def parsed(raw: bytes) -> Line:
         raise LineError(f"expected a map whose kind is one of {', '.join(KINDS)}, got {_shown(kind or line)}")
     if not _validator(kind)(line) or not all(_are_integers(line, path) for path in _integers(kind)):
         raise LineError(_reason(line, kind))
-    found: Line = line
+    found: dict[str, Any] = line
     return found
 
 
@@ -153,7 +150,7 @@ def _are_integers(value: Any, path: tuple[str, ...]) -> bool:
     return type(value) is not float
 
 
-def _reason(line: Line, kind: str) -> str:
+def _reason(line: Mapping[str, Any], kind: str) -> str:
     """Return why a line is not as the schema says."""
     from xpl_cli.standard.validate import validate
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from xpl_cli.evaluation.records.records import Line
+    from xpl_cli.evaluation.records.model import Plan
 
 _KEY, _NUM_ENVS, _ANNOUNCED, _INSTRUCTION = "xpl.run", "num_envs", "announced", "instruction"
 
@@ -57,9 +57,9 @@ class Manner:
         return {**without(config), **({_KEY: told} if told else {})}
 
 
-def of(plan: Line) -> Manner:
+def of(plan: Plan) -> Manner:
     """Return the manner of a plan; whatever is no such thing in it is taken for the usual one."""
-    told = plan["policy"]["config"].get(_KEY)
+    told = plan.policy.config.get(_KEY)
     told = told if isinstance(told, Mapping) else {}
     count, announced = told.get(_NUM_ENVS), told.get(_ANNOUNCED)
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:

@@ -9,7 +9,6 @@ written, which is the last one: it counts for nothing, and the next writer cuts 
 
 from __future__ import annotations
 
-import datetime as dt
 import fcntl
 import json
 import os
@@ -17,19 +16,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from xpl import _spec as sdk
 from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.records.fingerprints import digest_of
-from xpl_cli.evaluation.records.lines import Line, LineError, NotJsonError, parsed
+from xpl_cli.evaluation.records.lines import LineError, NotJsonError, parsed
+from xpl_cli.evaluation.records.model import SCHEMA, Episode, Plan, name_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
-__all__ = ["FILE", "SCHEMA", "Line", "RecordError", "Run", "Slot", "Writer", "named", "now", "read", "slots"]
+    from xpl_cli.evaluation.records.model import Slot
+
+    Facts = Mapping[str, Any]
 
 FILE = "records.jsonl"
-SCHEMA = "xpl.record/1"
 _NEWLINE = b"\n"
 _LONGEST = 80
 
@@ -39,23 +39,6 @@ class RecordError(UserError):
 
     def __init__(self, message: str, *, hint: str | None = None) -> None:
         super().__init__(message, hint=hint, code=ExitCode.NOT_RUN)
-
-
-@dataclass(frozen=True)
-class Slot:
-    """The place of one episode in a plan.
-
-    Attributes:
-        index: the episode's key.
-        cell: number of its cell in the plan.
-        task, setting, seed: what is played.
-    """
-
-    index: int
-    cell: int
-    task: str
-    setting: str
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -73,31 +56,12 @@ class Run:
     """
 
     folder: Path
-    plan: Line
-    machines: dict[str, Line] = field(default_factory=dict)
-    attempts: list[Line] = field(default_factory=list)
-    finals: dict[int, Line] = field(default_factory=dict)
+    plan: Plan
+    machines: dict[str, Facts] = field(default_factory=dict)
+    attempts: list[Episode] = field(default_factory=list)
+    finals: dict[int, Episode] = field(default_factory=dict)
     torn: bool = False
     skipped: tuple[str, ...] = ()
-
-
-def slots(plan: Mapping[str, Any]) -> list[Slot]:
-    """Return the episodes of a plan, each at its index."""
-    seeds = ((number, cell, seed) for number, cell in enumerate(plan["cells"]) for seed in cell["seeds"])
-    return [
-        Slot(index, number, cell["task"], cell["setting"], seed) for index, (number, cell, seed) in enumerate(seeds)
-    ]
-
-
-def named(plan: Mapping[str, Any]) -> Line:
-    """Return the first line of a run that plays a plan: with its name, and the present time."""
-    essence = {key: value for key, value in plan.items() if key not in ("run", "created")}
-    return {**essence, "run": digest_of(essence), "created": now()}
-
-
-def now() -> str:
-    """Return the time, UTC, as records have it."""
-    return dt.datetime.now(dt.UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def read(path: Path, *, skip: bool = False) -> Run:
@@ -133,18 +97,18 @@ class Unwritten:
         run: what was kept.
     """
 
-    def __init__(self, plan: Mapping[str, Any]) -> None:
-        self.run = Run(Path(), dict(plan))
+    def __init__(self, plan: Plan) -> None:
+        self.run = Run(Path(), plan)
 
-    def machine(self, facts: Mapping[str, Any]) -> str:
+    def machine(self, facts: Facts) -> str:
         """Return the digest of a machine's facts."""
         name = digest_of(facts)
         self.run.machines[name] = dict(facts)
         return name
 
-    def add(self, line: Line) -> None:
+    def add(self, episode: Episode) -> None:
         """Add one attempt at an episode."""
-        _take(line, self.run)
+        _take(episode, self.run)
 
 
 class Writer:
@@ -154,7 +118,7 @@ class Writer:
 
     Args:
         folder: of the run; made if it is not there.
-        plan: the first line of a new record (`named`); an old one must have been made for the same plan.
+        plan: of a new record (`Plan.named`); an old one must have been made for the same plan.
 
     Attributes:
         run: what the record holds.
@@ -163,7 +127,7 @@ class Writer:
         RecordError: the record is of another plan, damaged, being written by another process, or cannot be written.
     """
 
-    def __init__(self, folder: Path, plan: Mapping[str, Any]) -> None:
+    def __init__(self, folder: Path, plan: Plan) -> None:
         self._file = folder / FILE
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -177,9 +141,9 @@ class Writer:
         except BaseException:
             os.close(self._descriptor)
             raise
-        self._slots = slots(self.run.plan)
+        self._slots = self.run.plan.slots()
 
-    def machine(self, facts: Mapping[str, Any]) -> str:
+    def machine(self, facts: Facts) -> str:
         """Return the digest of a machine's facts, which are written once."""
         name = digest_of(facts)
         if name not in self.run.machines:
@@ -187,15 +151,15 @@ class Writer:
             self.run.machines[name] = dict(facts)
         return name
 
-    def add(self, line: Line) -> None:
+    def add(self, episode: Episode) -> None:
         """Add one attempt at an episode; it is on the disk when this returns.
 
         Raises:
             RecordError: it is not of the plan, its episode is final already, or it cannot be written.
         """
-        _check(line, self._slots, self.run, str(self._file))
-        self._append(line)
-        _take(line, self.run)
+        _check(episode, self._slots, self.run, str(self._file))
+        self._append(episode.as_json())
+        _take(episode, self.run)
 
     def close(self) -> None:
         """Let others write."""
@@ -207,7 +171,7 @@ class Writer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin(self, folder: Path, plan: Mapping[str, Any]) -> Run:
+    def _begin(self, folder: Path, plan: Plan) -> Run:
         """Lock the file, cut off what is torn, and return what it holds; a new one gets its first line."""
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -216,17 +180,17 @@ class Writer:
         found, whole = _parse(self._file, _content(self._file), _refuse)
         os.truncate(self._descriptor, whole)
         if found is None:
-            self._append(dict(plan))
+            self._append(plan.as_json())
             _sync_folder(folder)
-            return Run(folder, dict(plan))
-        if found.plan["run"] != plan["run"]:
+            return Run(folder, plan)
+        if not found.plan.plays_the_same(plan):
             raise RecordError(
-                f"{self._file} is of another run: {_differences(found.plan, plan)} differ",
+                f"{self._file} is of another run: {_differences(found.plan.as_json(), plan.as_json())} differ",
                 hint="run the command that began it, or choose another folder with --out",
             )
         return Run(folder, found.plan, found.machines, found.attempts, found.finals)
 
-    def _append(self, line: Line) -> None:
+    def _append(self, line: Mapping[str, Any]) -> None:
         data = json.dumps(line, separators=(",", ":"), ensure_ascii=False).encode() + _NEWLINE
         before = os.fstat(self._descriptor).st_size
         try:
@@ -275,7 +239,7 @@ def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> 
     *whole, rest = content.split(_NEWLINE)
     torn, length = bool(rest), len(content) - len(rest)
     run: Run | None = None
-    places: list[Slot] = []
+    places: Sequence[Slot] = ()
     for number, raw in enumerate(whole, 1):
         where = f"{file}, line {number}"
         try:
@@ -291,7 +255,7 @@ def _parse(file: Path, content: bytes, met: Callable[[_BadLineError], None]) -> 
             continue
         if run is None:
             run = Run(file.parent, _plan(line, where))
-            places = slots(run.plan)
+            places = run.plan.slots()
             continue
         try:
             _add(line, places, run, where)
@@ -315,15 +279,15 @@ def _sorted(run: Run, *, torn: bool) -> Run:
     return replace(run, finals=dict(sorted(run.finals.items())), torn=torn)
 
 
-def _plan(line: Line, where: str) -> Line:
+def _plan(line: Mapping[str, Any], where: str) -> Plan:
     if line["kind"] != "run":
         raise RecordError(f"{where} must be the plan of a run, of schema {SCHEMA}")
-    if line["run"] != named(line)["run"]:
+    if line["run"] != name_of(line):
         raise RecordError(f"{where}: the plan is not the one that the run is named after; it was changed")
-    return line
+    return Plan.parse(line)
 
 
-def _add(line: Line, places: list[Slot], run: Run, where: str) -> None:
+def _add(line: Mapping[str, Any], places: Sequence[Slot], run: Run, where: str) -> None:
     """Add what a line after the first tells.
 
     Raises:
@@ -332,31 +296,31 @@ def _add(line: Line, places: list[Slot], run: Run, where: str) -> None:
     if line["kind"] == "machine":
         run.machines[line["machine"]] = line["facts"]
         return
-    _check(line, places, run, where)
-    _take(line, run)
-
-
-def _check(line: Line, places: list[Slot], run: Run, where: str) -> None:
-    """Raise a _BadLineError unless a line is of an episode that may still be played."""
-    if line.get("kind") != "episode":
+    if line["kind"] != "episode":
         raise _BadLineError(f"{where} is neither a machine nor an episode")
-    index = line.get("index")
-    if not isinstance(index, int) or not 0 <= index < len(places):
+    episode = Episode.parse(line)
+    _check(episode, places, run, where)
+    _take(episode, run)
+
+
+def _check(episode: Episode, places: Sequence[Slot], run: Run, where: str) -> None:
+    """Raise a _BadLineError unless an episode may still be played."""
+    index = episode.index
+    if index >= len(places):
         raise _BadLineError(
             f"{where}: there is no episode {str(index)[:_LONGEST]} in the plan, which has {len(places)}"
         )
     slot = places[index]
-    told, planned = (line["task"], line["setting"], line[sdk.Deploy.SEED]), (slot.task, slot.setting, slot.seed)
-    if told != planned:
-        raise _BadLineError(f"{where}: episode {index} of the plan is {planned}, got {told}")
+    if episode.case != slot.case:
+        raise _BadLineError(f"{where}: episode {index} of the plan is {slot.case}, got {episode.case}")
     if index in run.finals:
         raise _BadLineError(f"{where}: episode {index} has a final line already")
 
 
-def _take(line: Line, run: Run) -> None:
-    run.attempts.append(line)
-    if line["final"]:
-        run.finals[line["index"]] = line
+def _take(episode: Episode, run: Run) -> None:
+    run.attempts.append(episode)
+    if episode.final:
+        run.finals[episode.index] = episode
 
 
 def _differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:

@@ -44,6 +44,6 @@ def refuse(run: Run, what: str) -> None:
     Raises:
         UserError: it did.
     """
-    said = sentence(run.plan["environment"]["name"], (cell["setting"] for cell in run.plan["cells"]))
+    said = sentence(run.plan.environment.name, (cell.setting for cell in run.plan.cells))
     if said is not None:
         raise UserError(f"{run.folder} is not {what}. {said}", code=ExitCode.NOT_RUN)

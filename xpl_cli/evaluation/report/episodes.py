@@ -11,9 +11,10 @@ from xpl import _spec as sdk
 from xpl_cli.basics.strangers import in_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.records import Run
 
 SUCCESS, NOT_JUDGED = "success", "not judged"
 
@@ -38,17 +39,17 @@ _COLUMNS = (
 _DIGEST_SHOWN = 12
 
 
-def verdict(episode: Mapping[str, Any]) -> str:
+def verdict(episode: Episode) -> str:
     """Return how an episode ended: success, a class of failure, or not judged."""
-    if episode["failure"] is not None:
-        return str(episode["failure"])
-    return SUCCESS if episode["success"] else NOT_JUDGED
+    if episode.failure is not None:
+        return episode.failure
+    return SUCCESS if episode.success else NOT_JUDGED
 
 
-def inference_seconds(episode: Mapping[str, Any]) -> float | None:
+def inference_seconds(episode: Episode) -> float | None:
     """Return the mean round trip of get_action, None where there was none."""
-    inference = episode.get("inference")
-    return inference["seconds"] / inference["count"] if inference and inference["count"] else None
+    inference = episode.inference
+    return inference.seconds / inference.count if inference and inference.count else None
 
 
 def packed(run: Run) -> dict[str, Any]:
@@ -60,17 +61,17 @@ def packed(run: Run) -> dict[str, Any]:
     """
     pool = _Pool()
     finals = run.finals.values()
-    columns: dict[str, list[Any]] = {name: [episode.get(name) for episode in finals] for name in _PLAIN}
-    columns |= {name: [pool.place(episode.get(name)) for episode in finals] for name in _SHARED}
+    columns: dict[str, list[Any]] = {name: [getattr(episode, name) for episode in finals] for name in _PLAIN}
+    columns |= {name: [pool.place(getattr(episode, name)) for episode in finals] for name in _SHARED}
     columns["outcome"] = [pool.place(verdict(episode)) for episode in finals]
-    columns["attempt"] = [episode["attempt"] for episode in finals]
-    columns["seconds"] = [round(episode["wall_seconds"], 2) for episode in finals]
+    columns["attempt"] = [episode.attempt for episode in finals]
+    columns["seconds"] = [round(episode.wall_seconds, 2) for episode in finals]
     columns["ms"] = [_milliseconds(episode) for episode in finals]
-    columns["digest"] = [(episode.get("digest") or "")[:_DIGEST_SHOWN] for episode in finals]
+    columns["digest"] = [(episode.digest or "")[:_DIGEST_SHOWN] for episode in finals]
     earlier: dict[str, list[int]] = {}
     for episode in run.attempts:
-        if not episode["final"]:
-            earlier.setdefault(str(episode["index"]), []).append(pool.place(episode.get("error")))
+        if not episode.final:
+            earlier.setdefault(str(episode.index), []).append(pool.place(episode.error))
     return {"values": pool.values, "shared": [*_SHARED, "outcome"], "columns": columns, "earlier": earlier}
 
 
@@ -102,25 +103,21 @@ class _Pool:
         return known
 
 
-def _milliseconds(episode: Line) -> float | None:
+def _milliseconds(episode: Episode) -> float | None:
     seconds = inference_seconds(episode)
     return None if seconds is None else round(1000 * seconds, 2)
 
 
-def _row(episode: Line) -> list[Any]:
+def _row(episode: Episode) -> list[Any]:
     """Return the values of a line of the table."""
-    success, inference = episode["success"], episode.get("inference") or {}
+    success, inference = episode.success, episode.inference
     known = {
-        **episode,
+        **vars(episode),
         "outcome": verdict(episode),
         "success": None if success is None else int(success),
-        "inference_count": inference.get("count"),
-        "inference_seconds": inference.get("seconds"),
-        "trace": _path(episode, "trace"),
-        "film": _path(episode, "film"),
+        "inference_count": None if inference is None else inference.count,
+        "inference_seconds": None if inference is None else inference.seconds,
+        "trace": None if episode.trace is None else episode.trace.path,
+        "film": None if episode.film is None else episode.film.path,
     }
-    return [known.get(name) for name in _COLUMNS]
-
-
-def _path(episode: Line, kind: str) -> str | None:
-    return (episode.get(kind) or {}).get("path")
+    return [known[name] for name in _COLUMNS]

@@ -176,19 +176,19 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_curves(self, index: int) -> None:
         run = self.shown.run()
         episode = run.finals.get(index)
-        if episode is None or media.TRACE not in episode:
+        if episode is None or episode.trace is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
-        drawn = curves.read(media.locate(run.folder, episode, media.TRACE))
+        drawn = curves.read(media.locate(run.folder, episode.trace, media.TRACE))
         self._send(json.dumps(drawn).encode(), "application/json")
 
     def _send_file(self, name: str) -> None:
         """Send a file that the record names, and no other."""
         run = self.shown.run()
         for episode in run.finals.values():
-            for kind in (media.FILM, media.TRACE):
-                if kind in episode and episode[kind]["path"] == name:
-                    path = media.locate(run.folder, episode, kind)
+            for kind, file in ((media.FILM, episode.film), (media.TRACE, episode.trace)):
+                if file is not None and file.path == name:
+                    path = media.locate(run.folder, file, kind)
                     self._send(
                         files.content(path), media.MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream")
                     )

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Episode, File
+    from xpl_cli.evaluation.records.records import Run
 
 TRACE, FILM = "trace", "film"
 MEDIA_TYPES = {
@@ -43,45 +44,47 @@ def shown(run: Run, budget: int, link: str) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for episode in _in_turn(run):
         entry: dict[str, Any] = {}
-        for kind in (FILM, TRACE):
-            if kind not in episode:
+        for kind, file in ((FILM, episode.film), (TRACE, episode.trace)):
+            if file is None:
                 continue
             try:
-                path = locate(run.folder, episode, kind)
-                piece, size = _piece(kind, path, episode, budget)
-            except (UserError, OSError) as error:
-                entry["problem"] = _sentence(error, episode, kind)
+                piece, size = _piece(kind, locate(run.folder, file, kind), file, budget)
+            except OSError as error:
+                entry["problem"] = f"{file.path} cannot be read: {error.strerror}"
+                continue
+            except UserError as error:
+                entry["problem"] = str(error)
                 continue
             budget -= size
-            entry |= piece or _linked(kind, f"{link}{episode[kind]['path']}")
+            entry |= piece or _linked(kind, f"{link}{file.path}")
         if entry:
-            found[str(episode["index"])] = entry
+            found[str(episode.index)] = entry
     return found
 
 
-def locate(folder: Path, episode: Line, kind: str) -> Path:
-    """Return the file of an episode.
+def locate(folder: Path, file: File, kind: str) -> Path:
+    """Return where a film or curves of an episode lie.
 
     Raises:
         UserError: if the record names one outside the run's folder.
     """
     try:
-        path: Path = (folder / episode[kind]["path"]).resolve()
+        path: Path = (folder / file.path).resolve()
         is_inside = path.is_relative_to(folder.resolve())
     except (ValueError, RuntimeError, OSError):  # a name that no file bears, or a link that leads back to itself
         is_inside = False
     if not is_inside:
-        raise UserError(f"the record names a {kind} outside the run: {episode[kind]['path']}")
+        raise UserError(f"the record names a {kind} outside the run: {file.path}")
     return path
 
 
-def _piece(kind: str, path: Path, episode: Line, budget: int) -> tuple[dict[str, Any] | None, int]:
+def _piece(kind: str, path: Path, file: File, budget: int) -> tuple[dict[str, Any] | None, int]:
     """Return a film or curves to embed and their size; nothing where the budget does not bear them."""
     if path.stat().st_size > budget:
         return None, 0
     content = files.content(path)
-    if hashlib.sha256(content).hexdigest() != episode[kind]["digest"]:
-        raise UserError(f"{episode[kind]['path']} is not what was recorded: its digest differs")
+    if hashlib.sha256(content).hexdigest() != file.digest:
+        raise UserError(f"{file.path} is not what was recorded: its digest differs")
     if kind == TRACE:
         piece: dict[str, Any] = {"curves": curves.read(path)}
         size = len(json.dumps(piece))
@@ -106,23 +109,17 @@ def _media_type(path: Path) -> str:
     return known
 
 
-def _sentence(error: Exception, episode: Line, kind: str) -> str:
-    if isinstance(error, OSError):
-        return f"{episode[kind]['path']} cannot be read: {error.strerror}"
-    return str(error)
-
-
-def _in_turn(run: Run) -> Iterator[Line]:
+def _in_turn(run: Run) -> Iterator[Episode]:
     """Yield the episodes with a film or trace: of each cell in turn, and in each a failure and a success in turn."""
-    cells: dict[tuple[str, str], tuple[list[Line], list[Line]]] = {}
+    cells: dict[tuple[str, str], tuple[list[Episode], list[Episode]]] = {}
     for episode in run.finals.values():
-        if TRACE in episode or FILM in episode:
-            cell = cells.setdefault((episode["task"], episode["setting"]), ([], []))
-            cell[bool(episode["success"])].append(episode)
+        if episode.trace is not None or episode.film is not None:
+            cell = cells.setdefault(episode.place, ([], []))
+            cell[bool(episode.success)].append(episode)
     for row in itertools.zip_longest(*(_alternately(*cell) for cell in cells.values())):
         yield from filter(None, row)
 
 
-def _alternately(first: list[Line], second: list[Line]) -> Iterator[Line]:
+def _alternately(first: list[Episode], second: list[Episode]) -> Iterator[Episode]:
     for pair in itertools.zip_longest(first, second):
         yield from filter(None, pair)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from xpl import _spec as sdk
 from xpl_cli.evaluation.records import manner
 from xpl_cli.evaluation.report.phrases import many
 from xpl_cli.evaluation.statistics import wording
@@ -12,6 +11,7 @@ from xpl_cli.evaluation.statistics import wording
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from xpl_cli.evaluation.records.model import PlannedCell
     from xpl_cli.evaluation.records.records import Run
 
 _MOST_RANGES = 4
@@ -20,33 +20,33 @@ _MOST_RANGES = 4
 def view(run: Run, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return pairs of a name and a value, and whether the value is to be read letter by letter."""
     plan = run.plan
-    policy, environment, checkpoint = plan["policy"], plan["environment"], plan["policy"]["checkpoint"]
-    horizon, attempts = plan["control"]["horizon"], plan["control"]["attempts"]
+    policy, environment, checkpoint = plan.policy, plan.environment, plan.policy.checkpoint
+    horizon, attempts = plan.control.horizon, plan.control.attempts
     loop = "the adapter's own loop" if horizon is None else f"at most {horizon} actions of a chunk"
     pairs = [
-        ("Run", plan["run"], True),
-        ("Begun", plan["created"], False),
-        ("Policy", f"{policy['name']}, spec {policy['spec']}", False),
-        ("", policy["digest"], True),
-        ("Checkpoint", checkpoint["path"] if checkpoint else "none declared or found", False),
-        *([("", checkpoint["digest"], True)] if checkpoint else []),
+        ("Run", plan.run, True),
+        ("Begun", plan.created, False),
+        ("Policy", f"{policy.name}, spec {policy.spec}", False),
+        ("", policy.digest, True),
+        ("Checkpoint", checkpoint.path if checkpoint else "none declared or found", False),
+        *([("", checkpoint.digest, True)] if checkpoint else []),
         *([("Played", unusual, False)] if (unusual := manner.of(plan).sentence) else []),
-        ("Environment", f"{environment['name']}, spec {environment['spec']}", False),
-        ("", environment["digest"], True),
-        ("Embodiment", f"{plan['embodiment']}, {plan[sdk.Deploy.ACTION_TYPE]} control", False),
+        ("Environment", f"{environment.name}, spec {environment.spec}", False),
+        ("", environment.digest, True),
+        ("Embodiment", f"{plan.embodiment}, {plan.action_type} control", False),
         ("Control", f"{loop}; {many(attempts, 'attempt')} at an episode at most", False),
-        ("Seeds", _seeds(plan["cells"]), False),
+        ("Seeds", _seeds(plan.cells), False),
         ("Intervals", _methods(summary), False),
         *(("Machine", _flat(facts), False) for facts in run.machines.values()),
     ]
     return [{"name": name, "value": value, "mono": mono} for name, value, mono in pairs]
 
 
-def _seeds(cells: Sequence[Mapping[str, Any]]) -> str:
+def _seeds(cells: Sequence[PlannedCell]) -> str:
     """Return where the seeds come from, and their ranges."""
-    frozen = sum(cell["frozen"] for cell in cells)
+    frozen = sum(cell.frozen for cell in cells)
     origin = {0: "counted", len(cells): "the environment's evaluation seeds"}.get(frozen, "of both kinds")
-    ranges = list(dict.fromkeys(f"{min(cell['seeds'])} to {max(cell['seeds'])}" for cell in cells))
+    ranges = list(dict.fromkeys(f"{min(cell.seeds)} to {max(cell.seeds)}" for cell in cells))
     more = ", ..." if len(ranges) > _MOST_RANGES else ""
     return f"{origin}: {', '.join(ranges[:_MOST_RANGES])}{more}"
 
@@ -56,7 +56,7 @@ def _methods(summary: Mapping[str, Any]) -> str:
     return f"{wording.percent(summary['confidence'])}; success: {methods['success']}, score: {methods['score']}"
 
 
-def _flat(value: Any) -> str:
+def _flat(value: object) -> str:
     """Return facts on one line."""
     if isinstance(value, dict):
         return ", ".join(f"{name.replace('_', ' ')} {_flat(one)}" for name, one in value.items())

@@ -262,9 +262,9 @@ def _failures(run: Run, overall: Row) -> dict[str, Any]:
         "unplayed": "not played yet",
     }
     reasons = Counter(
-        episode.get("error") or episode["end_reason"] or "no reason given"
+        episode.error or episode.end_reason or "no reason given"
         for episode in run.finals.values()
-        if episode["failure"] is not None
+        if episode.failure is not None
     )
     return {
         "said": (
@@ -278,7 +278,7 @@ def _failures(run: Run, overall: Row) -> dict[str, Any]:
 
 
 def _corrections(run: Run, overall: Row) -> list[dict[str, str]]:
-    touched = Counter(kind for episode in run.finals.values() for kind in episode.get("corrections") or {})
+    touched = Counter(kind for episode in run.finals.values() for kind in episode.corrections or {})
     return [
         {
             "name": kind.replace("_", " "),

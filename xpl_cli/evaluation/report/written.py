@@ -62,7 +62,7 @@ def document(run: Run, summary: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "tool": {"name": "xpl", "version": __version__},
-        "plan": run.plan,
+        "plan": run.plan.as_json(),
         "machines": run.machines,
         "summary": summary,
     }

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.lanes.orders import Demos
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.records import Run
     from xpl_cli.packages.package import Package
 
 RUN, SURPLUS = "run", ".surplus"
@@ -105,14 +106,14 @@ def collect(request: Request, progress: Progress) -> dict[str, Any]:
         )
     asked, wishes = _asked(request, adapter, run)
     place = environments.find(request.environment)
-    line = plan.make(adapter, place, adapter.config(asked.overrides), wishes).line
-    lane_orders, server_orders = evaluate.orders(asked, place, line)
+    planned = plan.make(adapter, place, adapter.config(asked.overrides), wishes).plan
+    lane_orders, server_orders = evaluate.orders(asked, place, planned)
     cameras = lane_orders.settings["cameras"]
     wanted = request.size if request.size is not None else cameras or True
     lane_orders = replace(lane_orders, settings={**lane_orders.settings, "cameras": wanted}, demos=request.demos)
     _return_surplus(folder)
     began = time.monotonic()
-    with records.Writer(run, line) as writer:
+    with records.Writer(run, planned) as writer:
         keep = request.demos.keep
         schedule = Schedule(
             writer.run,
@@ -197,15 +198,14 @@ def _enough(wanted: int) -> Callable[[Sequence[bool | None]], bool]:
     return enough
 
 
-def _kept(run: Run, request: Request) -> list[list[Line]]:
+def _kept(run: Run, request: Request) -> list[list[Episode]]:
     """Return the episodes of each task that belong to the set: the first ones of the plan that are to be kept.
 
     Which these are does not depend on how many were played at once.
     """
-    cells: list[list[Line]] = []
-    for cell in run.plan["cells"]:
-        key = cell["task"], cell["setting"]
-        mine = [line for line in run.finals.values() if (line["task"], line["setting"]) == key]
+    cells: list[list[Episode]] = []
+    for cell in run.plan.cells:
+        mine = [line for line in run.finals.values() if line.place == cell.place]
         cells.append([line for line in mine if recorder.is_kept(line, request.demos.keep)])
     return cells
 
@@ -220,44 +220,40 @@ def _summary(run: Run, request: Request, player: str, seconds: float) -> dict[st
     """Put aside what is too much, and return what the set holds."""
     folder = Path(request.demos.folder)
     tasks, files = [], []
-    for cell, lines in zip(run.plan["cells"], _kept(run, request), strict=True):
+    for cell, lines in zip(run.plan.cells, _kept(run, request), strict=True):
         for line in lines[request.episodes :]:
-            path = folder / recorder.file_of(line["index"])
+            path = folder / recorder.file_of(line.index)
             if path.exists():
                 (folder / SURPLUS).mkdir(exist_ok=True)
                 path.replace(folder / SURPLUS / path.name)
         mine = lines[: request.episodes]
-        last = mine[-1]["index"] if len(mine) >= request.episodes else None
-        key = cell["task"], cell["setting"]
+        last = mine[-1].index if len(mine) >= request.episodes else None
         tried = [
-            line
-            for line in run.finals.values()
-            if (line["task"], line["setting"]) == key and (last is None or line["index"] <= last)
+            line for line in run.finals.values() if line.place == cell.place and (last is None or line.index <= last)
         ]
-        spoilt = sum(line["failure"] == INFRASTRUCTURE for line in tried)
-        files += [folder / recorder.file_of(line["index"]) for line in mine]
+        spoilt = sum(line.failure == INFRASTRUCTURE for line in tried)
+        files += [folder / recorder.file_of(line.index) for line in mine]
         tasks.append(
             {
-                "task": cell["task"],
-                "setting": cell["setting"],
+                "task": cell.task,
+                "setting": cell.setting,
                 "episodes": len(mine),
                 "wanted": request.episodes,
                 "tried": len(tried),
                 "discarded": len(tried) - len(mine) - spoilt,
                 "spoilt": spoilt,
-                "steps": sum(line["steps"] for line in mine),
+                "steps": sum(line.steps or 0 for line in mine),
             }
         )
     there = [path for path in files if path.is_file()]
     if len(there) < len(files):
         lost = next(path for path in files if path not in there)
         raise UserError(f"{lost} was recorded and is not there any more", code=ExitCode.NOT_RUN)
-    plan_line = run.plan
     return {
         "folder": str(folder),
-        "environment": plan_line["environment"]["name"],
-        "embodiment": plan_line["embodiment"],
-        sdk.Deploy.ACTION_TYPE: plan_line[sdk.Deploy.ACTION_TYPE],
+        "environment": run.plan.environment.name,
+        "embodiment": run.plan.embodiment,
+        sdk.Deploy.ACTION_TYPE: run.plan.action_type,
         "policy": player,
         "keep": request.demos.keep,
         "tasks": tasks,
@@ -290,18 +286,18 @@ class _View:
         self._run, self._request, self._before, self._progress = run, request, before, progress
         self._began: float | None = None
 
-    def add(self, line: Line, left: int) -> None:  # noqa: ARG002 - as every view
+    def add(self, line: Episode, left: int) -> None:  # noqa: ARG002 - as every view
         """Say how far it is."""
         if self._began is None:  # models are loaded by now
-            self._began = time.monotonic() - line["wall_seconds"]
+            self._began = time.monotonic() - line.wall_seconds
         cells = _kept(self._run, self._request)
         wanted = self._request.episodes
         kept = sum(min(len(lines), wanted) for lines in cells)
         total, tried = wanted * len(cells), len(self._run.finals)
         pace = (kept - self._before) / max(time.monotonic() - self._began, 1e-3)
-        told = [f"{line['task']}: {kept} of {total} episodes", f"{tried - kept} discarded" if tried > kept else ""]
+        told = [f"{line.task}: {kept} of {total} episodes", f"{tried - kept} discarded" if tried > kept else ""]
         if pace > 0:
             told += [f"{60 * pace:.1f} a minute", f"{(total - kept) / pace / 60:.0f} min left"]
-        if line.get("error"):
-            told.append(str(line["error"]))
+        if line.error:
+            told.append(line.error)
         self._progress.step(", ".join(filter(None, told)))

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
     from xpl_cli.evaluation.lanes.backend import Backend
     from xpl_cli.evaluation.lanes.orders import Demos
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Plan
+    from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.runs.remote import Remote
     from xpl_cli.packages.package import Package
 
@@ -98,14 +99,12 @@ def evaluate(request: Request) -> Run:
         raise UserError(
             f"{request.out} holds a recorded run already", hint="continue it with --resume, or choose another --out"
         )
-    folder, line = _planned(request)
-    lane_orders, server_orders = orders(request, folder, line)
-    with records.Writer(request.out, line) as writer:
+    folder, planned = _planned(request)
+    lane_orders, server_orders = orders(request, folder, planned)
+    with records.Writer(request.out, planned) as writer:
         run, is_batch = writer.run, lane_orders.num_envs > 1
         # What is seen of a batch is not told apart by its episodes: it has neither films nor curves.
-        schedule = Schedule(
-            run, 0 if is_batch else request.films, _enough(run.plan["until_width"]), traced=not is_batch
-        )
+        schedule = Schedule(run, 0 if is_batch else request.films, _enough(run.plan.until_width), traced=not is_batch)
         if schedule.is_done:
             return records.read(request.out)
         with (
@@ -117,11 +116,11 @@ def evaluate(request: Request) -> Run:
     return records.read(request.out)
 
 
-def _planned(request: Request) -> tuple[Path, Line]:
+def _planned(request: Request) -> tuple[Path, Plan]:
     """Return the folder of the environment, and the plan: the record's where the request leaves it to that."""
     if request.wishes is None and (request.out / records.FILE).exists():
         recorded = records.read(request.out).plan
-        folder = environments.find(request.environment or recorded["environment"]["name"])
+        folder = environments.find(request.environment or recorded.environment.name)
         before = manner.of(recorded)
         if before.announced is not None and request.remote is None:
             raise UserError("a policy server that somebody else runs began this run: name it with --connect")
@@ -133,8 +132,8 @@ def _planned(request: Request) -> tuple[Path, Line]:
     how = Manner(request.num_envs or 1, request.announced, request.instruction)
     planned = plan.make(request.package, folder, config, request.wishes or Wishes(), how)
     for task, reason in planned.left_out.items():
-        console.note(f"{task} is left out: {planned.line['embodiment']} cannot play it ({reason})")
-    return folder, planned.line
+        console.note(f"{task} is left out: {planned.plan.embodiment} cannot play it ({reason})")
+    return folder, planned.plan
 
 
 @contextlib.contextmanager
@@ -184,29 +183,29 @@ def _backend(request: Request, lane_orders: Orders, server_orders: ServerOrders,
     return LocalBackend(lane_orders, [(server, access)] * lanes)
 
 
-def orders(request: Request, folder: Path, line: Line) -> tuple[Orders, ServerOrders]:
+def orders(request: Request, folder: Path, planned: Plan) -> tuple[Orders, ServerOrders]:
     """Return what lanes and servers are told.
 
     Args:
         request: which policy, and in which interpreters.
         folder: of the environment package.
-        line: the plan.
+        planned: what is played.
 
     Raises:
         UserError: the environment does not have what the plan asks for.
     """
-    package, config, how = request.package, manner.without(line["policy"]["config"]), manner.of(line)
-    cell = line["cells"][0]
-    settings = environment_settings(package, str(folder), config, task=cell["task"], setting=cell["setting"])
+    package, config, how = request.package, manner.without(planned.policy.config), manner.of(planned)
+    cell, checkpoint = planned.cells[0], planned.policy.checkpoint
+    settings = environment_settings(package, str(folder), config, task=cell.task, setting=cell.setting)
     bounds = _bounds(request)
     lane_orders = Orders(
         policy=str(package.path),
-        policy_digest=line["policy"]["digest"],
+        policy_digest=planned.policy.digest,
         environment=str(folder),
-        environment_digest=line["environment"]["digest"],
+        environment_digest=planned.environment.digest,
         config=config,
         settings={key: value for key, value in settings.items() if key not in ("task", "setting")},
-        horizon=line["control"]["horizon"],
+        horizon=planned.control.horizon,
         eval_env=request.eval_env,
         num_envs=how.num_envs,
         env_workers=min(request.env_workers, how.num_envs),
@@ -216,8 +215,8 @@ def orders(request: Request, folder: Path, line: Line) -> tuple[Orders, ServerOr
     )
     server_orders = ServerOrders(
         policy=str(package.path),
-        policy_digest=line["policy"]["digest"],
-        checkpoint_digest=(line["policy"]["checkpoint"] or {}).get("digest"),
+        policy_digest=planned.policy.digest,
+        checkpoint_digest=None if checkpoint is None else checkpoint.digest,
         overrides=config,
         python=request.python,
         env=request.env,
@@ -240,7 +239,7 @@ def check(run: Run) -> None:
     Raises:
         UserError: episodes were spoilt by the infrastructure for good.
     """
-    spoilt = sum(line["failure"] == INFRASTRUCTURE for line in run.finals.values())
+    spoilt = sum(line.failure == INFRASTRUCTURE for line in run.finals.values())
     if spoilt:
         raise UserError(
             f"{spoilt} of {len(run.finals)} episodes were spoilt by the infrastructure, and count as failed",

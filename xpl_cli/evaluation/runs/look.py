@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,13 +23,16 @@ from xpl_cli.evaluation.lanes.orders import Access, Orders
 from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
 from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
 from xpl_cli.evaluation.records.fingerprints import package_digest
+from xpl_cli.evaluation.records.model import Control, Plan, PlannedCell, PlannedEnvironment, PlannedPolicy
 from xpl_cli.evaluation.records.records import Unwritten
 from xpl_cli.evaluation.runs import outcome, runner
+from xpl_cli.evaluation.runs.outcome import Evaluation, Played
 from xpl_cli.evaluation.runs.plan import ALL, ATTEMPTS, tasks_of
 from xpl_cli.evaluation.runs.schedule import Schedule
 from xpl_cli.evaluation.runs.settings import environment_settings
 from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments
+from xpl_cli.standard import spec
 
 _DIGITS = 10
 """No machine has that many processes; a longer number is none that was meant."""
@@ -40,7 +44,8 @@ if TYPE_CHECKING:
     from xpl.manifest import EnvManifest
     from xpl_cli.basics.progress import Progress
     from xpl_cli.evaluation.lanes.orders import Demos
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.records import Run
     from xpl_cli.packages.package import Package
 
 
@@ -106,8 +111,8 @@ def places(num_envs: int | None, workers: str) -> tuple[int, int]:
     return (max(1, count) if num_envs is None else num_envs), count
 
 
-def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
-    """Play the episodes and return the report `xpl.eval/1`.
+def evaluate(request: Request, progress: Progress) -> Evaluation:
+    """Play the episodes and return what came of it.
 
     Raises:
         UserError: the environment does not know the task or embodiment or cannot be played, policy and environment do
@@ -129,23 +134,25 @@ def evaluate(request: Request, progress: Progress) -> dict[str, Any]:
     setting = request.setting or facts.settings[0]
     first = int(config[sdk.Deploy.SEED])
     tasks = tasks or [settings["task"]]
-    sink = Unwritten(_plan(settings, tasks, setting, range(first, first + request.episodes), request.horizon))
+    sink = Unwritten(_plan(request, settings, tasks, range(first, first + request.episodes), facts))
     schedule = Schedule(sink.run, 0, lambda _outcomes: False, traced=False)
     with contextlib.closing(_backend(request, str(folder), config, settings, progress)) as backend:
         backend.prepare(settings["task"], setting)
         runner.play(sink, backend, schedule, _View(sink.run, request.episodes * len(tasks), progress))
-    played = {
-        "policy": request.package.name,
-        "environment": request.environment,
-        "task": settings["task"] if len(tasks) == 1 else request.task,
-        "setting": setting,
-        "embodiment": settings["embodiment"],
-        sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
-        "num_envs": request.num_envs,
-        "workers": request.workers,
-        "horizon": request.horizon,
-    }
-    return outcome.report(played, outcome.episodes(sink.run, request.num_envs), time.perf_counter() - started)
+    played = Played(
+        policy=request.package.name,
+        environment=request.environment,
+        task=settings["task"] if len(tasks) == 1 else request.task,
+        setting=setting,
+        embodiment=sink.run.plan.embodiment,
+        action_type=sink.run.plan.action_type,
+        num_envs=request.num_envs,
+        workers=request.workers,
+        horizon=request.horizon,
+    )
+    finals = [sink.run.finals[index] for index in sorted(sink.run.finals)]
+    attempts = Counter(episode.index for episode in sink.run.attempts)
+    return Evaluation(played, finals, attempts, time.perf_counter() - started)
 
 
 class _View:
@@ -160,18 +167,18 @@ class _View:
     def __init__(self, run: Run, total: int, progress: Progress) -> None:
         self._run, self._total, self._progress = run, total, progress
 
-    def add(self, line: Line, left: int) -> None:  # noqa: ARG002 - as every view
+    def add(self, line: Episode, left: int) -> None:  # noqa: ARG002 - as every view
         """Show a line.
 
         Raises:
             UserError: the policy broke the episode off, in the last of its attempts.
         """
-        where = f"episode with seed {line[sdk.Deploy.SEED]}"
-        if not line["final"]:
-            self._progress.step(f"{where}: {line['error']}; the trial does not count")
+        where = f"episode with seed {line.seed}"
+        if not line.final:
+            self._progress.step(f"{where}: {line.error}; the trial does not count")
             return
-        if line["end_reason"] in (POLICY_ERROR, POLICY_DIED):
-            raise UserError(f"{where}: {line['error']}", code=ExitCode.FINDINGS)
+        if line.end_reason in (POLICY_ERROR, POLICY_DIED):
+            raise UserError(f"{where}: {line.error}", code=ExitCode.FINDINGS)
         self._progress.step(outcome.line(list(self._run.finals.values()), self._total))
 
 
@@ -183,16 +190,19 @@ def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[st
     return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
 
 
-def _plan(settings: Mapping[str, Any], tasks: Sequence[str], setting: str, seeds: range, horizon: int | None) -> Line:
-    """Return what a schedule and a runner read of a plan; nobody writes it down."""
-    same = {"setting": setting, "dimension": None, "seeds": list(seeds), "frozen": False}
-    return {
-        "embodiment": settings["embodiment"],
-        sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
-        "control": {"horizon": horizon, "attempts": ATTEMPTS},
-        "cells": [{"task": task, **same} for task in tasks],
-        "until_width": None,
-    }
+def _plan(
+    request: Request, settings: Mapping[str, Any], tasks: Sequence[str], seeds: range, facts: EnvManifest
+) -> Plan:
+    """Return what a schedule and a runner read of a plan; nobody writes it down, and so it has no digests."""
+    setting = request.setting or facts.settings[0]
+    return Plan(
+        policy=PlannedPolicy(request.package.name, spec.VERSION, "", {}),
+        environment=PlannedEnvironment(facts.name, spec.VERSION, ""),
+        embodiment=settings["embodiment"],
+        action_type=settings[sdk.Deploy.ACTION_TYPE],
+        control=Control(request.horizon, ATTEMPTS),
+        cells=[PlannedCell(task, setting, None, seeds, frozen=False) for task in tasks],
+    )
 
 
 def _backend(

@@ -4,121 +4,150 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Final
 
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.records import stand_ins
+from xpl_cli.evaluation.records.model import Ending, Episode
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from xpl_cli.evaluation.records.records import Run
-
-SCHEMA = "xpl.eval/1"
-_OF_A_RECORD = (
-    "kind",
-    "index",
-    "attempt",
-    "final",
-    "embodiment",
-    sdk.Deploy.ACTION_TYPE,
-    "started",
-    "wall_seconds",
-    "worker",
-    "inference",
-    "server",
-    "machine",
-)
-"""What a line of a record says besides how the episode went."""
+SCHEMA: Final = "xpl.eval/1"
+_SHOWN: Final = ("task", "setting", sdk.Deploy.SEED, *(item.name for item in fields(Ending)))
+_NULL: Final = ("success", "score", "failure", "end_reason")
 
 
-def episodes(run: Run, num_envs: int) -> list[dict[str, Any]]:
-    """Return what is reported of each episode of a run.
+@dataclass(frozen=True)
+class Played:
+    """What was played, and how.
 
-    Args:
-        run: what was played.
-        num_envs: episodes that were played at a time.
+    Attributes:
+        policy, environment, task, setting, embodiment, action_type: what; several tasks as they were asked for.
+        num_envs: environments played at once.
+        workers: processes that shared them; 0: none of their own.
+        horizon: actions of a chunk that were executed, at most; None: the loop was the adapter's own.
     """
-    attempts = Counter(line["index"] for line in run.attempts)
-    return [
-        {
-            sdk.Obs.ENV_IDX: index % num_envs,
-            **{key: value for key, value in line.items() if key not in _OF_A_RECORD and (key, value) != ("task", None)},
-            "attempts": attempts[index],
-        }
-        for index, line in sorted(run.finals.items())
-    ]
+
+    policy: str
+    environment: str
+    task: str | None
+    setting: str
+    embodiment: str
+    action_type: str
+    num_envs: int = 1
+    workers: int = 0
+    horizon: int | None = None
 
 
-def report(played: Mapping[str, Any], episodes: Sequence[Mapping[str, Any]], seconds: float) -> dict[str, Any]:
-    """Return the report of an evaluation.
+@dataclass(frozen=True)
+class Evaluation:
+    """What came of it.
 
-    Args:
-        played: what was played: policy, environment, task and so on.
-        episodes: a record of each.
+    Attributes:
+        played: what was played.
+        episodes: the final attempt at each, in the order of the plan.
+        attempts: how many there were, by the index of the episode.
         seconds: how long all of it took.
     """
-    judged, won = _tally(episodes)
-    spoilt = sum(episode.get("end_reason") == INFRASTRUCTURE for episode in episodes)
-    counted = len(judged) + spoilt  # what has no verdict is no success: nobody can tell who was to blame
-    corrections: Counter[str] = Counter()
-    for episode in episodes:
-        corrections.update(episode.get("corrections") or {})
-    return {
-        "schema": SCHEMA,
-        **played,
-        "episodes": list(episodes),
-        "successes": won if judged else None,
-        "success_rate": won / counted if judged else None,
-        "infrastructure_failures": spoilt,
-        "mean_score": sum(float(episode["score"]) for episode in judged) / counted if judged else None,
-        "corrections": dict(corrections),
-        "seconds": round(seconds, 3),
-    }
+
+    played: Played
+    episodes: Sequence[Episode]
+    attempts: Mapping[int, int] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    @property
+    def successes(self) -> int | None:
+        """Number of episodes that succeeded; None where none has a success to speak of."""
+        return _won(self.episodes) if self._judged else None
+
+    @property
+    def spoilt(self) -> int:
+        """Number of episodes that the infrastructure spoilt for good: nobody can tell who was to blame."""
+        return sum(episode.end_reason == INFRASTRUCTURE for episode in self.episodes)
+
+    @property
+    def success_rate(self) -> float | None:
+        """Share of successes; what was spoilt has none. None where no episode has a success to speak of."""
+        return _won(self.episodes) / self._counted if self._judged else None
+
+    @property
+    def mean_score(self) -> float | None:
+        """Mean score; what was spoilt has 0. None where no episode has a success to speak of."""
+        judged = self._judged
+        return sum(episode.score or 0.0 for episode in judged) / self._counted if judged else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return `xpl.eval/1`."""
+        corrections: Counter[str] = Counter()
+        for episode in self.episodes:
+            corrections.update(episode.corrections or {})
+        return {
+            "schema": SCHEMA,
+            **asdict(self.played),
+            "episodes": [self._shown(episode) for episode in self.episodes],
+            "successes": self.successes,
+            "success_rate": self.success_rate,
+            "infrastructure_failures": self.spoilt,
+            "mean_score": self.mean_score,
+            "corrections": dict(corrections),
+            "seconds": round(self.seconds, 3),
+        }
+
+    def text(self) -> str:
+        """Return the report as one line for people, with one more for each task where there are several."""
+        played, count = self.played, len(self.episodes)
+        what = f"{played.environment}/{played.task}, {played.embodiment}, {played.action_type} control"
+        where = f"{played.policy} on {what}"
+        unreal = stand_ins.sentence(played.environment, [played.setting])
+        said = [] if unreal is None else [unreal]
+        if self.success_rate is None:
+            return "\n".join([f"{where}: {count} episodes ran to their end in {self.seconds:.1f} s", *said])
+        score = f"mean score {self.mean_score:.2f}"
+        tasks: dict[str, list[Episode]] = {}
+        for episode in self.episodes:
+            tasks.setdefault(episode.task, []).append(episode)
+        lines = [f"{where}: {self.successes} of {count} succeeded, {score}, {self.seconds:.1f} s"]
+        if len(tasks) > 1:
+            lines += [f"  {task}: {_won(episodes)} of {len(episodes)}" for task, episodes in tasks.items()]
+        return "\n".join([*lines, *said])
+
+    def following(self, policy: str) -> list[str]:
+        """Return the exact commands that come next.
+
+        Args:
+            policy: the adapter, as it was named.
+        """
+        if self.spoilt:
+            return ["xpl doctor"]
+        if self.successes == 0:
+            return [shlex.join(["xpl", "audit", policy, "--gate", "mujoco"])]
+        return []
+
+    @property
+    def _judged(self) -> list[Episode]:
+        """The episodes that have a success to speak of."""
+        return [episode for episode in self.episodes if episode.success is not None]
+
+    @property
+    def _counted(self) -> int:
+        return len(self._judged) + self.spoilt
+
+    def _shown(self, episode: Episode) -> dict[str, Any]:
+        told = {name: getattr(episode, name) for name in _SHOWN}
+        return {
+            sdk.Obs.ENV_IDX: episode.index % self.played.num_envs,
+            **{name: value for name, value in told.items() if value is not None or name in _NULL},
+            "attempts": self.attempts.get(episode.index, 1),
+        }
 
 
-def line(episodes: Sequence[Mapping[str, Any]], total: int) -> str:
+def line(episodes: Sequence[Episode], total: int) -> str:
     """Return how far an evaluation has come."""
-    judged, won = _tally(episodes)
-    said = f", {won} of {len(judged)} succeeded" if judged else ""
+    judged = sum(episode.success is not None for episode in episodes)
+    said = f", {_won(episodes)} of {judged} succeeded" if judged else ""
     return f"episode {len(episodes)} of {total}{said}"
 
 
-def text(found: Mapping[str, Any]) -> str:
-    """Return a report as one line for people, with one more for each task where there are several."""
-    control = found[sdk.Deploy.ACTION_TYPE]
-    played = f"{found['environment']}/{found['task']}, {found['embodiment']}, {control} control"
-    where, count = f"{found['policy']} on {played}", len(found["episodes"])
-    unreal = stand_ins.sentence(found["environment"], [found["setting"]])
-    said = [] if unreal is None else [unreal]
-    if found["success_rate"] is None:
-        return "\n".join([f"{where}: {count} episodes ran to their end in {found['seconds']:.1f} s", *said])
-    score = f"mean score {found['mean_score']:.2f}"
-    tasks: dict[str, list[Mapping[str, Any]]] = {}
-    for episode in found["episodes"]:
-        tasks.setdefault(episode.get("task", found["task"]), []).append(episode)
-    lines = [f"{where}: {found['successes']} of {count} succeeded, {score}, {found['seconds']:.1f} s"]
-    if len(tasks) > 1:
-        lines += [f"  {task}: {_tally(episodes)[1]} of {len(episodes)}" for task, episodes in tasks.items()]
-    return "\n".join([*lines, *said])
-
-
-def following(found: Mapping[str, Any], policy: str) -> list[str]:
-    """Return the exact commands that come next.
-
-    Args:
-        found: the report.
-        policy: the adapter, as it was named.
-    """
-    if found["infrastructure_failures"]:
-        return ["xpl doctor"]
-    if found["successes"] == 0:
-        return [shlex.join(["xpl", "audit", policy, "--gate", "mujoco"])]
-    return []
-
-
-def _tally(episodes: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], int]:
-    """Return the episodes that have a success to speak of, and how many of them succeeded."""
-    judged = [episode for episode in episodes if episode.get("success") is not None]
-    return judged, sum(bool(episode["success"]) for episode in judged)
+def _won(episodes: Iterable[Episode]) -> int:
+    return sum(bool(episode.success) for episode in episodes)

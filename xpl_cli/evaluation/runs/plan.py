@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +12,15 @@ from xpl import _spec as sdk
 from xpl import get_embodiment
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.environments import check, play
-from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.fingerprints import checkpoint_of, digest_of, package_digest
 from xpl_cli.evaluation.records.manner import Manner, without
+from xpl_cli.evaluation.records.model import Control, Plan, PlannedCell, PlannedEnvironment, PlannedPolicy
 from xpl_cli.evaluation.runs.stopping import episodes_needed
 from xpl_cli.packages import environments, robots
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl.manifest import EnvManifest
-    from xpl_cli.evaluation.records.records import Line
     from xpl_cli.packages.package import Package
 
 ALL = "all"
@@ -56,11 +55,11 @@ class Planned:
     """A plan, and what it leaves out.
 
     Attributes:
-        line: first line of the record.
+        plan: what is played.
         left_out: tasks that the robot cannot play, with the reason.
     """
 
-    line: Line
+    plan: Plan
     left_out: dict[str, str] = field(default_factory=dict)
 
 
@@ -85,43 +84,32 @@ def make(
     tasks, left_out = tasks_of(facts, wishes.tasks or config.get(sdk.Deploy.TASK_NAME), robot)
     settings = _names("setting", wishes.settings, facts.settings)
     cells = [_cell(folder, facts, task, setting, wishes) for task in tasks for setting in settings]
-    line = {
-        "kind": "run",
-        "schema": records.SCHEMA,
-        "policy": {
-            "name": package.name,
-            "spec": spec.VERSION,
-            **_served_from(package, {**config, **robots.described(robot)}, manner or Manner()),
-        },
-        "environment": {"name": facts.name, "spec": spec.VERSION, "digest": package_digest(folder)},
-        "embodiment": robot,
-        sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
-        "control": {"horizon": wishes.horizon, "attempts": ATTEMPTS},
-        "cells": cells,
-        "until_width": wishes.until_width,
-    }
-    return Planned(records.named(line), left_out)
-
-
-def renewed(recorded: Line, package: Package, folder: Path, manner: Manner) -> Line:
-    """Return the plan of a record as it would be made today: with the digests of what is there now."""
-    policy = recorded["policy"]
-    present = _served_from(package, without(policy["config"]), manner)
-    return records.named(
-        {
-            **recorded,
-            "policy": {**policy, "name": package.name, **present},
-            "environment": {**recorded["environment"], "digest": package_digest(folder)},
-        }
+    plan = Plan(
+        policy=_served_from(package, spec.VERSION, {**config, **robots.described(robot)}, manner or Manner()),
+        environment=PlannedEnvironment(facts.name, spec.VERSION, package_digest(folder)),
+        embodiment=robot,
+        action_type=config[sdk.Deploy.ACTION_TYPE],
+        control=Control(wishes.horizon, ATTEMPTS),
+        cells=cells,
+        until_width=wishes.until_width,
     )
+    return Planned(plan.named(), left_out)
 
 
-def _served_from(package: Package, config: Mapping[str, Any], manner: Manner) -> Line:
-    """Return what a plan says of what answers for the policy: of files, or of what a foreign server announced."""
+def renewed(recorded: Plan, package: Package, folder: Path, manner: Manner) -> Plan:
+    """Return the plan of a record as it would be made today: with the digests of what is there now."""
+    policy = _served_from(package, recorded.policy.spec, without(recorded.policy.config), manner)
+    environment = replace(recorded.environment, digest=package_digest(folder))
+    return replace(recorded, policy=policy, environment=environment).named()
+
+
+def _served_from(package: Package, version: str, config: Mapping[str, Any], manner: Manner) -> PlannedPolicy:
+    """Return what a plan says of what answers for the policy: files, or what a foreign server announced."""
     if manner.announced is not None:
-        return {"digest": digest_of(dict(manner.announced)), "config": manner.written_in(config), "checkpoint": None}
-    checkpoint = checkpoint_of(package, config)
-    return {"digest": package_digest(package.path), "config": manner.written_in(config), "checkpoint": checkpoint}
+        digest = digest_of(dict(manner.announced))
+        return PlannedPolicy(package.name, version, digest, manner.written_in(config))
+    digest, checkpoint = package_digest(package.path), checkpoint_of(package, config)
+    return PlannedPolicy(package.name, version, digest, manner.written_in(config), checkpoint)
 
 
 def tasks_of(facts: EnvManifest, wanted: str | None, robot: str) -> tuple[list[str], dict[str, str]]:
@@ -174,10 +162,9 @@ def _require_once(what: str, wanted: str, names: Sequence[str]) -> None:
         raise UserError(f"--{what} {wanted} names one of them twice")
 
 
-def _cell(folder: Path, facts: EnvManifest, task: str, setting: str, wishes: Wishes) -> Line:
+def _cell(folder: Path, facts: EnvManifest, task: str, setting: str, wishes: Wishes) -> PlannedCell:
     seeds, frozen = _seeds(folder, task, setting, wishes)
-    dimension = facts.tasks[task].dimension
-    return {"task": task, "setting": setting, "dimension": dimension, "seeds": seeds, "frozen": frozen}
+    return PlannedCell(task, setting, facts.tasks[task].dimension, seeds, frozen)
 
 
 def _seeds(folder: Path, task: str, setting: str, wishes: Wishes) -> tuple[list[int], bool]:

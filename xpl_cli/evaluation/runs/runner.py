@@ -7,13 +7,14 @@ comes twice, or too late, is dropped.
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records.failures import is_open
+from xpl_cli.evaluation.records.model import Episode, File
 from xpl_cli.evaluation.records.records import RecordError
 
 if TYPE_CHECKING:
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.evaluation.lanes.backend import Backend, Job, Outcome
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Plan
+    from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.runs.schedule import Schedule
 
 TRACES, FILMS = "traces", "films"
@@ -41,14 +43,14 @@ class Sink(Protocol):
     def machine(self, facts: Mapping[str, Any]) -> str:
         """Return the digest of a machine's facts."""
 
-    def add(self, line: Line) -> None:
+    def add(self, line: Episode) -> None:
         """Add one attempt at an episode."""
 
 
 class View(Protocol):
     """Shows how far a run has come."""
 
-    def add(self, line: Line, left: int) -> None:
+    def add(self, line: Episode, left: int) -> None:
         """Show a line that was recorded, and how many episodes are not final yet; may raise to end the run."""
 
 
@@ -66,7 +68,7 @@ def play(writer: Sink, backend: Backend, schedule: Schedule, view: View, *, ahea
         UserError: nothing can be played, or the infrastructure fails again and again; what was recorded stays, and the
             run can be resumed.
     """
-    attempts: int = writer.run.plan["control"]["attempts"]
+    attempts: int = writer.run.plan.control.attempts
     outage = _Outage(_PATIENCE * attempts)
     while not schedule.is_done:
         _submit(backend, schedule, outage)
@@ -87,7 +89,7 @@ def play(writer: Sink, backend: Backend, schedule: Schedule, view: View, *, ahea
             )
 
 
-def replay(plan: Mapping[str, Any], jobs: Sequence[Job], backend: Backend) -> Iterator[Line]:
+def replay(plan: Plan, jobs: Sequence[Job], backend: Backend) -> Iterator[Episode]:
     """Play episodes and yield their lines, as they would be recorded but for machine and files; nothing is written."""
     waiting = list(reversed(jobs))
     playing: set[Job] = set()
@@ -98,7 +100,7 @@ def replay(plan: Mapping[str, Any], jobs: Sequence[Job], backend: Backend) -> It
         for outcome in backend.wait():
             if outcome.job in playing:
                 playing.remove(outcome.job)
-                yield {**_head(plan, outcome.job, final=True), **outcome.line}
+                yield _episode(plan, outcome, final=True)
 
 
 def _submit(backend: Backend, schedule: Schedule, outage: _Outage) -> None:
@@ -131,53 +133,54 @@ class _Outage:
         self._begun += 1
         self._open[job] = self._begun
 
-    def ended(self, job: Job, line: Line) -> None:
+    def ended(self, job: Job, line: Episode) -> None:
         """Note how an attempt ended."""
         begun = self._open.pop(job)
-        if line["failure"] != INFRASTRUCTURE:
+        if line.failure != INFRASTRUCTURE:
             self._sound, self.spoilt = self._begun, 0
         elif begun > self._sound:
-            self.spoilt, self.error = self.spoilt + 1, line["error"]
+            self.spoilt, self.error = self.spoilt + 1, str(line.error)
 
 
-def _record(writer: Sink, outcome: Outcome, attempts: int) -> Line:
+def _record(writer: Sink, outcome: Outcome, attempts: int) -> Episode:
     """Write an attempt down, its files first, and return its line."""
     job, plan, folder = outcome.job, writer.run.plan, writer.run.folder
-    line = {
-        **_head(plan, job, final=not is_open(outcome.line) or job.attempt >= attempts),
-        **outcome.line,
-        "machine": writer.machine(outcome.facts),
-    }
-    for key, content, name in (
-        ("trace", outcome.trace, f"{TRACES}/{job.index}.npz"),
-        ("film", outcome.film, f"{FILMS}/{job.index}.webp"),
-    ):
-        if content is not None:
-            line[key] = _beside(folder, name, content)
-    writer.add(line)
-    return line
+    found = replace(
+        _episode(plan, outcome, final=not is_open(outcome.ending) or job.attempt >= attempts),
+        machine=writer.machine(outcome.facts),
+        trace=_beside(folder, f"{TRACES}/{job.index}.npz", outcome.trace),
+        film=_beside(folder, f"{FILMS}/{job.index}.webp", outcome.film),
+    )
+    writer.add(found)
+    return found
 
 
-def _head(plan: Mapping[str, Any], job: Job, *, final: bool) -> Line:
-    return {
-        "kind": "episode",
-        "index": job.index,
-        "attempt": job.attempt,
-        "final": final,
-        "task": job.task,
-        "setting": job.setting,
-        sdk.Deploy.SEED: job.seed,
-        "embodiment": plan["embodiment"],
-        sdk.Deploy.ACTION_TYPE: plan[sdk.Deploy.ACTION_TYPE],
-    }
+def _episode(plan: Plan, outcome: Outcome, *, final: bool) -> Episode:
+    """Return an attempt as it is recorded, but for machine and files."""
+    job = outcome.job
+    return Episode(
+        index=job.index,
+        attempt=job.attempt,
+        final=final,
+        task=job.task,
+        setting=job.setting,
+        seed=job.seed,
+        embodiment=plan.embodiment,
+        action_type=plan.action_type,
+        machine="",
+        **vars(outcome.ending),
+        **vars(outcome.conduct),
+    )
 
 
-def _beside(folder: Path, name: str, content: bytes) -> dict[str, str]:
-    """Write a file of a run, and return what its line says of it."""
+def _beside(folder: Path, name: str, content: bytes | None) -> File | None:
+    """Write a file of a run, where there is something to write, and return what its line says of it."""
+    if content is None:
+        return None
     path = folder / name
     try:
         path.parent.mkdir(exist_ok=True)
         atomic.write_file(path, content)
     except OSError as error:
         raise RecordError(f"{path} cannot be written: {error.strerror or error}") from None
-    return {"path": name, "digest": hashlib.sha256(content).hexdigest()}
+    return File(name, hashlib.sha256(content).hexdigest())

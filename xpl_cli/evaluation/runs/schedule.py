@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.lanes.backend import Job
 from xpl_cli.evaluation.records.cells import certainly, survivors
-from xpl_cli.evaluation.records.records import slots
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from xpl_cli.evaluation.records.records import Line, Run, Slot
+    from xpl_cli.evaluation.records.model import Episode, Slot
+    from xpl_cli.evaluation.records.records import Run
 
 
 class Schedule:
@@ -37,16 +37,16 @@ class Schedule:
         is_enough: Callable[[Sequence[bool | None]], bool],
         *,
         traced: bool = True,
-        judge: Callable[[Line], bool | None] | None = None,
+        judge: Callable[[Episode], bool | None] | None = None,
     ) -> None:
         self._run = run
         self._traced = traced
         self._judge = judge or (lambda line: certainly(line, self._survived))
         self._is_enough = is_enough
-        self._attempts = Counter(line["index"] for line in run.attempts)
+        self._attempts = Counter(line.index for line in run.attempts)
         self._survived = survivors(run.attempts)
-        self._cells: list[list[Slot]] = [[] for _ in run.plan["cells"]]
-        for slot in slots(run.plan):
+        self._cells: list[list[Slot]] = [[] for _ in run.plan.cells]
+        for slot in run.plan.slots():
             self._cells[slot.cell].append(slot)
         self._filmed = {slot.index for cell in self._cells for slot in cell[:films]}
         self._waiting = [deque(slot for slot in cell if slot.index not in run.finals) for cell in self._cells]
@@ -80,13 +80,13 @@ class Schedule:
         """Tell whether this attempt is being played, as far as this side knows."""
         return job.index in self._playing and job.attempt == self._attempts[job.index] + 1
 
-    def add(self, line: Line) -> None:
+    def add(self, line: Episode) -> None:
         """Take note of an attempt that was recorded in the run."""
-        slot = self._cell_of[line["index"]]
+        slot = self._cell_of[line.index]
         self._playing.discard(slot.index)
         self._attempts[slot.index] += 1
         self._survived |= survivors([line])
-        if not line["final"]:
+        if not line.final:
             self._waiting[slot.cell].append(slot)
         self._look(slot.cell)
 

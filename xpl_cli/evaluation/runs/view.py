@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING, Protocol
 
-from xpl import _spec as sdk
 from xpl_cli.basics import console
 from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.intervals import wilson
@@ -19,7 +18,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.live import Live
 
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.records import Run
 
 _HOUR_S = 3600.0
 _CELLS = 16
@@ -29,7 +29,7 @@ _CELLS = 16
 class View(Protocol):
     """Shows what is recorded."""
 
-    def add(self, line: Line, left: int) -> None:
+    def add(self, line: Episode, left: int) -> None:
         """Show a line that was recorded, and how many episodes are not final yet."""
 
 
@@ -78,23 +78,23 @@ class Tally:
         for line in run.finals.values():
             self._count(line)
 
-    def add(self, line: Line, left: int) -> None:
+    def add(self, line: Episode, left: int) -> None:
         """Take note of a line."""
         self.left = left
         if self._began is None:  # models are loaded by now
-            self._began = time.monotonic() - line["wall_seconds"]
-        if line["final"]:
+            self._began = time.monotonic() - line.wall_seconds
+        if line.final:
             self._played += 1
             self._count(line)
-        if line.get("error"):
-            self.failure = f"{_place(line)}: {line['failure']}: {line['error']}"
+        if line.error:
+            self.failure = f"{_place(line)}: {line.failure}: {line.error}"
 
     def cells(self) -> list[tuple[str, str, str, str]]:
         """Return task, setting, episodes and success of every cell."""
         rows = []
-        for cell in self._run.plan["cells"]:
-            key = cell["task"], cell["setting"]
-            rows.append((*key, f"{self._final[key]}/{len(cell['seeds'])}", _rate(self._won[key], self._judged[key])))
+        for cell in self._run.plan.cells:
+            key = cell.place
+            rows.append((*key, f"{self._final[key]}/{len(cell.seeds)}", _rate(self._won[key], self._judged[key])))
         return rows
 
     def text(self) -> str:
@@ -106,12 +106,12 @@ class Tally:
             told += [f"{pace * _HOUR_S:.0f} episodes/h", f"{_clock(self.left / pace)} left"]
         return ", ".join(told)
 
-    def _count(self, line: Line) -> None:
-        key = line["task"], line["setting"]
+    def _count(self, line: Episode) -> None:
+        key = line.place
         self._final[key] += 1
-        if line["success"] is not None:
+        if line.success is not None:
             self._judged[key] += 1
-            self._won[key] += bool(line["success"])
+            self._won[key] += bool(line.success)
 
 
 class _Lines:
@@ -120,12 +120,12 @@ class _Lines:
     def __init__(self, tally: Tally) -> None:
         self._tally = tally
 
-    def add(self, line: Line, left: int) -> None:
+    def add(self, line: Episode, left: int) -> None:
         """Write what happened, and how far the run is."""
         self._tally.add(line, left)
-        again = "" if line["final"] else ", is played again"
-        error = f" ({line['error']})" if line.get("error") else ""
-        console.note(f"{_place(line)}: {line['end_reason']}{error}{again}; {self._tally.text()}")
+        again = "" if line.final else ", is played again"
+        error = f" ({line.error})" if line.error else ""
+        console.note(f"{_place(line)}: {line.end_reason}{error}{again}; {self._tally.text()}")
 
 
 class _Terminal:
@@ -135,7 +135,7 @@ class _Terminal:
         self._tally = tally
         self._live = live
 
-    def add(self, line: Line, left: int) -> None:
+    def add(self, line: Episode, left: int) -> None:
         """Show the present state."""
         self._tally.add(line, left)
         self.show()
@@ -165,8 +165,8 @@ class _Terminal:
         return Group(*parts)
 
 
-def _place(line: Line) -> str:
-    return f"{line['task']}, {line['setting']}, seed {line[sdk.Deploy.SEED]}"
+def _place(line: Episode) -> str:
+    return f"{line.task}, {line.setting}, seed {line.seed}"
 
 
 def _rate(won: int, judged: int) -> str:

@@ -18,9 +18,10 @@ from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs
 from xpl_cli.evaluation.statistics.matching import differences
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
-    from xpl_cli.evaluation.records.records import Line, Run
+    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.records.records import Run
 
 SCHEMA: Final = "xpl.comparison/1"
 METHODS: Final = {"test": "mcnemar_exact", "interval": "newcombe_paired", "score": "bootstrap", "correction": "holm"}
@@ -46,7 +47,7 @@ class _Matches:
 
     task: str
     setting: str
-    lines: Sequence[tuple[Line, Line]]
+    lines: Sequence[tuple[Episode, Episode]]
     successes: Sequence[tuple[bool, bool]]
 
     @property
@@ -74,7 +75,7 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
             not equal cases.
     """
     sides = (first.plan, second.plan)
-    names = [plan["environment"]["name"] for plan in sides]
+    names = [plan.environment.name for plan in sides]
     if names[0] != names[1]:
         raise IncomparableError(f"the runs were played in different environments: {names[0]} and {names[1]}")
     matches = _matches(first, second)
@@ -98,7 +99,7 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
         "cells": rows,
         "overall": {**_row(None, None, matches), "adjusted_p_value": None},
     }
-    stops = any(plan.get("until_width") is not None for plan in sides)
+    stops = any(plan.until_width is not None for plan in sides)
     unreal = stand_ins.sentence(names[0], (match.setting for match in matches))
     notes = [
         *([] if unreal is None else [unreal]),
@@ -124,17 +125,17 @@ def _matches(first: Run, second: Run) -> list[_Matches]:
     return found
 
 
-def _by_seed(lines: Iterable[Line]) -> dict[int, Line]:
-    return {line[sdk.Deploy.SEED]: line for line in lines}
+def _by_seed(lines: Iterable[Episode]) -> dict[int, Episode]:
+    return {line.seed: line for line in lines}
 
 
 def _refuse_other_layouts(matches: Sequence[_Matches]) -> None:
     """Raise unless equal seeds drew equal scenes, as far as the records tell."""
     unlike = [
-        (match, first[sdk.Deploy.SEED])
+        (match, first.seed)
         for match in matches
         for first, second in match.lines
-        if _has_layouts(first, second) and first["layout"] != second["layout"]
+        if _has_layouts(first, second) and first.layout != second.layout
     ]
     if unlike:
         match, seed = unlike[0]
@@ -168,15 +169,15 @@ def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> 
 
 def _side(run: Run) -> dict[str, Any]:
     plan = run.plan
-    checkpoint = plan["policy"]["checkpoint"]
+    checkpoint = plan.policy.checkpoint
     return {
         "folder": str(run.folder),
-        "run": plan["run"],
-        "policy": plan["policy"]["name"],
-        "checkpoint": checkpoint and checkpoint["digest"],
-        "environment": plan["environment"]["name"],
-        "embodiment": plan["embodiment"],
-        sdk.Deploy.ACTION_TYPE: plan[sdk.Deploy.ACTION_TYPE],
+        "run": plan.run,
+        "policy": plan.policy.name,
+        "checkpoint": checkpoint and checkpoint.digest,
+        "environment": plan.environment.name,
+        "embodiment": plan.embodiment,
+        sdk.Deploy.ACTION_TYPE: plan.action_type,
     }
 
 
@@ -184,12 +185,12 @@ def _counted(run: Run) -> int:
     return sum(len(cell.counted) for cell in cells(run))
 
 
-def _is_same(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
-    return first.get("digest") is not None and first["digest"] == second.get("digest")
+def _is_same(first: Episode, second: Episode) -> bool:
+    return first.digest is not None and first.digest == second.digest
 
 
-def _has_layouts(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
-    return first.get("layout") is not None and second.get("layout") is not None
+def _has_layouts(first: Episode, second: Episode) -> bool:
+    return first.layout is not None and second.layout is not None
 
 
 def _mean(values: Iterable[float]) -> float:

@@ -24,16 +24,16 @@ def course(run: Run, beyond: int) -> dict[str, Any]:
         run: its record.
         beyond: number of final episodes that do not count, because their cell had ended before them.
     """
-    machines = len({line["machine"] for line in run.attempts})
-    retried = [line for line in run.attempts if not line["final"]]
-    spoilt = {line["index"] for line in retried if line["failure"] == INFRASTRUCTURE}
-    revived = sum(bool(line["success"]) and line["index"] in spoilt for line in run.finals.values())
-    errors = Counter((line["failure"], line["error"]) for line in run.attempts if line.get("error"))
+    machines = len({line.machine for line in run.attempts})
+    retried = [line for line in run.attempts if not line.final]
+    spoilt = {line.index for line in retried if line.failure == INFRASTRUCTURE}
+    revived = sum(bool(line.success) and line.index in spoilt for line in run.finals.values())
+    errors = Counter((line.failure, line.error) for line in run.attempts if line.error)
     return {
         "attempts": len(run.attempts),
         "retried": len(retried),
         "beyond": beyond,
-        "wall_seconds": math.fsum(line["wall_seconds"] for line in run.attempts),
+        "wall_seconds": math.fsum(line.wall_seconds for line in run.attempts),
         "machines": machines,
         "inference": _inference(run),
         "errors": [
@@ -50,15 +50,15 @@ def bin_edge(place: float) -> float:
 
 def _inference(run: Run) -> dict[str, Any]:
     """Return the round trips of all attempts together."""
-    told = [line["inference"] for line in run.attempts if line.get("inference")]
-    histograms = [one["histogram"] for one in told if one.get("histogram")]
+    told = [line.inference for line in run.attempts if line.inference]
+    histograms = [one.histogram for one in told if one.histogram]
     bins = [0] * max(map(len, histograms), default=0)
     for histogram in histograms:
         for place, count in enumerate(histogram):
             bins[place] += count
     return {
-        "count": sum(one["count"] for one in told),
-        "seconds": math.fsum(one["seconds"] for one in told),
+        "count": sum(one.count for one in told),
+        "seconds": math.fsum(one.seconds for one in told),
         "histogram": bins,
         **{name: _quantile(bins, share) for name, share in SHARES.items()},
     }

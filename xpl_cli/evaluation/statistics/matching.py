@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from xpl import _spec as sdk
 from xpl_cli.evaluation.records import manner
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
+    from xpl_cli.evaluation.records.model import Plan, PlannedCell
     from xpl_cli.evaluation.records.records import Run
 
 
@@ -45,35 +45,37 @@ def differences(first: Run, second: Run) -> list[Difference]:
     ]
 
 
-def _facts(run: Run) -> Iterator[tuple[str, Any]]:
+def _facts(run: Run) -> Iterator[tuple[str, object]]:
     """Yield the name and value of whatever should be the same."""
     plan = run.plan
-    yield "environment", plan["environment"]["name"]
-    yield "files of the environment", plan["environment"]["digest"]
-    yield "standard that the environment declares", plan["environment"]["spec"]
-    yield "standard that the policy declares", plan["policy"]["spec"]
-    yield "robot", plan["embodiment"]
-    yield "control", plan[sdk.Deploy.ACTION_TYPE]
-    yield "executed actions of a chunk", plan["control"]["horizon"] or "the adapter's own loop"
+    yield "environment", plan.environment.name
+    yield "files of the environment", plan.environment.digest
+    yield "standard that the environment declares", plan.environment.spec
+    yield "standard that the policy declares", plan.policy.spec
+    yield "robot", plan.embodiment
+    yield "control", plan.action_type
+    yield "executed actions of a chunk", plan.control.horizon or "the adapter's own loop"
     yield "episodes at once", manner.of(plan).num_envs
     yield "instruction", manner.of(plan).instruction or "the task's"
-    yield "attempts at an episode", plan["control"]["attempts"]
-    yield "width at which a task ends", plan.get("until_width") or "none"
+    yield "attempts at an episode", plan.control.attempts
+    yield "width at which a task ends", plan.until_width or "none"
 
 
-def _cells(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Difference]:
+def _cells(first: Plan, second: Plan) -> Iterator[Difference]:
     """Yield what only one of two plans plays."""
-    one, other = ({(cell["task"], cell["setting"]): cell for cell in plan["cells"]} for plan in (first, second))
+    one, other = ({cell.place: cell for cell in plan.cells} for plan in (first, second))
     if one.keys() != other.keys():
         yield Difference(
             "tasks that the other lacks", _listed(one.keys() - other.keys()), _listed(other.keys() - one.keys())
         )
-    both = [place for place in one if place in other]
-    for what, key in (("seeds", "seeds"), ("kind of seeds", "frozen")):
-        unlike = [place for place in both if one[place][key] != other[place][key]]
+    pairs = [(cell, other[place]) for place, cell in one.items() if place in other]
+    for what, said, unlike in (
+        ("seeds", _seeds, [pair for pair in pairs if pair[0].seeds != pair[1].seeds]),
+        ("kind of seeds", _kind, [pair for pair in pairs if pair[0].frozen != pair[1].frozen]),
+    ):
         if unlike:
-            where = _named(unlike[0]) + (f" and {len(unlike) - 1} more" if len(unlike) > 1 else "")
-            yield Difference(f"{what} of {where}", *(_seeds(cells[unlike[0]], key) for cells in (one, other)))
+            where = _named(unlike[0][0].place) + (f" and {len(unlike) - 1} more" if len(unlike) > 1 else "")
+            yield Difference(f"{what} of {where}", *map(said, unlike[0]))
 
 
 def _machines(first: Run, second: Run) -> Iterator[Difference]:
@@ -85,12 +87,12 @@ def _machines(first: Run, second: Run) -> Iterator[Difference]:
             yield Difference(f"machine: {name}", ", ".join(sorted(one)), ", ".join(sorted(other)))
 
 
-def _seeds(cell: Mapping[str, Any], key: str) -> str:
-    """Return the seeds of a cell, or what kind of seeds they are."""
-    if key == "frozen":
-        return "the environment's own" if cell["frozen"] else "counted"
-    seeds = cell["seeds"]
-    return f"{len(seeds)} from {min(seeds)} to {max(seeds)}"
+def _seeds(cell: PlannedCell) -> str:
+    return f"{len(cell.seeds)} from {min(cell.seeds)} to {max(cell.seeds)}"
+
+
+def _kind(cell: PlannedCell) -> str:
+    return "the environment's own" if cell.frozen else "counted"
 
 
 def _named(place: tuple[str, str]) -> str:
@@ -101,7 +103,7 @@ def _listed(places: set[tuple[str, str]]) -> str:
     return ", ".join(map(_named, sorted(places))) or "none"
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """Return a value as people compare it; of a digest the beginning."""
     text = str(value)
     return text[:12] if len(text) == 64 else text

@@ -47,12 +47,12 @@ def summarise(run: Run, method: str = "wilson") -> dict[str, Any]:
     found, plan = cells(run), run.plan
     summary = {
         "schema": SCHEMA,
-        "run": plan["run"],
-        "policy": plan["policy"]["name"],
-        "environment": plan["environment"]["name"],
-        "embodiment": plan["embodiment"],
-        sdk.Deploy.ACTION_TYPE: plan[sdk.Deploy.ACTION_TYPE],
-        "until_width": plan.get("until_width"),
+        "run": plan.run,
+        "policy": plan.policy.name,
+        "environment": plan.environment.name,
+        "embodiment": plan.embodiment,
+        sdk.Deploy.ACTION_TYPE: plan.action_type,
+        "until_width": plan.until_width,
         "confidence": intervals.CONFIDENCE,
         "methods": {"success": method, "score": SCORE_METHOD},
         **_rows([_Measured(cell, cell.success_rate(method), cell.mean_score()) for cell in found]),
@@ -105,11 +105,11 @@ def _row(measured: Sequence[_Measured]) -> dict[str, Any]:
 
 def _conduct(members: Sequence[Cell]) -> dict[str, Any]:
     """Return how the episodes were driven that the infrastructure did not spoil."""
-    lines = [line for cell in members for line in cell.counted if line["failure"] != INFRASTRUCTURE]
-    steps = [line["steps"] for line in lines if "steps" in line]
+    lines = [line for cell in members for line in cell.counted if line.failure != INFRASTRUCTURE]
+    steps = [line.steps for line in lines if line.steps is not None]
     corrections: Counter[str] = Counter()
     for line in lines:
-        corrections.update(line.get("corrections") or {})
+        corrections.update(line.corrections or {})
     return {"mean_steps": sum(steps) / len(steps) if steps else None, "corrections": dict(sorted(corrections.items()))}
 
 

@@ -1,0 +1,72 @@
+"""The classes of a record hold what its schema declares, key by key, and write what they have read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import MISSING, fields
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.support.recordings.runs import episode, synthetic
+from xpl_cli.evaluation.records import lines, model, records
+from xpl_cli.standard import spec
+from xpl_cli.standard.validate import validate
+from xpl_cli.submission import bundle, claims
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_RECORD = spec.schema("record")["$defs"]
+_PLAN = _RECORD["run"]["properties"]
+_SUBMISSION = spec.schema("submission")
+
+
+@pytest.mark.parametrize(
+    ("kind", "schema", "apart"),
+    [
+        (model.Plan, _RECORD["run"], {"kind", "schema"}),
+        (model.PlannedPolicy, _PLAN["policy"], set()),
+        (model.Checkpoint, _PLAN["policy"]["properties"]["checkpoint"], set()),
+        (model.PlannedEnvironment, _PLAN["environment"], set()),
+        (model.Control, _PLAN["control"], set()),
+        (model.PlannedCell, _PLAN["cells"]["items"], set()),
+        (model.Episode, _RECORD["episode"], {"kind"}),
+        (model.Inference, _RECORD["episode"]["properties"]["inference"], set()),
+        (model.File, _RECORD["file"], set()),
+        (bundle.Manifest, _SUBMISSION, {"schema", "tool"}),
+        (bundle.Adapter, _SUBMISSION["properties"]["policy"], set()),
+        (bundle.Entry, _SUBMISSION["properties"]["files"]["additionalProperties"], set()),
+        (bundle.Checkpoints, _SUBMISSION["$defs"]["checkpoints"], set()),
+        (claims.Claim, _SUBMISSION["properties"]["runs"]["items"], set()),
+        (claims.CellClaim, _SUBMISSION["$defs"]["cell"], set()),
+    ],
+)
+def test_fields_are_those_of_the_schema(kind: type, schema: dict[str, Any], apart: set[str]) -> None:
+    """What the schema lets be missing may be missing in the class."""
+    known = {item.name: item for item in fields(kind)}
+    assert set(known) == set(schema["properties"]) - apart
+    optional = set(known) - set(schema["required"])
+    assert not [name for name in optional if known[name].default is MISSING]
+
+
+def test_a_record_is_written_as_it_was_read(tmp_path: Path) -> None:
+    """Line by line, but for keys that may be null and were left out."""
+    folder = synthetic(tmp_path, episodes=30, traces=2, films=1)
+    raw = [json.loads(line) for line in (folder / records.FILE).read_text().splitlines()]
+    run = records.read(folder)
+    assert run.plan.as_json() == raw[0]
+    for found, line in zip(run.attempts, raw[2:], strict=True):
+        told = found.as_json()
+        assert {key: value for key, value in told.items() if value is not None or key in line} == line
+        assert validate(told, lines.definition("episode")) == []
+
+
+def test_what_may_be_null_is_always_written() -> None:
+    """Whoever reads a record need not ask whether there is an instruction, a layout or a digest."""
+    properties = _RECORD["episode"]["properties"]
+    told = episode().as_json()
+    nullable = {name for name, entry in properties.items() if "null" in entry.get("type", ()) or "anyOf" in entry}
+    assert nullable | {"failure"} <= told.keys()
+    assert {"steps", "stages", "error", "trace"}.isdisjoint(told)
+    assert validate(told, lines.definition("episode")) == []

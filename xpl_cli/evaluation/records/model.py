@@ -1,0 +1,304 @@
+"""What a record holds, as objects: the plan, and an attempt at an episode (spec/v1/record.schema.json).
+
+Lines are held against the schema before they are parsed, so that whatever a line must have is there. None stands for
+what need not be there, too. tests/evaluation/test_model.py holds the fields against the schema.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final, Self
+
+from xpl import _spec as sdk
+from xpl_cli.evaluation.records.fingerprints import Checkpoint, digest_of
+
+SCHEMA: Final = "xpl.record/1"
+Place = tuple[str, str]
+"""Task and setting."""
+Case = tuple[str, str, int]
+"""Task, setting and seed."""
+
+
+@dataclass(frozen=True)
+class PlannedPolicy:
+    """The adapter that is evaluated.
+
+    Attributes:
+        name: of the package.
+        spec: version of the standard that it declares.
+        digest: of its own files.
+        config: deploy.yml with overrides, and the manner of the run (`manner`).
+        checkpoint: None where nothing was declared or found.
+    """
+
+    name: str
+    spec: str
+    digest: str
+    config: Mapping[str, Any]
+    checkpoint: Checkpoint | None = None
+
+
+@dataclass(frozen=True)
+class PlannedEnvironment:
+    """The environment that is played: name, version of the standard, digest of the package's own files."""
+
+    name: str
+    spec: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Control:
+    """How episodes are played, as far as results follow from it.
+
+    Attributes:
+        horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
+        attempts: how often an episode is played at most, where the infrastructure spoils it.
+    """
+
+    horizon: int | None
+    attempts: int
+
+
+@dataclass(frozen=True)
+class PlannedCell:
+    """The episodes of one task in one setting.
+
+    Attributes:
+        task, setting: what is played.
+        dimension: capability that the task is about.
+        seeds: of the episodes, in their order.
+        frozen: whether these are the environment's evaluation seeds.
+    """
+
+    task: str
+    setting: str
+    dimension: str | None
+    seeds: Sequence[int]
+    frozen: bool
+
+    @property
+    def place(self) -> Place:
+        """Task and setting."""
+        return self.task, self.setting
+
+
+@dataclass(frozen=True)
+class Slot:
+    """The place of one episode in a plan.
+
+    Attributes:
+        index: the episode's key.
+        cell: number of its cell in the plan.
+        task, setting, seed: what is played.
+    """
+
+    index: int
+    cell: int
+    task: str
+    setting: str
+    seed: int
+
+    @property
+    def case(self) -> Case:
+        """What is played."""
+        return self.task, self.setting, self.seed
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run plays, fixed before its first episode.
+
+    Attributes:
+        policy, environment, embodiment, action_type, control, cells: what is played, and how.
+        until_width: a cell ends once the 95 % interval of its success rate is no wider; None: all seeds are played.
+        run: digest of everything but `created`, by which the run is named.
+        created: when it was made, UTC.
+    """
+
+    policy: PlannedPolicy
+    environment: PlannedEnvironment
+    embodiment: str
+    action_type: str
+    control: Control
+    cells: Sequence[PlannedCell]
+    until_width: float | None = None
+    run: str = ""
+    created: str = ""
+
+    @classmethod
+    def parse(cls, line: Mapping[str, Any]) -> Self:
+        """Return the plan that the first line of a record describes."""
+        policy, checkpoint = line["policy"], line["policy"]["checkpoint"]
+        told = {key: value for key, value in line.items() if key not in ("kind", "schema")}
+        told["policy"] = PlannedPolicy(**{**policy, "checkpoint": checkpoint and Checkpoint(**checkpoint)})
+        told["environment"] = PlannedEnvironment(**line["environment"])
+        told["control"] = Control(**line["control"])
+        told["cells"] = [PlannedCell(**cell) for cell in line["cells"]]
+        return cls(**told)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the first line of a record."""
+        return {"kind": "run", "schema": SCHEMA, **asdict(self)}
+
+    def named(self) -> Self:
+        """Return the plan of a new run: with its name, and the present time."""
+        return replace(self, run=name_of(self.as_json()), created=now())
+
+    def plays_the_same(self, other: Plan) -> bool:
+        """Tell whether two runs play the same, whenever they were made."""
+        return replace(self, run="", created="") == replace(other, run="", created="")
+
+    def slots(self) -> list[Slot]:
+        """Return the episodes, each at its index."""
+        seeds = ((number, cell, seed) for number, cell in enumerate(self.cells) for seed in cell.seeds)
+        return [Slot(index, number, cell.task, cell.setting, seed) for index, (number, cell, seed) in enumerate(seeds)]
+
+
+def name_of(line: Mapping[str, Any]) -> str:
+    """Return the name of the run whose first line this is."""
+    return digest_of({key: value for key, value in line.items() if key not in ("run", "created")})
+
+
+def now() -> str:
+    """Return the time, UTC, as records have it."""
+    return dt.datetime.now(dt.UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+@dataclass(frozen=True)
+class Inference:
+    """Round trips of get_action as the environment's side saw them.
+
+    Attributes:
+        count: how many.
+        seconds: all together.
+        histogram: counts in the bins of 1 ms * 2^(k/2), k = 0 .. 31; the first and the last are open.
+    """
+
+    count: int
+    seconds: float
+    histogram: Sequence[int] | None = None
+
+
+@dataclass(frozen=True)
+class File:
+    """A file beside the record: its path below the run's folder, and its digest."""
+
+    path: str
+    digest: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """Which attempt at which episode: the episode's key, its place in the plan, and whether another one follows."""
+
+    index: int
+    attempt: int
+    final: bool
+    task: str
+    setting: str
+    seed: int
+    embodiment: str
+    action_type: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How an attempt ended.
+
+    Attributes:
+        success: None where there is nothing to succeed at, or the infrastructure spoilt it.
+        score: 0 to 1.
+        failure: `task`, `policy`, `infrastructure`, or None.
+        end_reason: `success`, `max_steps`, what a guard ended it for, or the environment's own reason.
+        error: a sentence, where policy or infrastructure failed.
+        instruction: what the policy was told.
+        layout: where things were at the start.
+        stages: which were reached.
+        steps: control steps that were executed.
+        corrections: number of corrected steps by kind of correction.
+        safety: what a guard corrected.
+        digest: of all states.
+    """
+
+    success: bool | None = None
+    score: float | None = None
+    failure: str | None = None
+    end_reason: str | None = None
+    error: str | None = None
+    instruction: str | None = None
+    layout: Mapping[str, Any] | None = None
+    stages: Mapping[str, bool] | None = None
+    steps: int | None = None
+    corrections: Mapping[str, int] | None = None
+    safety: Mapping[str, Any] | None = None
+    digest: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conduct:
+    """When an attempt was played, for how long, and by whom.
+
+    Attributes:
+        started: UTC.
+        wall_seconds: how long it took.
+        worker: host and number of who played it.
+        server: instance of the policy server.
+        inference: round trips to that.
+    """
+
+    started: str
+    wall_seconds: float
+    worker: str | None = None
+    server: str | None = None
+    inference: Inference | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode(Conduct, Ending, Attempt):
+    """One attempt at one episode, as it is recorded; the last attempt is final, and the only one that counts.
+
+    Attributes:
+        machine: digest of the facts of where it was played.
+        trace: curves, an .npz.
+        film: an animated WebP.
+    """
+
+    machine: str
+    trace: File | None = None
+    film: File | None = None
+
+    @classmethod
+    def parse(cls, line: Mapping[str, Any]) -> Self:
+        """Return the episode that a line of a record describes."""
+        told = {key: value for key, value in line.items() if key != "kind"}
+        for name, kind in _PARTS.items():
+            if name in told:
+                told[name] = kind(**told[name])
+        return cls(**told)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the line of a record; of what need not be there it has what is known, or may be null."""
+        told = {name: value for name, value in vars(self).items() if value is not None or name in _NULL}
+        for name in _PARTS.keys() & told.keys():
+            told[name] = {key: value for key, value in vars(told[name]).items() if value is not None}
+        return {"kind": "episode", **told}
+
+    @property
+    def place(self) -> Place:
+        """Task and setting."""
+        return self.task, self.setting
+
+    @property
+    def case(self) -> Case:
+        """What was played."""
+        return self.task, self.setting, self.seed
+
+
+_PARTS: Final[dict[str, type]] = {"inference": Inference, "trace": File, "film": File}
+_NULL: Final = frozenset(
+    ("success", "score", "failure", "end_reason", sdk.Obs.INSTRUCTION, "layout", "digest", "worker", "server")
+)
+"""Of an episode's line: what may be null."""
