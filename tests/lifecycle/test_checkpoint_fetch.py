@@ -20,12 +20,13 @@ import pytest
 from tests.support.places import ROOT
 from xpl import Client
 from xpl.checkpoint import resolve
+from xpl.manifest import Checkpoint, CheckpointFile
 from xpl_cli import main
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.sizes import parse_size
 from xpl_cli.lifecycle.checkpoints import fetch as fetching
 from xpl_cli.lifecycle.checkpoints import specification
-from xpl_cli.lifecycle.checkpoints.specification import File, digest_of
+from xpl_cli.lifecycle.checkpoints.specification import digest_of
 from xpl_cli.packages import package
 from xpl_cli.serving.launch import ServerStartError, serving
 
@@ -60,7 +61,7 @@ def adapter(folder: Path, *checkpoints: dict[str, Any], **deploy: Any) -> Path:
 
 def specified(folder: Path, **entry: Any) -> specification.Specification:
     """Return the specification that an entry of policy.yml is."""
-    return specification._parse(package.Package(folder, {}), {"name": "demo", **entry})
+    return specification.specified(package.Package(folder, {}), Checkpoint.parse({"name": "demo", **entry}))
 
 
 # -- specifications ----------------------------------------------------------------------------------------------------
@@ -96,7 +97,7 @@ def test_the_digest_of_a_folder_is_that_of_common_tools(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content)
     (documented,) = re.findall("`(find .*)`", digest_of.__doc__ or "")
     told = subprocess.run([BASH, "-c", documented], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    files = [File("a", sha(b"2")), File("b/é z", sha(b"1")), File("b.txt", sha(b""))]
+    files = [CheckpointFile("a", sha(b"2")), CheckpointFile("b/é z", sha(b"1")), CheckpointFile("b.txt", sha(b""))]
     assert told.split()[0] == digest_of(files) == digest_of(reversed(files))
 
 
@@ -120,7 +121,7 @@ def test_a_folder_of_this_machine_is_checked_and_stays_where_it_is(given: Path, 
     """Hidden files are no part of it; a link to a folder may lead anywhere, and is refused."""
     (given / ".git").mkdir()
     (given / ".git" / "config").write_text("x")
-    files = [File("weights.bin", sha(WEIGHTS)), File("a b/config.json", sha(CONFIG))]
+    files = [CheckpointFile("weights.bin", sha(WEIGHTS)), CheckpointFile("a b/config.json", sha(CONFIG))]
     one = specified(tmp_path, source=given.as_uri(), sha256=digest_of(files))
     found = fetching.fetch(one)
     assert (found.path, found.digest) == (given, one.digest)

@@ -16,8 +16,9 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 from tests.support import forked
+from xpl.manifest import CheckpointFile
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.lifecycle.checkpoints.specification import File, digest_of
+from xpl_cli.lifecycle.checkpoints.specification import digest_of
 
 pytestmark = pytest.mark.skipif(find_spec("huggingface_hub") is None, reason="the extra `hub` is not installed")
 
@@ -127,7 +128,7 @@ def fetch(
 def test_a_repository_is_brought_at_its_commit(hub: str, tmp_path: Path) -> None:
     """All of its files but the hidden ones count; the digest is that of any other folder, and its name leads to it."""
     wanted = {name: content for name, content in FILES.items() if not name.startswith(".")}
-    digest = digest_of(File(name, _sha(content)) for name, content in wanted.items())
+    digest = digest_of(CheckpointFile(name, _sha(content)) for name, content in wanted.items())
     done = fetch(tmp_path, hub, sha256=digest)
     assert done.returncode == 0, done.stderr
     folder = Path(done.stdout.strip())

@@ -6,11 +6,12 @@ import hashlib
 import os
 from pathlib import Path
 
+from xpl.manifest import CheckpointFile
 from xpl_cli.basics.errors import UserError
-from xpl_cli.lifecycle.checkpoints.specification import File, check_path, digest_of
+from xpl_cli.lifecycle.checkpoints.specification import check_path, digest_of
 
 
-def contents(folder: Path) -> list[File]:
+def contents(folder: Path) -> list[CheckpointFile]:
     """Return the files below a folder with their sizes, sorted; what begins with a dot is no part of a checkpoint.
 
     Raises:
@@ -26,7 +27,7 @@ def contents(folder: Path) -> list[File]:
             path = Path(place) / name
             if not name.startswith(".") and path.is_file():
                 relative = check_path(path.relative_to(folder).as_posix(), str(folder))
-                found.append(File(relative, size=path.stat().st_size))
+                found.append(CheckpointFile(relative, size=path.stat().st_size))
     return found
 
 
@@ -36,10 +37,10 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def hashed(path: Path) -> tuple[str, list[File]]:
+def hashed(path: Path) -> tuple[str, list[CheckpointFile]]:
     """Return the digest of a checkpoint and its files with theirs."""
     if path.is_file():
         found = sha256_of(path)
-        return found, [File(path.name, found, path.stat().st_size)]
-    files = [File(file.path, sha256_of(path / file.path), file.size) for file in contents(path)]
+        return found, [CheckpointFile(path.name, found, path.stat().st_size)]
+    files = [CheckpointFile(file.path, sha256_of(path / file.path), file.size) for file in contents(path)]
     return digest_of(files), files

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl.manifest import CheckpointFile
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.basics.extras import how_to_install
 from xpl_cli.lifecycle.checkpoints.content import contents, hashed, sha256_of
-from xpl_cli.lifecycle.checkpoints.specification import HUB, File, check_commit, digest_of
+from xpl_cli.lifecycle.checkpoints.specification import HUB, check_commit, digest_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +39,7 @@ class Fetched:
     path: Path
     digest: str
     state: str
-    files: tuple[File, ...]
+    files: tuple[CheckpointFile, ...]
 
 
 def fetch(specification: Specification, *, unverified: bool = False, again: bool = False) -> Fetched:
@@ -99,7 +100,7 @@ def located(specification: Specification) -> Path | None:
     return place.resolve() if place.exists() else None
 
 
-def read(specification: Specification, path: Path) -> tuple[str, tuple[File, ...]]:
+def read(specification: Specification, path: Path) -> tuple[str, tuple[CheckpointFile, ...]]:
     """Return the digest of a checkpoint, and its files with theirs: those that policy.yml lists, or all that are there.
 
     Args:
@@ -114,11 +115,11 @@ def read(specification: Specification, path: Path) -> tuple[str, tuple[File, ...
         return digest, tuple(found)
     places = {file.path: path / file.path for file in specification.files}
     there = {name: place for name, place in places.items() if place.is_file()}
-    files = tuple(File(name, sha256_of(place), place.stat().st_size) for name, place in there.items())
+    files = tuple(CheckpointFile(name, sha256_of(place), place.stat().st_size) for name, place in there.items())
     return digest_of(files), files
 
 
-def differences(specification: Specification, digest: str, files: Sequence[File]) -> list[dict[str, Any]]:
+def differences(specification: Specification, digest: str, files: Sequence[CheckpointFile]) -> list[dict[str, Any]]:
     """Return how a checkpoint that was read differs from policy.yml; nothing means that it is whole."""
     there = {file.path: file for file in files}
     found = []

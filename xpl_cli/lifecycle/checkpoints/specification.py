@@ -6,15 +6,16 @@ import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 from urllib.parse import urlsplit
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import NotFoundError, UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
+    from xpl.manifest import Checkpoint, CheckpointFile
     from xpl_cli.packages.package import Package
 
 HUB: Final = "hf"
@@ -23,21 +24,6 @@ HUB: Final = "hf"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 _SHOWN = 12
-
-
-@dataclass(frozen=True)
-class File:
-    """One file of a checkpoint.
-
-    Attributes:
-        path: relative to the checkpoint, with / between folders.
-        sha256: digest of its content, hexadecimal; None if it is not known.
-        size: bytes; None if it is not known.
-    """
-
-    path: str
-    sha256: str | None = None
-    size: int | None = None
 
 
 @dataclass(frozen=True)
@@ -63,7 +49,7 @@ class Specification:
     digest: str | None
     size: int | None
     licence: str | None
-    files: tuple[File, ...]
+    files: tuple[CheckpointFile, ...]
     base: Path
 
     @property
@@ -78,7 +64,7 @@ class Specification:
         return self.path.name if self.kind == "path" and not self.files and self.path.is_file() else None
 
 
-def digest_of(files: Iterable[File]) -> str:
+def digest_of(files: Iterable[CheckpointFile]) -> str:
     r"""Return the digest of a folder: that of the list `<sha256>  <path>`, one line for each file, sorted by path.
 
     It is what `sha256sum` makes of its own output:
@@ -96,7 +82,7 @@ def declared(package: Package) -> dict[str, Specification]:
     """
     found: dict[str, Specification] = {}
     for entry in package.manifest.checkpoints:
-        specification = _parse(package, entry.data)
+        specification = specified(package, entry)
         if specification.name in found:
             raise UserError(f"{package.name}/{sdk.File.POLICY_YML} has two checkpoints called {specification.name!r}")
         found[specification.name] = specification
@@ -151,26 +137,35 @@ def check_path(text: str, where: str) -> str:
     return text
 
 
-def _parse(package: Package, entry: Mapping[str, Any]) -> Specification:
-    name, source = str(entry.get("name") or ""), str(entry.get("source") or "")
-    where = f"{package.name}/{sdk.File.POLICY_YML}, checkpoint {name!r}"
-    if not _NAME.fullmatch(name):
+def specified(package: Package, entry: Checkpoint) -> Specification:
+    """Return what an entry of an adapter's policy.yml says.
+
+    Raises:
+        UserError: if it cannot be understood, or names a place outside of the checkpoint.
+    """
+    where = f"{package.name}/{sdk.File.POLICY_YML}, checkpoint {entry.name!r}"
+    if not _NAME.fullmatch(entry.name):
         raise UserError(f"{where}: a name is one word of letters, digits and ._+-, and begins with a letter or digit")
-    files = _files(entry, where)
-    kind = _kind(source, where)
-    sha256 = entry.get("sha256")
-    listed = digest_of(files) if files and all(file.sha256 for file in files) else None
-    if listed and sha256 and listed != sha256:
+    _check_files(entry.files, where)
+    kind = _kind(entry.source, where)
+    listed = digest_of(entry.files) if entry.files and all(file.sha256 for file in entry.files) else None
+    if listed and entry.sha256 and listed != entry.sha256:
         raise UserError(
-            f"{where}: sha256 is {sha256[:_SHOWN]}..., but the list of its files has {listed[:_SHOWN]}...",
+            f"{where}: sha256 is {entry.sha256[:_SHOWN]}..., but the list of its files has {listed[:_SHOWN]}...",
             hint="leave sha256 out where every file has its own",
         )
-    sizes = [file.size for file in files]
-    size = entry.get("size")
-    if size is None and files and all(one is not None for one in sizes):
-        size = sum(one or 0 for one in sizes)
+    sizes = [file.size for file in entry.files if file.size is not None]
+    total = sum(sizes) if sizes and len(sizes) == len(entry.files) else None
     return Specification(
-        name, source, kind, entry.get("revision"), sha256 or listed, size, entry.get("license"), files, package.path
+        name=entry.name,
+        source=entry.source,
+        kind=kind,
+        revision=entry.revision,
+        digest=entry.sha256 or listed,
+        size=total if entry.size is None else entry.size,
+        licence=entry.license,
+        files=entry.files,
+        base=package.path,
     )
 
 
@@ -207,14 +202,9 @@ def _kind(source: str, where: str) -> Literal["hf", "path"]:
     )
 
 
-def _files(entry: Mapping[str, Any], where: str) -> tuple[File, ...]:
-    files = tuple(
-        File(check_path(str(item.get("path")), where), item.get("sha256"), item.get("size"))
-        for item in entry.get("files") or ()
-    )
-    paths = [file.path for file in files]
+def _check_files(files: Iterable[CheckpointFile], where: str) -> None:
+    paths = [check_path(file.path, where) for file in files]
     twice = next((path for path in paths if paths.count(path) > 1), None)
     inside = next((path for path in paths for other in paths if path.startswith(f"{other}/")), None)
     if twice or inside:
         raise UserError(f"{where}: {twice or inside} is there twice, or lies below another file")
-    return files
