@@ -23,8 +23,10 @@ __all__ = [
     "Gripper",
     "GripperValues",
     "HandOver",
+    "History",
     "Inputs",
     "Manifest",
+    "Native",
     "PythonEnvironment",
     "ResultFile",
     "SeedRange",
@@ -222,13 +224,64 @@ class Gripper(Document):
 
 
 @dataclass(frozen=True)
+class History(Document):
+    """Earlier observations that the model sees, too; what is open has its default."""
+
+    length: int = _one(int, 1)
+    stride: int = _one(int, 1)
+    pad: str = _one(str, "repeat")
+    mask: str | None = _one(str)
+    of: tuple[str, ...] = _many(str, ("images", "state"))
+
+    @property
+    def reach(self) -> int:
+        """Control steps that it reaches over, the newest observation included."""
+        return (self.length - 1) * self.stride + 1
+
+
+@dataclass(frozen=True)
+class Native(Document):
+    """What the model itself reads and answers. `xpl.convert` compiles the block as it is written (`data`).
+
+    Attributes:
+        sampling, recurrent: a map where the author says that it is unknown.
+    """
+
+    images: tuple[Mapping[str, Any], ...] = _many(Mapping)
+    state: tuple[Mapping[str, Any], ...] = _many(Mapping)
+    instruction: object = _one(object)
+    history: History | None = _one(History)
+    action: Mapping[str, Any] = _named(object)
+    sampling: object = _one(object, "none")
+    tolerance: float = _one(float, 0.001)
+    recurrent: object = _one(object, default=False)
+    samples: tuple[Mapping[str, Any], ...] = _many(Mapping)
+    code: tuple[str, ...] = _many(str)
+    data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    def __bool__(self) -> bool:
+        return bool(self.data)
+
+    @property
+    def remembered(self) -> tuple[str, ...]:
+        """The inputs, `images` and `state`, of which the model sees earlier observations, too."""
+        there = {"images": self.images, "state": self.state}
+        return () if self.history is None else tuple(name for name in self.history.of if there.get(name))
+
+    @property
+    def draws(self) -> bool:
+        """Whether the model draws random numbers, or may."""
+        return self.sampling != "none"
+
+
+@dataclass(frozen=True)
 class Manifest(Document):
     """policy.yml. One that does not exist has all defaults and is false.
 
     Attributes:
         inputs: None where the manifest does not say.
         cameras: needs by camera of the standard; None where the manifest does not say.
-        native: the block as it is written, which `xpl.convert` compiles; None without one.
+        native: what the model itself reads and answers; None without a block.
         data: the whole map as it is written.
     """
 
@@ -255,7 +308,7 @@ class Manifest(Document):
     waivers: tuple[Waiver, ...] = _many(Waiver)
     cameras: Mapping[str, CameraNeeds] = _named(CameraNeeds)
     gripper: Gripper | None = _one(Gripper)
-    native: Mapping[str, Any] | None = _one(Mapping)
+    native: Native | None = _one(Native)
     data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __bool__(self) -> bool:
@@ -265,6 +318,12 @@ class Manifest(Document):
     def required(self) -> tuple[str, ...]:
         """The inputs without which the policy does not act; none where the manifest does not say."""
         return () if self.inputs is None else self.inputs.required
+
+    @property
+    def reach(self) -> int:
+        """Control steps that the history reaches over, the newest observation included; 1 without one."""
+        of_model = 1 if self.native is None or self.native.history is None else self.native.history.reach
+        return max(of_model, self.temporal.history)
 
     @property
     def read(self) -> tuple[str, ...]:

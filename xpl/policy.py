@@ -117,7 +117,7 @@ class Policy:
         self.seed: int = self.setting(spec.Deploy.SEED, spec.DEPLOY_DEFAULTS[spec.Deploy.SEED])
         file = getattr(sys.modules.get(type(self).__module__), "__file__", None)
         self.policy_dir = Path(file).resolve().parent if file else Path.cwd()
-        self.interface = self._compiled(manifest.native)
+        self.interface = self._compiled(None if manifest.native is None else manifest.native.data)
         self._environments: dict[int, _Environment] = {}
         self._order: list[int] | None = None
         self._episodes = EpisodeCounter()

@@ -55,6 +55,8 @@ def declared(schema: dict[str, Any]) -> dict[str, Any]:
         (manifest.Waiver, declared(_POLICY["waivers"])),
         (manifest.CameraNeeds, declared(_POLICY["cameras"]["additionalProperties"])),
         (manifest.Gripper, declared(_POLICY["gripper"])),
+        (manifest.Native, declared(spec.schema("native"))),
+        (manifest.History, spec.schema("native")["$defs"]["history"]["properties"]),
         (EnvManifest, _ENV),
         (manifest.Task, declared(_ENV["tasks"]["additionalProperties"])),
         (manifest.SeedRange, declared(_ENV["evaluation_seeds"])),
@@ -83,6 +85,16 @@ def test_any_document_is_read(data: object) -> None:
         found = kind.parse(keys)
         assert found.data == keys
         assert kind.parse(data if not isinstance(data, dict) else None) == kind()
+
+
+def test_a_native_block_may_reach_farther_back_than_the_manifest_says() -> None:
+    """Two frames three steps apart are four observations, of the inputs that have them; what is open is one."""
+    native = {"images": [{}], "state": [{}], "history": {"length": 2, "stride": 3, "of": ["images"]}}
+    found = Manifest.parse({"temporal": {"kind": "history", "history": 2}, "native": native})
+    assert found.native is not None
+    assert (found.reach, found.native.remembered) == (4, ("images",))
+    assert Manifest.parse({"native": {**native, "history": {"length": {"unknown": "?"}}}}).reach == 1
+    assert (Manifest().reach, Manifest.parse({"temporal": {"history": 2}}).reach) == (1, 2)
 
 
 def test_values_keep_their_types() -> None:

@@ -135,7 +135,7 @@ def sessions(package: Package, overrides: Mapping[str, Any]) -> Iterator[Session
             sizes = script.cameras(manifest, robot)
         except (UnknownEmbodimentError, NativeError) as error:
             raise UserError(str(error)) from None
-        calls = script.whole(span(manifest)) if number == 0 and not samples_freely else script.brief()
+        calls = script.whole(manifest.reach) if number == 0 and not samples_freely else script.brief()
         takes = TAKES if samples_freely else 1
         yield Session(robot.name, kind, int(config[sdk.Deploy.SEED]), sizes, takes, calls)
 
@@ -145,15 +145,7 @@ def is_free(manifest: Manifest) -> bool:
     native = manifest.native
     if native is None:
         return manifest.deterministic is False
-    return bool(native.get("sampling") == FREE)
-
-
-def span(manifest: Manifest) -> int:
-    """Return the control steps that a policy's history reaches over, 1 without one."""
-    history = (manifest.native or {}).get("history") or {}
-    length, stride = (history.get(key, 1) for key in ("length", "stride"))
-    known = isinstance(length, int) and isinstance(stride, int)  # either may be open
-    return max((length - 1) * stride + 1 if known else 1, int(manifest.temporal.history))
+    return native.sampling == FREE
 
 
 def _asked(package: Package, session: Session, options: Options) -> tuple[list[Session], dict[str, Any]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 
 if TYPE_CHECKING:
-    from xpl.manifest import Manifest
+    from xpl.manifest import Manifest, Native
 
 _IMAGES = ("camera", "image_channels", "image_orientation", "image_range", "image_size")
 _OF_PARTS: Mapping[str, tuple[str, ...]] = {
@@ -30,29 +30,28 @@ def applying(manifest: Manifest) -> list[str]:
         manifest: policy.yml. Its native block says what there is to agree on; without one, its inputs and actions do.
     """
     native = manifest.native
-    found = _of_block(native) if isinstance(native, Mapping) else _of_manifest(manifest)
+    found = _of_manifest(manifest) if native is None else _of_block(native)
     return sorted({"action_reference", "chunk", *found})
 
 
-def _of_block(native: Mapping[str, Any]) -> Iterator[str]:
-    images = native.get("images") or ()
-    if images:
+def _of_block(native: Native) -> Iterator[str]:
+    if native.images:
         yield from _IMAGES
-    steps = [step for image in images for step in _list(image.get("steps"))]
+    steps = [step for image in native.images for step in _list(image.get("steps"))]
     if any({"resize", "letterbox"} & set(step) for step in steps):
         yield "image_filter"
-    vectors = [*(native.get("state") or ()), native.get("action") or {}]
+    vectors = [*native.state, native.action]
     for kind in (kind for vector in vectors for part in _list(vector.get("parts")) for kind in part):
         yield from _OF_PARTS.get(kind, ())
     if any(vector.get("normalize") is not None or "pad" in vector for vector in vectors):
         yield "normalization"
-    if (native.get("history") or {}).get("length", 1) != 1:
+    if native.history is not None and native.history.length != 1:
         yield "history"
-    if native.get(_TEXT) is not None:
+    if native.instruction is not None:
         yield _TEXT
-    if native.get("sampling", "none") != "none":
+    if native.draws:
         yield "sampling"
-    if native.get("recurrent"):
+    if native.recurrent:
         yield "recurrent"
 
 

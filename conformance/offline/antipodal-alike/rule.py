@@ -76,11 +76,11 @@ def _require_a_sign(package: Package) -> None:
         raise NotApplicable("native-parity compares the answers to both signs with the model's own")
     if not native:
         raise NotApplicable("nothing says how the model was trained to take q and -q: no native block, no native pairs")
-    told = [part for entry in native.get("state") or () for part in entry["parts"]]
+    told = [part for entry in native.state for part in entry["parts"]]
     as_they_come = told_as_they_come(native)
     if as_they_come:
         raise NotApplicable(
             f"the model is told signs as they come ({', '.join(as_they_come)}), and may tell them apart"
         )
-    if native.get("code") and not any("rotation" in part for part in told):
+    if native.code and not any("rotation" in part for part in told):
         raise NotApplicable("the native block leaves conversions to code, and does not say which sign they give")

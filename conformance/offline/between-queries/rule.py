@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from xpl import _spec as spec
+from xpl.manifest import Native
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline import history
 from xpl_cli.audit.served import inputs
 from xpl_cli.audit.served.compare import answers, first_step, same
 from xpl_cli.audit.served.effects import Scale, is_negligible, is_weak
 from xpl_cli.audit.served.probe import Probe, blame
 
+_GROUPS = {"images": spec.Obs.VISION, "state": spec.Obs.STATE}
+"""Parts of an observation, as the native block calls them."""
 _Second = Callable[..., Any]
 """Plays the episode with these observations after the first question, and returns the second answer."""
 
@@ -43,7 +45,7 @@ def between_queries(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.ready()
-    span = history.reach(probe.package.manifest)
+    span = probe.package.manifest.reach
     shown = [{**probe.observation(scene, scene), spec.Obs.ENV_IDX: 0} for scene in range(max(span, 2) + 1)]
     first, *between, newest = shown
 
@@ -73,7 +75,8 @@ def _with_a_history(
 ) -> Iterator[Finding]:
     """Find that what is older counts for more than the newest observation, or for nothing."""
     manifest = probe.package.manifest
-    span, stride = history.reach(manifest), history.stride(manifest)
+    native, span = manifest.native or Native(), manifest.reach
+    stride = 1 if native.history is None else native.history.stride
     everything = inputs.present(newest)
     renewed = second(*between, _changed(newest, everything))
     before = list(between)
@@ -85,7 +88,8 @@ def _with_a_history(
         how = f"moves by {by_newest:.2g} of its spread with the newest, by {by_older:.2g} with the one {stride} before"
         yield _finding(f"{how}: it follows what is older", all_shown)
         return
-    for parts in history.groups(manifest):
+    alone: list[tuple[str, ...]] = [(_GROUPS[name],) for name in native.remembered]
+    for parts in alone or [tuple(_GROUPS.values())]:
         names = [name for name in everything if name.partition(".")[0] in parts]
         others = second(*(_changed(obs, names) for obs in between), newest)
         of_newest = second(*between, _changed(newest, names))

@@ -7,7 +7,6 @@ from typing import Any
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.offline.history import reach
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.served.compare import answers, difference, first_step, same
 from xpl_cli.audit.served.inputs import with_gripper
@@ -45,7 +44,7 @@ def declared_history(probe: Probe) -> Iterator[Finding]:
     if manifest.temporal.ensembling is not None:
         raise NotApplicable("the manifest declares that earlier observations count for the whole chunk")
     probe.ready()
-    history = reach(manifest)
+    history = manifest.reach
     if manifest.temporal.kind == "memory":
         yield from _nothing_kept(probe, history)
     else:

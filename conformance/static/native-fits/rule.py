@@ -47,9 +47,9 @@ def native_fits(source: Source) -> Iterator[Finding | Proof]:
     ## Fix safety
     No automatic fix.
     """
-    native = source.manifest.native
-    if native is None:
+    if source.manifest.native is None:
         raise NotApplicable("policy.yml has no native block")
+    native = source.manifest.native.data
     folders = _folders(source)
     lacking = _lacking(source, native, folders)
     yield from _outside(source, native)

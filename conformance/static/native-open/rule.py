@@ -38,7 +38,7 @@ def native_open(source: Source) -> Iterator[Finding]:
     native = source.manifest.native
     if native is None:
         raise NotApplicable("policy.yml has no native block")
-    found = gaps(native)
+    found = gaps(native.data)
     if found:
         what = "a value" if len(found) == 1 else f"{len(found)} values"
         first, *rest = (f"{gap.where} ({gap.reason})" for gap in found)

@@ -8,8 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xpl.client import PolicyServerError
-from xpl.manifest import Manifest
-from xpl_cli.audit.offline import history
 from xpl_cli.audit.served.effects import Scale, is_negligible, is_weak
 
 
@@ -45,13 +43,3 @@ def test_weak_and_negligible_need_something_beside_them() -> None:
     assert not is_weak(0.0, 0.0)
     assert is_negligible(0.0, 1e-6)
     assert not is_negligible(0.01, 1.0)
-
-
-def test_a_native_block_may_reach_farther_back_than_the_manifest_says() -> None:
-    """Two frames three steps apart are four observations; each part that has them counts alone."""
-    native = {"images": [{}], "state": [{}], "history": {"length": 2, "stride": 3, "of": ["images"]}}
-    manifest = Manifest.parse({"temporal": {"kind": "history", "history": 2}, "native": native})
-    assert (history.reach(manifest), history.stride(manifest)) == (4, 3)
-    assert history.groups(manifest) == [("vision",)]
-    assert history.groups(Manifest.parse({"temporal": {"history": 2}})) == [("vision", "state")]
-    assert history.reach(Manifest()) == 1

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 
 from tests.support.adapters import parity
 from xpl import Policy
-from xpl.manifest import Manifest
+from xpl.manifest import Native
 from xpl.wire import packed
 from xpl.worker import variants
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.offline.parity import distribution
 from xpl_cli.audit.offline.parity.course import Course
 from xpl_cli.audit.offline.parity.fact import Compared, Parity
-from xpl_cli.audit.offline.parity.judgement import Judgement, tolerance
+from xpl_cli.audit.offline.parity.judgement import Judgement
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, Outcome, Result
 from xpl_cli.audit.rules.options import Options
@@ -87,8 +87,8 @@ def test_what_two_recordings_differ_by_is_no_difference() -> None:
     given[0][0]["ee_pose"][0] += 0.01
     assert Judgement(native, given, 1e-4, {"ee_pose": 0.004}).deviation is not None
     assert Judgement(native, given, 1e-4, {"ee_pose": 0.006}).deviation is None
-    assert tolerance(Manifest.parse({"native": {"tolerance": 0.02}})) == 0.02
-    assert tolerance(Manifest()) == tolerance(Manifest.parse({"native": {"action": {}}})) == 1e-3
+    assert Native.parse({"tolerance": 0.02}).tolerance == 0.02
+    assert Native().tolerance == 1e-3
 
 
 def test_a_chunk_may_be_the_beginning_of_the_native_one_and_no_more() -> None:

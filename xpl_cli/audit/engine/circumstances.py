@@ -76,7 +76,7 @@ def unknown(source: Source) -> Iterator[str]:
     if native is not None:
         from xpl.convert.gaps import gaps  # which needs numpy
 
-        yield from (gap.where for gap in gaps(native))
+        yield from (gap.where for gap in gaps(native.data))
 
 
 def without_pairs(source: Source, shown: str) -> str | None:

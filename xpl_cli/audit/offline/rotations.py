@@ -14,6 +14,7 @@ from xpl_cli.audit.served.compare import difference
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from xpl.manifest import Native
     from xpl_cli.audit.served.inputs import Observation
 
 # An axis a robot may well turn about, and none of the coordinate axes.
@@ -69,22 +70,21 @@ def first_turns(obs: Observation, chunk: Any) -> list[Turn]:
     return turns
 
 
-def told_as_they_come(native: Mapping[str, Any]) -> list[str]:
+def told_as_they_come(native: Native) -> list[str]:
     """Return the rotations of a native block in which q and -q are two things, by what to call them.
 
     Those are quaternions that the model is told with the sign that they happen to have (`sign: any`), and those to
     which numbers are added.
     """
     found = []
-    for entry in native.get("state") or ():
+    for entry in native.state:
         found += [
             f"native.state {entry['input']}, rotation {how['arm']}"
             for how in _quaternions(entry)
             if how.get("sign", "any") == "any"
         ]
-    action = native.get("action") or {}
-    for how in _quaternions(action):
-        told = how.get("reference") or action.get("reference", "absolute")
+    for how in _quaternions(native.action):
+        told = how.get("reference") or native.action.get("reference", "absolute")
         if told != "absolute" and how.get("applied") == "numbers" and how.get("sign", "any") == "any":
             found.append(f"native.action, rotation {how['arm']}")
     return found

@@ -33,12 +33,12 @@ def verdicts(manifest: Manifest, folders: Sequence[Path]) -> list[Verdict]:
         NoWitnessError: if there are no samples, or no kinematics.
         NativeError: if samples cannot be read, or do not fit the block or the robot.
     """
-    native = manifest.native
-    if not native:
+    if not manifest.native:
         raise NoWitnessError("policy.yml has no native block")
+    native = manifest.native.data
     if validate.validate(native, "native"):
         raise NoWitnessError("the native block is not what its schema asks for; XPL104 says where")
-    if not native.get("samples"):
+    if not manifest.native.samples:
         raise NoWitnessError("native names no samples: no rows that hold joints and poses together")
     robots = list(_robots(manifest))
     if not robots:

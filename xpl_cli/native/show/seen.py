@@ -245,7 +245,7 @@ def _filled(seen: Seen, what: Subject, inputs: Mapping[str, Any], said: _Said) -
 
 def _witness(what: Subject) -> list[str]:
     """Return what kinematics says of the samples; nothing where there are none."""
-    if not (what.package.manifest.native or {}).get("samples"):
+    if what.package.manifest.native is None or not what.package.manifest.native.samples:
         return []
     manifest, folder = what.package.manifest, what.package.path
     try:

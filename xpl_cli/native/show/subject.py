@@ -69,9 +69,9 @@ def subject(package: Package, overrides: Mapping[str, Any]) -> Subject:
         body = get_embodiment(str(config.get(sdk.Deploy.ENV_CFG_TYPE)))
     except UnknownEmbodimentError as error:
         raise UserError(str(error)) from None
-    told = package.manifest.native
-    if not told:
+    if not package.manifest.native:
         return Subject(package, config, None, None, body, ())
+    told = package.manifest.native.data
     made = Subject(package, config, told, None, body, tuple(_holes(package.path, config, told)))
     folders = checkpoint.folders(config, package.path)
     try:

@@ -123,7 +123,8 @@ class Subject:
     @property
     def block(self) -> dict[str, Any]:
         """The native block."""
-        native: dict[str, Any] = dict(self.policy.manifest.native or {})
+        declared = self.policy.manifest.native
+        native: dict[str, Any] = {} if declared is None else dict(declared.data)
         return native if self.mistake is None else self.mistake.planted(native)
 
     @property

@@ -20,7 +20,6 @@ from xpl_cli.audit.offline.parity.played import RefusedError, replay
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.atomic import write_file
-from xpl_cli.native.record import span
 
 if TYPE_CHECKING:
     from xpl.trajectory import Folder, Trajectory
@@ -79,8 +78,9 @@ class Demonstrated:
         if lacking:
             raise NotRun(f"the policy requires {', '.join(lacking)}, which the demonstrations do not have")
         manifest = self.probe.package.manifest
-        temporal, native = manifest.temporal, manifest.native or {}
-        reach = 0 if native.get("recurrent") or temporal.kind == "memory" else span(manifest)
+        temporal, native = manifest.temporal, manifest.native
+        is_recurrent = native is not None and native.recurrent
+        reach = 0 if is_recurrent or temporal.kind == "memory" else manifest.reach
         horizon = min(_MOST_HORIZON, temporal.chunk or 1)
         seed = int(self.probe.config.get(sdk.Deploy.SEED) or 0)
         made = session(recordings, self.probe.embodiment, self.probe.action_type, seed, horizon, reach)

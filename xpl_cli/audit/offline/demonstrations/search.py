@@ -8,15 +8,16 @@ rates. All are tried on a few questions, those that promise something on all.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl import checkpoint
 from xpl.client import ClientError
 from xpl.convert import NativeError
+from xpl.manifest import Native
 from xpl_cli.audit.offline.demonstrations.certainty import Margin, margin
 from xpl_cli.audit.offline.demonstrations.episodes import Asking, few
 from xpl_cli.audit.offline.demonstrations.rates import rates
@@ -28,7 +29,6 @@ from xpl_cli.native.alternatives.prompts import templates
 from xpl_cli.native.alternatives.signals import Signal, signals
 from xpl_cli.native.alternatives.signals.pictures import dark
 from xpl_cli.native.alternatives.signals.texts import texts
-from xpl_cli.native.record import span
 
 if TYPE_CHECKING:
     from xpl.manifest import Manifest
@@ -126,7 +126,7 @@ class Search:
     ) -> None:
         self._probe, self._ruler, self._given, self._refused = probe, ruler, given, frozenset(refused)
         self._manifest: Manifest = probe.package.manifest
-        self._native: Mapping[str, Any] = self._manifest.native or {}
+        self._native = self._manifest.native or Native()
         self._session = ruler.session
         self._course = Asking(self._session)
         self._everything = list(range(len(given)))
@@ -173,7 +173,7 @@ class Search:
         folders = checkpoint.folders(settled, package.path)
         robot, action_type = self._session.robot, self._session.action_type
         try:
-            known = alternatives(self._native, robot, action_type, folders, chunk, templates(package.path))
+            known = alternatives(self._native.data, robot, action_type, folders, chunk, templates(package.path))
             changes = [one for one in known if _can_be_told(one.words, one.convention)]
         except NativeError:
             return None
@@ -181,7 +181,7 @@ class Search:
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Chunks | None]:
             nonlocal converts
-            tried = [self._native, *(changes[number].block for number in chosen)]
+            tried = [self._native.data, *(changes[number].block for number in chosen)]
             found = blocks.answers(self._probe, self._course, settled, tried, wanted, self._left)
             converts = converts and found is not None
             if found and found[0] is not None and not self._refused:
@@ -197,14 +197,14 @@ class Search:
 
     def _by_signals(self, around: Around, *, all_of_them: bool) -> list[Change]:
         """Return what changes around the adapter come to."""
-        history = self._native.get("history") or {}
+        history = self._native.history
         around_it = signals(
             self._session.robot,
             self._session.action_type,
             cameras=self._cameras,
             reads=[name.partition(".")[2] for name in self._inputs if name.startswith(f"{sdk.Obs.STATE}.")] or None,
-            history=history.get("length") or span(self._manifest),
-            stride=history.get("stride", 1),
+            history=self._manifest.reach if history is None else history.length,
+            stride=1 if history is None else history.stride,
             instructions=self._instructions,
         )
         found, chunks = [], set[str]()
@@ -250,12 +250,12 @@ class Search:
 
     def _deaf(self, unread: Sequence[str]) -> Iterator[tuple[str, str]]:
         """Yield what is unread although the native block hands it over, with its convention."""
-        handed = {camera for entry in self._native.get("images") or () for camera in entry["cameras"]}
+        handed = {camera for entry in self._native.images for camera in entry["cameras"]}
         said = {one.trajectory.instructions[:1] for one in self._session.recordings}
         for name in unread:
             if name in handed:
                 yield name, "camera"
-            elif name == "history" or (name in self._native and len(said) > 1):
+            elif name == "history" or (name in self._native.data and len(said) > 1):
                 yield name, name
 
     # -- trying --------------------------------------------------------------------------------------------------------
@@ -312,7 +312,7 @@ class Search:
     @property
     def _history(self) -> int:
         """Observations that the native block hands over; 1 where it does not say."""
-        return int((self._native.get("history") or {}).get("length") or 1)
+        return 1 if self._native.history is None else self._native.history.length
 
     @cached_property
     def _inputs(self) -> list[str]:

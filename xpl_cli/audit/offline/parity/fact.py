@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.audit.offline.parity import distribution, judgement
+from xpl.manifest import Native
+from xpl_cli.audit.offline.parity import distribution
 from xpl_cli.audit.offline.parity.beside import unrounded
 from xpl_cli.audit.offline.parity.judgement import Judgement
 from xpl_cli.audit.offline.parity.played import RefusedError, overrides, play
@@ -105,7 +106,7 @@ class Parity:
     @cached_property
     def tolerance(self) -> float:
         """Share of the span of the native answers that an adapter's may be off by."""
-        return judgement.tolerance(self.probe.package.manifest)
+        return (self.probe.package.manifest.native or Native()).tolerance
 
     @property
     def settings(self) -> Mapping[str, Any]:

@@ -13,20 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl_cli.native.difference import differences, spreads
-from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from xpl.manifest import Manifest
     from xpl_cli.native.pairs import Chunk, Question, Session
 
 _ROUNDING = 4 * float(np.finfo(np.float32).eps)
 """Share of a number that its float32 may be off by, on both sides."""
-
-
-def tolerance(manifest: Manifest) -> float:
-    """Return the share of the span that answers may be off by: what the native block says, or the default."""
-    usual: float = spec.schema("native")["properties"]["tolerance"]["default"]
-    return float((manifest.native or {}).get("tolerance", usual))
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from xpl import checkpoint
 from xpl.client import ClientError
 from xpl.convert import NativeError
 from xpl.convert.frames import tool
+from xpl.manifest import Native
 from xpl_cli.audit.offline.parity import blocks
 from xpl_cli.audit.offline.parity.around import Around
 from xpl_cli.audit.offline.parity.contest import Ask, Contest
@@ -38,7 +39,7 @@ from xpl_cli.native.explain import Explanation, Tried
 from xpl_cli.native.fitted import fitted
 from xpl_cli.native.patterns import Kind, Pattern, patterns
 from xpl_cli.native.places import places
-from xpl_cli.native.record import is_free, span
+from xpl_cli.native.record import is_free
 from xpl_cli.native.rigid import rigid
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ class Search:
         folders = checkpoint.folders(self._settled, package.path)
         try:
             changes = list(
-                alternatives(self._native, session.robot, session.action_type, folders, chunk, self._templates)
+                alternatives(self._native.data, session.robot, session.action_type, folders, chunk, self._templates)
             )
         except NativeError:
             return None
@@ -149,7 +150,7 @@ class Search:
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
             nonlocal converts_by_it
-            tried = [self._native, *(changes[number].block for number in chosen)]
+            tried = [self._native.data, *(changes[number].block for number in chosen)]
             found = blocks.answers(self._probe, self._course, self._settled, tried, wanted, self._left)
             converts_by_it = converts_by_it and found is not None
             for number, given in zip(chosen, (found or [])[1:], strict=False):
@@ -236,8 +237,8 @@ class Search:
     @property
     def _kind(self) -> Kind:
         return Kind(
-            keeps_state=bool(self._native.get("recurrent")) or self._manifest.temporal.kind == "memory",
-            history=span(self._manifest),
+            keeps_state=bool(self._native.recurrent) or self._manifest.temporal.kind == "memory",
+            history=self._manifest.reach,
             draws=self._draws or "sampling" in self._named,
         )
 
@@ -308,14 +309,14 @@ class Search:
 
     @functools.cached_property
     def _signals(self) -> list[Signal]:
-        session, history, inputs = self._judgement.session, self._native.get("history") or {}, self._inputs
+        session, history, inputs = self._judgement.session, self._native.history, self._inputs
         found = signals(
             session.robot,
             session.action_type,
             cameras=inputs.cameras,
             reads=inputs.state,
-            history=history.get("length") or span(self._manifest),
-            stride=history.get("stride", 1),
+            history=self._manifest.reach if history is None else history.length,
+            stride=1 if history is None else history.stride,
             instructions=inputs.instructions,
         )
         return list(found)
@@ -323,8 +324,8 @@ class Search:
     # -- both ----------------------------------------------------------------------------------------------------------
 
     @property
-    def _native(self) -> Mapping[str, Any]:
-        return self._manifest.native or {}
+    def _native(self) -> Native:
+        return self._manifest.native or Native()
 
     @property
     def _repeats(self) -> bool:
@@ -334,7 +335,7 @@ class Search:
     @property
     def _draws(self) -> bool:
         """Whether the adapter says that its model draws."""
-        return not self._manifest.deterministic or self._native.get("sampling", "none") != "none"
+        return not self._manifest.deterministic or self._native.draws
 
     @property
     def _left(self) -> float:
