@@ -122,7 +122,7 @@ def test_several_embodiments_need_a_word_of_the_user(tmp_path: Path) -> None:
     meta = (folder / "experiment_cfg" / "metadata.json").read_text(encoding="utf-8")
     one = trained.json.loads(meta)
     trained.put(folder, "experiment_cfg/metadata.json", {**one, "oxe_droid": one["gr1"]})
-    with pytest.raises(UserError, match="it has embodiments gr1, oxe_droid"):
+    with pytest.raises(UserError, match="there are gr1, oxe_droid"):
         read(folder)
     assert plain(read(folder, key="oxe_droid")[0].robot) == "oxe_droid"
 

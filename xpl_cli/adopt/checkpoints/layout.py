@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl.embodiment import Arm, Embodiment
+    from xpl_cli.adopt.checkpoints.reading import Document
 
 _SIDES: Final = {"left": "left", "l": "left", "right": "right", "r": "right"}
 _GRIPPER: Final = re.compile(r"grip|finger|jaw|claw")
@@ -43,6 +44,22 @@ class Range:
     low: tuple[float, ...]
     high: tuple[float, ...]
     evidence: Evidence
+
+    @classmethod
+    def read(cls, document: Document, path: tuple[str, ...], low: str, high: str) -> Range | None:
+        """Return the range whose ends lie at a path of a document; None where they do not, or not as many of each.
+
+        Args:
+            document: a file of statistics.
+            path: of the vector's statistics.
+            low: key of the least numbers.
+            high: key of the greatest ones.
+        """
+        ends = [document.numbers(*path, word) or () for word in (low, high)]
+        if not ends[0] or len(ends[0]) != len(ends[1]):
+            return None
+        what = f"{path[-1]} {low}..{high}"
+        return cls(tuple(ends[0]), tuple(ends[1]), Evidence(document.file, document.line(*path, low), what))
 
     def of(self, first: int, count: int) -> Evidence:
         """Return the range of some dimensions as evidence."""

@@ -10,7 +10,7 @@ import json
 import math
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import IO, Any, Final, TypeVar
@@ -27,6 +27,7 @@ _WEIGHTS: Final = 1 << 42
 _TENSOR: Final = 1 << 20
 """Bytes of one tensor that is read: statistics are vectors."""
 _MEMBERS: Final = 20_000
+_LISTED: Final = 40
 _ENTRIES: Final = 20_000
 """Entries of a folder that are looked through."""
 _MOST_NUMBERS: Final = 10_000
@@ -112,6 +113,26 @@ class Document:
             isinstance(found, list) and 0 < len(found) <= _MOST_NUMBERS and all(isinstance(one, str) for one in found)
         )
         return found if fits else None
+
+    def chosen(self, names: Iterable[object], wanted: str | None) -> str:
+        """Return which of several entries of statistics counts: the one that the user named, or the only one.
+
+        Args:
+            names: of the entries.
+            wanted: what the user named; None where nothing was.
+
+        Raises:
+            UserError: there is none of that name, or nobody says which of several; it lists them.
+        """
+        known = [str(name) for name in names]
+        if wanted in known:
+            return wanted
+        if len(known) == 1 and wanted is None:
+            return known[0]
+        asked = f"--statistics {wanted}: " if wanted else "statistics of several data sets or robots: "
+        listed = ", ".join(known[:_LISTED]) or "none"
+        hint = f"--statistics NAME says which counts, such as {known[0]}" if known else None
+        raise UserError(f"{self.place()}: {asked}there are {listed}", hint=hint)
 
     def seen(self, *path: str | int, what: str | None = None) -> Evidence:
         """Return the place of a value as evidence, with the value itself."""
@@ -269,6 +290,15 @@ class Folder:
                     raise UserError(f"{path}: {key} has not the numbers that its header tells")
                 found[key] = np.frombuffer(data, kind).astype(float).reshape(-1).tolist()
         return found
+
+    def pickles(self, *patterns: str) -> str:
+        """Return, for a note, which files of weights there are that are pickles, and so are not opened."""
+        found = [name for pattern in patterns for name in self.names(pattern)]
+        if not found:
+            return f"no {' or '.join(patterns)} is there"
+        members = self.members(found[0])
+        held = f"a zip of {len(members)} members, {members[0]} among them" if members else "no zip"
+        return f"{', '.join(found[:3])}: {held}; its pickle is not opened, since that runs code"
 
     def members(self, name: str) -> list[str]:
         """Return the names in a zip file, such as torch.save writes; nothing in it is opened. [] if it is no zip.

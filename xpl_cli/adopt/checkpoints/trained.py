@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,6 +56,11 @@ class Vector:
     parts: Tree = None
 
 
+def upstream(repository: str, license_: str) -> dict[str, str | None]:
+    """Return `upstream` of a manifest: the code that runs a model; its revision is the author's to say."""
+    return {"repository": f"https://github.com/{repository}", "revision": None, "license": license_}
+
+
 @dataclass(frozen=True)
 class Trained:
     """What was trained.
@@ -99,7 +104,7 @@ class Trained:
     ensembling: Told | None = None
     rate: Told | None = None
     robot: Told | None = None
-    upstream: dict[str, Any] | None = None
+    upstream: dict[str, str | None] | None = None
     code: Sequence[Told] = ()
     exempt: Sequence[bool] = ()
     notes: Sequence[str] = ()

@@ -14,7 +14,7 @@ from xpl_cli.adopt.checkpoints import names
 from xpl_cli.adopt.checkpoints.layout import Numbers
 from xpl_cli.adopt.checkpoints.reading import Document
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError
 
@@ -33,12 +33,7 @@ def inner(folder: Folder) -> Folder | None:
     if not folder.has(_CONFIG):
         return None
     config = folder.yaml(_CONFIG)
-    return (
-        folder
-        if any(isinstance(config.at(*path), dict) for path in (("shape_meta",), ("task", "shape_meta")))
-        or config.at("task", "shape_meta")
-        else None
-    )
+    return folder if isinstance(config.at("shape_meta"), dict) or config.at("task", "shape_meta") else None
 
 
 def read(folder: Folder) -> Trained:
@@ -74,13 +69,8 @@ def read(folder: Folder) -> Trained:
         chunk=_count(config, "n_action_steps", "how many steps predict_action returns"),
         sampling=likely("seeded", Evidence(f"{CODE}/policy", None, "conditional_sample draws noise")),
         history=_history(config),
-        rate=None,
-        upstream={
-            "repository": "https://github.com/real-stanford/diffusion_policy",
-            "revision": None,
-            "license": "MIT",
-        },
-        notes=_weights(folder),
+        upstream=upstream("real-stanford/diffusion_policy", "MIT"),
+        notes=[folder.pickles("checkpoints/*.ckpt")],
     )
 
 
@@ -167,12 +157,3 @@ def _history(config: Document) -> dict[str, Tree] | None:
 def _named(config: Document) -> str:
     name = config.at("task_name") or config.at("task", "name")
     return f", trained on {name}" if isinstance(name, str) and "$" not in name else ""
-
-
-def _weights(folder: Folder) -> list[str]:
-    found = folder.names("checkpoints/*.ckpt")[:3]
-    if not found:
-        return ["no checkpoints/*.ckpt beside .hydra"]
-    members = folder.members(found[0])
-    held = f"a zip of {len(members)} members, {members[0]} among them" if members else "no zip"
-    return [f"{found[0]}: {held}; its payload is a pickle (dill) and is not opened, since that runs code"]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from xpl_cli.adopt.checkpoints import names
 from xpl_cli.adopt.checkpoints.layout import Numbers, Range
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError
 
@@ -55,7 +55,7 @@ def _newer(folder: Folder, key: str | None) -> Trained:
     config = folder.json(_NEWER)
     stats = folder.json(_NUMBERS) if folder.has(_NUMBERS) else None
     place = ("processor_kwargs", "modality_configs")
-    tag = _tag(config, config.get(dict, *place), key)
+    tag = config.chosen(config.get(dict, *place), key)
     groups = {kind: config.texts(*place, tag, kind, "modality_keys") or [] for kind in (*_KINDS, "video", "language")}
     if not groups["action"]:
         raise UserError(f"{config.place(*place)}: expected modality_keys of the actions of {tag}")
@@ -82,14 +82,14 @@ def _newer(folder: Folder, key: str | None) -> Trained:
         instruction=_instruction(groups["language"], config.seen(*place, tag, "language", "modality_keys")),
         history=_history(shown, config.seen(*place, tag, "video", "delta_indices")),
         robot=certain(tag, config.seen(*place, tag, what=f"embodiment tag {tag}")),
-        upstream=_upstream(),
+        upstream=upstream("NVIDIA/Isaac-GR00T", "Apache-2.0"),
         code=_code(config.get(bool, "processor_kwargs", "formalize_language", default=False), config),
     )
 
 
 def _older(folder: Folder, key: str | None) -> Trained:
     meta = folder.json(_OLDER)
-    tag = _tag(meta, meta.get(dict), key)
+    tag = meta.chosen(meta.get(dict), key)
     modalities = (tag, "modalities")
     config = folder.json("config.json") if folder.has("config.json") else None
     steps = config.get(int, "action_horizon", default=0) if config else 0
@@ -122,21 +122,11 @@ def _older(folder: Folder, key: str | None) -> Trained:
         sampling=likely("seeded", Evidence(f"{CODE}/model/action_head", None, "flow matching draws noise")),
         instruction={"input": assumed("annotation.human.task_description", "the data config names it; often this")},
         robot=certain(tag, meta.seen(tag, what=f"embodiment tag {tag}")),
-        upstream=_upstream(),
+        upstream=upstream("NVIDIA/Isaac-GR00T", "Apache-2.0"),
         notes=[
             "the data config (order of the groups, history, normalisation) is chosen by name when the policy is loaded"
         ],
     )
-
-
-def _tag(document: Document, found: dict[str, object], key: str | None) -> str:
-    tags = [str(tag) for tag in found]
-    if key in tags:
-        return str(key)
-    if len(tags) == 1 and key is None:
-        return tags[0]
-    told = f"--statistics {key}: it has {', '.join(tags[:20])}" if key else f"it has embodiments {', '.join(tags[:20])}"
-    raise UserError(f"{document.place()}: {told}", hint="--statistics TAG says which" if tags else None)
 
 
 def _view(name: str, where: Evidence, size: tuple[int, int] | None = None) -> View:
@@ -219,7 +209,3 @@ def _code(formal: bool, config: Document) -> list[Told]:  # noqa: FBT001 - a val
         return []
     where = config.seen("processor_kwargs", "formalize_language")
     return [certain("the processor writes the instruction in small letters, without punctuation", where)]
-
-
-def _upstream() -> dict[str, object]:
-    return {"repository": "https://github.com/NVIDIA/Isaac-GR00T", "revision": None, "license": "Apache-2.0"}

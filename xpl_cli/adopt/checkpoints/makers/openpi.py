@@ -8,11 +8,12 @@ examples/convert_jax_model_to_pytorch.py (config.json). A data config is Python:
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.adopt.checkpoints.layout import Numbers, Range
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError
 
@@ -88,11 +89,7 @@ class _Reader:
             chunk=self._chunk(),
             sampling=self._sampling(kind),
             instruction={"input": likely("prompt", Evidence(f"{CODE}/transforms.py:248", None, "TokenizePrompt"))},
-            upstream={
-                "repository": "https://github.com/Physical-Intelligence/openpi",
-                "revision": None,
-                "license": "Apache-2.0",
-            },
+            upstream=upstream("Physical-Intelligence/openpi", "Apache-2.0"),
             code=[
                 likely(
                     "the tokenizer strips the prompt and makes spaces of _ and line ends",
@@ -110,11 +107,10 @@ class _Reader:
         moved = max((index + 1 for index, (a, b) in enumerate(zip(mean, std, strict=True)) if a or b), default=0)
         width = moved or len(mean)
         where = Evidence(self.file, self.stats.line(*path), f"{name}: {width} of {len(mean)} numbers are not zero")
-        low, high = (self.stats.numbers(*path, word) for word in ("q01", "q99"))
-        within = None
-        if low and high and len(low) == len(high) == len(mean):
-            told = Evidence(self.file, self.stats.line(*path, "q01"), f"{name} q01..q99")
-            within = Range(tuple(low[:width]), tuple(high[:width]), told)
+        within = Range.read(self.stats, path, "q01", "q99")
+        if within is not None:  # what does not move fills the vector up
+            whole = len(within.low) == len(mean)
+            within = replace(within, low=within.low[:width], high=within.high[:width]) if whole else None
         return Numbers(width, where, range=within)
 
     def _rule(self, name: str, kind: str) -> Tree:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import Numbers, Range
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError
 
@@ -51,7 +51,7 @@ def read(folder: Folder, key: str | None = None) -> Trained:
     own = folder.has(_STATISTICS)
     stats = folder.json(_STATISTICS) if own else config
     above = () if own else ("norm_stats",)
-    chosen = _key(stats, stats.get(dict, *above, default={}), key)
+    chosen = stats.chosen(stats.get(dict, *above, default={}), key)
     heads = [
         name
         for pattern in ("*action_head*", "proprio_projector*", "noisy_action_projector*")
@@ -79,11 +79,7 @@ def read(folder: Folder, key: str | None = None) -> Trained:
             "case": likely("lower", Evidence(f"{OFT}:experiments/robot/openvla_utils.py", None, "task_label.lower()")),
         },
         robot=None,
-        upstream={
-            "repository": "https://github.com/moojink/openvla-oft" if heads else "https://github.com/openvla/openvla",
-            "revision": None,
-            "license": "MIT",
-        },
+        upstream=upstream("moojink/openvla-oft" if heads else "openvla/openvla", "MIT"),
         code=[
             likely(
                 "images pass through JPEG; then a centre of 0.9 of their area is cut out between pixels",
@@ -96,28 +92,16 @@ def read(folder: Folder, key: str | None = None) -> Trained:
     )
 
 
-def _key(stats: Document, found: dict[str, object], key: str | None) -> str:
-    names = [str(name) for name in found]
-    if key in names:
-        return str(key)
-    if len(names) == 1 and key is None:
-        return names[0]
-    if not names:
-        raise UserError(f"{stats.place()}: expected statistics of a data set, got none")
-    told = f"--statistics {key}: there are {', '.join(names[:40])}" if key else f"there are {', '.join(names[:40])}"
-    raise UserError(f"{stats.place()}: {told}", hint="--statistics NAME says which is the unnorm_key")
-
-
 def _numbers(stats: Document, path: tuple[str, ...]) -> Numbers:
-    low, high = (stats.numbers(*path, word) for word in ("q01", "q99"))
-    if not low or not high or len(low) != len(high):
+    within = Range.read(stats, path, "q01", "q99")
+    if within is None:
         raise UserError(f"{stats.place(*path)}: expected q01 and q99 of {path[-1]}, as many of each")
-    where = stats.seen(*path, what=f"{path[-1]}: {len(low)} numbers")
-    within = Range(tuple(low), tuple(high), stats.seen(*path, "q01", what=f"{path[-1]} q01..q99"))
-    if len(low) == len(_POSE):
+    width = len(within.low)
+    where = stats.seen(*path, what=f"{path[-1]}: {width} numbers")
+    if width == len(_POSE):
         named = Evidence(f"{CODE}/vla/datasets/rlds/oxe/configs.py", None, "ActionEncoding.EEF_POS")
-        return Numbers(len(low), where, _POSE, named, within)
-    return Numbers(len(low), where, range=within)
+        return Numbers(width, where, _POSE, named, within)
+    return Numbers(width, where, range=within)
 
 
 def _rule(stats: Document, path: tuple[str, ...], *, oft: bool, is_action: bool) -> Tree:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl_cli.adopt.checkpoints import layout
 from xpl_cli.adopt.checkpoints.layout import Numbers
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
 from xpl_cli.adopt.facts import Evidence
 
 if TYPE_CHECKING:
@@ -61,11 +61,7 @@ def read(folder: Folder) -> Trained:
         sampling=likely("seeded", Evidence(f"{CODE}:models/rdt_runner.py", None, "conditional_sample draws noise")),
         instruction={"input": likely("text_embeds", step)},
         history=_history(config),
-        upstream={
-            "repository": "https://github.com/thu-ml/RoboticsDiffusionTransformer",
-            "revision": None,
-            "license": "MIT",
-        },
+        upstream=upstream("thu-ml/RoboticsDiffusionTransformer", "MIT"),
         code=[
             likely("the instruction is embedded by T5-XXL", step),
             likely("action_mask names the places that the robot has, and ctrl_freqs its rate", step),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import Numbers
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
 from xpl_cli.adopt.facts import Evidence
 
 if TYPE_CHECKING:
@@ -77,8 +77,8 @@ def read(folder: Folder) -> Trained:
         sampling=_sampling(config, algorithm),
         recurrent=_recurrent(config),
         history=_history(config, algorithm),
-        upstream={"repository": "https://github.com/ARISE-Initiative/robomimic", "revision": None, "license": "MIT"},
-        notes=_weights(folder),
+        upstream=upstream("ARISE-Initiative/robomimic", "MIT"),
+        notes=[f"{folder.pickles('models/*.pth')}; widths and statistics are in it"],
     )
 
 
@@ -139,12 +139,3 @@ def _sampling(config: Document, algorithm: str) -> Tree:
         where = config.seen("algo", drawn[0], "enabled") if drawn else config.seen("algo_name")
         return likely("seeded", where)
     return likely("none", config.seen("algo_name"))
-
-
-def _weights(folder: Folder) -> list[str]:
-    found = folder.names("models/*.pth")[:3]
-    if not found:
-        return ["no models/*.pth beside config.json"]
-    members = folder.members(found[0])
-    held = f"a zip of {len(members)} members" if members else "no zip"
-    return [f"{found[0]}: {held}; widths and statistics are in its pickle, which is not opened, since that runs code"]

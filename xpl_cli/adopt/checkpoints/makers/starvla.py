@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import Numbers, Range
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError
 
@@ -48,11 +48,7 @@ def read(folder: Folder, key: str | None = None) -> Trained:
         UserError: if a file is not what it should be, or several entries leave a choice.
     """
     config, stats = folder.yaml(_CONFIG), folder.json(_STATISTICS)
-    found = [str(name) for name in stats.get(dict)]
-    if key not in found and not (key is None and len(found) == 1):
-        told = f"--statistics {key}: there are {', '.join(found)}" if key else f"there are {', '.join(found) or 'none'}"
-        raise UserError(f"{stats.place()}: {told}", hint="--statistics NAME says which counts")
-    chosen = key or found[0]
+    chosen = stats.chosen(stats.get(dict), key)
     framework = config.get(str, "framework", "name", default="")
     mix = config.get(str, *_DATA, "data_mix", default="")
     reads_state = bool(config.at(*_DATA, "include_state"))
@@ -72,9 +68,9 @@ def read(folder: Folder, key: str | None = None) -> Trained:
         instruction={
             "input": likely("lang", Evidence(f"{CODE}:deployment/model_server", None, "examples have a lang"))
         },
-        upstream={"repository": "https://github.com/starVLA/starVLA", "revision": None, "license": "MIT"},
+        upstream=upstream("starVLA/starVLA", "MIT"),
         notes=[
-            _weights(folder),
+            folder.pickles("checkpoints/*.pt", "final_model/*.pt"),
             f"cameras, groups and the rule of normalisation are in the data config of {mix or 'the run'}",
         ],
     )
@@ -103,11 +99,11 @@ def _view(config: Document) -> View:
 
 def _vector(stats: Document, chosen: str, kind: str, name: Tree) -> Vector:
     path = (chosen, kind)
-    low, high = (stats.numbers(*path, word) or [] for word in ("min", "max"))
-    if not low or len(low) != len(high):
+    within = Range.read(stats, path, "min", "max")
+    if within is None:
         raise UserError(f"{stats.place(*path)}: expected min and max of {kind}, as many of each")
-    within = Range(tuple(low), tuple(high), stats.seen(*path, "min", what=f"{kind} min..max"))
-    numbers = Numbers(len(low), stats.seen(*path, what=f"{kind}: {len(low)} numbers"), range=within)
+    width = len(within.low)
+    numbers = Numbers(width, stats.seen(*path, what=f"{kind}: {width} numbers"), range=within)
     told = ", ".join(word for word in ("min", "max", "q01", "q99", "mean", "std") if stats.at(*path, word))
     rule = Open("min_max, quantiles or mean_std: the data config says it by key", (stats.seen(*path, what=told),))
     return Vector(numbers, name, rule)
@@ -130,8 +126,3 @@ def _chunk(config: Document) -> Told | Open:
             later = path[-1].startswith("future")  # the present step comes before them
             return likely(steps + later, config.seen(*path))
     return Open("how many steps an answer has: config.yaml names no action_horizon")
-
-
-def _weights(folder: Folder) -> str:
-    found = [name for pattern in ("checkpoints/*.pt", "final_model/*.pt") for name in folder.names(pattern)]
-    return f"{', '.join(found[:3]) or 'no .pt found'}: a pickle, which is not opened, since that runs code"

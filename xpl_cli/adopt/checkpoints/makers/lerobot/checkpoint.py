@@ -14,7 +14,7 @@ from xpl_cli.adopt.checkpoints.makers.lerobot import statistics
 from xpl_cli.adopt.checkpoints.makers.lerobot.types import CODE, LICENSE, REPOSITORY, TYPES, Type
 from xpl_cli.adopt.checkpoints.reading import Document
 from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
-from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View
+from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
 from xpl_cli.adopt.facts import Evidence
 from xpl_cli.basics.errors import UserError
 
@@ -113,7 +113,7 @@ class _Reader:
             ensembling=self._ensembling(),
             rate=self.data.rate if self.data else None,
             robot=self.data.robot if self.data else None,
-            upstream={"repository": REPOSITORY, "revision": None, "license": LICENSE},
+            upstream=upstream(REPOSITORY, LICENSE),
             exempt=self.exempt,
             notes=self.notes,
         )

@@ -55,14 +55,7 @@ class Dataset:
 
     def range(self, feature: str) -> Range | None:
         """Return the least and greatest numbers of a feature."""
-        if self.stats is None:
-            return None
-        low, high = (self.stats.numbers(feature, word) for word in ("min", "max"))
-        if not low or not high or len(low) != len(high):
-            return None
-        return Range(
-            tuple(low), tuple(high), Evidence(self.stats.file, self.stats.line(feature), f"{feature} min..max")
-        )
+        return None if self.stats is None else Range.read(self.stats, (feature,), "min", "max")
 
 
 def recognises(folder: Folder) -> bool:

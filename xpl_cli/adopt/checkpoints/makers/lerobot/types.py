@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-REPOSITORY: Final = "https://github.com/huggingface/lerobot"
+REPOSITORY: Final = "huggingface/lerobot"
 LICENSE: Final = "Apache-2.0"
 CODE: Final = "huggingface/lerobot@v0.4.4:src/lerobot"
 """What a source of LeRobot's own code begins with."""
