@@ -15,7 +15,8 @@ import numpy as np
 from xpl.images import PIXELS
 from xpl_cli.data.formats import libraries
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations
+from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,32 +87,20 @@ class DiffusionSet(Demonstrations):
         return found
 
 
-class DiffusionEpisode(Episode):
+class DiffusionEpisode(OutlinedEpisode):
     """The rows of one episode."""
 
     def __init__(self, owner: DiffusionSet, index: int, span: tuple[int, int]) -> None:
-        self._owner, self._index = owner, index
+        super().__init__(f"episode_{index:06d}")
+        self._owner = owner
         self._start, self._stop = span
 
-    @property
-    def key(self) -> str:
-        """Its name in the set."""
-        return f"episode_{self._index:06d}"
-
-    @property
-    def length(self) -> int:
-        """How many steps it has."""
-        return self._stop - self._start
-
-    @property
-    def columns(self) -> Mapping[str, Column]:
-        """The columns of numbers."""
-        return {name: one for name, one in self._owner.contents.items() if isinstance(one, Column)}
-
-    @property
-    def cameras(self) -> Mapping[str, Camera]:
-        """The cameras."""
-        return {name: one for name, one in self._owner.contents.items() if isinstance(one, Camera)}
+    def outline(self) -> Outline:
+        """Return what the file says without rows and images."""
+        contents = self._owner.contents.items()
+        columns = {name: one for name, one in contents if isinstance(one, Column)}
+        cameras = {name: one for name, one in contents if isinstance(one, Camera)}
+        return Outline(self._stop - self._start, (), columns, cameras)
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""

@@ -90,10 +90,9 @@ class FolderSet(Demonstrations):
 class ToldEpisode(Hdf5Episode):
     """An episode whose file has its sentence itself."""
 
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told: an attribute or a dataset of one of the usual names."""
-        return told_in(self.extras)
+    def _sentences(self, extras: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return those in an attribute or a dataset of one of the usual names."""
+        return told_in(extras)
 
 
 def told_in(extras: Mapping[str, Any]) -> tuple[str, ...]:

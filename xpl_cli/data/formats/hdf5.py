@@ -5,12 +5,10 @@ Files are opened and read by `xpl.trajectory.storage`, which follows no link and
 
 from __future__ import annotations
 
-import functools
 import itertools
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,7 +18,8 @@ from xpl.trajectory import TrajectoryError, storage
 from xpl.trajectory import pictures as stored
 from xpl_cli.data.formats import libraries, pictures
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Episode
+from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -112,17 +111,7 @@ def attributes(node: Any) -> dict[str, Any]:
     return {name: storage.plain(value) for name, value in node.attrs.items()}
 
 
-@dataclass(frozen=True)
-class _Content:
-    """What an episode says without its rows and images."""
-
-    length: int
-    columns: dict[str, Column]
-    cameras: dict[str, Camera]
-    extras: dict[str, Any]
-
-
-class Hdf5Episode(Episode):
+class Hdf5Episode(OutlinedEpisode):
     """An episode that is a group of an HDF5 file.
 
     Args:
@@ -136,38 +125,8 @@ class Hdf5Episode(Episode):
     def __init__(
         self, path: Path, group: str, key: str, steps: tuple[str, ...], instructions: tuple[str, ...] = ()
     ) -> None:
-        self._path, self._group, self._key, self._steps = path, group, key, steps
-        self._instructions = instructions
-
-    @property
-    def key(self) -> str:
-        """Its name in the set."""
-        return self._key
-
-    @property
-    def length(self) -> int:
-        """How many steps it has."""
-        return self._content.length
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told."""
-        return self._instructions
-
-    @property
-    def columns(self) -> Mapping[str, Column]:
-        """The columns of numbers."""
-        return self._content.columns
-
-    @property
-    def cameras(self) -> Mapping[str, Camera]:
-        """The cameras."""
-        return self._content.cameras
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        """Attributes, and datasets that have no row for each step."""
-        return self._content.extras
+        super().__init__(key)
+        self._path, self._group, self._steps, self._told = path, group, steps, instructions
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""
@@ -194,8 +153,8 @@ class Hdf5Episode(Episode):
     def _root(self, file: Any) -> Any:
         return storage.group(file, self._group) if self._group else file
 
-    @functools.cached_property
-    def _content(self) -> _Content:
+    def outline(self) -> Outline:
+        """Return what the file says without rows and images."""
         where = f"{self._path}, {self._key}"
         with opened(self._path) as file:
             root = self._root(file)
@@ -215,7 +174,12 @@ class Hdf5Episode(Episode):
                     columns[name] = column
                 elif dataset.size is not None and dataset.size <= storage.MOST_FACT:
                     extras[name] = storage.plain(dataset[()])
-        return _Content(length, columns, cameras, extras)
+        return Outline(length, self._sentences(extras), columns, cameras, extras)
+
+    def _sentences(self, extras: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return what the robot was told, by what else the file says."""
+        del extras
+        return self._told
 
     def _counted(self, found: Mapping[Place, Any], where: str) -> int:
         for name in self._steps:

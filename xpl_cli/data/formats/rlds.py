@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,7 +14,8 @@ import numpy as np
 
 from xpl.images import PIXELS, size_of
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
+from xpl_cli.data.sets.interface import Camera, Column, Demonstrations
+from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,25 +40,6 @@ _MOST_FACT: Final = 1024
 def recognises(path: Path) -> bool:
     """Tell whether a folder is a set that tensorflow-datasets has prepared."""
     return (path / _INFO).is_file() and (path / _FEATURES).is_file()
-
-
-@dataclass(frozen=True)
-class _Outline:
-    """What is known of an episode without its images.
-
-    Attributes:
-        length: steps.
-        instructions: what the robot was told, in all wordings.
-        columns: of numbers.
-        cameras: those that lie in images.
-        extras: what is said of the whole episode.
-    """
-
-    length: int
-    instructions: tuple[str, ...]
-    columns: Mapping[str, Column]
-    cameras: Mapping[str, Camera]
-    extras: Mapping[str, Any]
 
 
 def opened(path: Path) -> RldsSet:
@@ -113,7 +94,7 @@ class RldsSet(Demonstrations):
         return RldsEpisode(self, range(self._count)[index])
 
     @functools.cached_property
-    def outlines(self) -> list[_Outline]:
+    def outlines(self) -> list[Outline]:
         """What is known of each episode without its images."""
         steps = self._builder.info.features[_STEPS].feature
         skipped = _skipped(steps, self._tfds)
@@ -144,7 +125,7 @@ class RldsSet(Demonstrations):
         found = self._builder.as_dataset(split=split, decoders=decoders, read_config=one_by_one, shuffle_files=False)
         return iter(self._tfds.as_numpy(found))
 
-    def _outline(self, episode: Mapping[str, Any]) -> _Outline:
+    def _outline(self, episode: Mapping[str, Any]) -> Outline:
         length = 0
         first: dict[str, Any] = {}
         for step in episode[_STEPS]:
@@ -159,44 +140,15 @@ class RldsSet(Demonstrations):
         }
         rest = {name: value for name, value in episode.items() if name != _STEPS}
         extras = {name: _plain(value) for name, value in _flat(rest, "") if np.size(value) <= _MOST_FACT}
-        return _Outline(length, _sentences(first), columns, cameras, extras)
+        return Outline(length, _sentences(first), columns, cameras, extras)
 
 
-class RldsEpisode(Episode):
+class RldsEpisode(OutlinedEpisode):
     """An episode; its steps are read together when some are asked for."""
 
     def __init__(self, owner: RldsSet, index: int) -> None:
+        super().__init__(f"episode_{index:06d}")
         self._owner, self._index = owner, index
-
-    @property
-    def key(self) -> str:
-        """Its name in the set."""
-        return f"episode_{self._index:06d}"
-
-    @property
-    def length(self) -> int:
-        """How many steps it has."""
-        return self._outline.length
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told, in all wordings."""
-        return self._outline.instructions
-
-    @property
-    def columns(self) -> Mapping[str, Column]:
-        """The columns of numbers."""
-        return self._outline.columns
-
-    @property
-    def cameras(self) -> Mapping[str, Camera]:
-        """The cameras."""
-        return self._outline.cameras
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        """What is said of the whole episode, such as `episode_metadata/file_path`."""
-        return self._outline.extras
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""
@@ -211,8 +163,8 @@ class RldsEpisode(Episode):
         for step in self._owner.steps(self._index)[start:stop]:
             yield np.asarray(step[camera])
 
-    @property
-    def _outline(self) -> _Outline:
+    def outline(self) -> Outline:
+        """Return what the file says without rows and images."""
         return self._owner.outlines[self._index]
 
 

@@ -6,10 +6,10 @@ given to an encoder that expects BGR.
 
 from __future__ import annotations
 
-import functools
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from xpl_cli.basics import files as bounded
 from xpl_cli.data.formats import hdf5
@@ -35,8 +35,9 @@ def opened(path: Path) -> FolderSet:
 class _Episode(Hdf5Episode):
     """An episode, whose sentences lie in `../instructions/<the same name>.json`."""
 
-    @functools.cached_property
-    def _told(self) -> tuple[str, ...]:
+    def _sentences(self, extras: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return those of the file beside, in several wordings."""
+        del extras
         path = self._path.parent.parent / "instructions" / f"{self._path.stem}.json"
         try:
             told = json.loads(bounded.content(path, _MOST))
@@ -47,8 +48,3 @@ class _Episode(Hdf5Episode):
         if isinstance(told, dict):  # by whether training sees them
             told = [sentence for key in ("seen", "unseen") for sentence in told.get(key) or []]
         return sentences(told)
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told, in several wordings."""
-        return self._told

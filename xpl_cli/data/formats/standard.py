@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
@@ -23,7 +22,8 @@ from xpl_cli.data.formats import hdf5, libraries, pictures
 from xpl_cli.data.formats.folders import FolderSet, told_in
 from xpl_cli.data.formats.writing import CONVERTED, Names
 from xpl_cli.data.sets.errors import DataError
-from xpl_cli.data.sets.interface import Camera, Column, Episode
+from xpl_cli.data.sets.interface import Camera, Column
+from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from xpl.trajectory import Trajectory
     from xpl_cli.data.formats.writing import Plan
+    from xpl_cli.data.sets.interface import Episode
 
 NAME: Final = "xpl"
 _SET: Final = "set"
@@ -62,16 +63,6 @@ def opened(path: Path) -> FolderSet:
     return FolderSet(path, NAME, files, lambda file, key: _Episode(kept, places[file], key))
 
 
-@dataclass(frozen=True)
-class _Content:
-    """What a file says without its rows and images."""
-
-    instructions: tuple[str, ...]
-    columns: dict[str, Column]
-    cameras: dict[str, Camera]
-    extras: dict[str, Any]
-
-
 class _Kept:
     """The file of one episode, open until another one is read: opening it takes longer than reading a column."""
 
@@ -93,42 +84,18 @@ class _Kept:
         self._found = None
 
 
-class _Episode(Episode):
+class _Episode(OutlinedEpisode):
     """An episode. Its images are read from a file of their own, which is open as long as they are."""
 
     def __init__(self, kept: _Kept, place: int, key: str) -> None:
-        self._kept, self._place, self._key = kept, place, key
-
-    @property
-    def key(self) -> str:
-        """Its name in the set."""
-        return self._key
+        super().__init__(key)
+        self._kept, self._place = kept, place
 
     @functools.cached_property
     def length(self) -> int:
         """How many steps it has."""
         with self._open() as found:
             return len(found)
-
-    @property
-    def instructions(self) -> tuple[str, ...]:
-        """What the robot was told."""
-        return self._content.instructions
-
-    @property
-    def columns(self) -> Mapping[str, Column]:
-        """The columns of numbers and texts."""
-        return self._content.columns
-
-    @property
-    def cameras(self) -> Mapping[str, Camera]:
-        """The cameras."""
-        return self._content.cameras
-
-    @property
-    def extras(self) -> Mapping[str, Any]:
-        """What the file says beside its parts, with the facts of the episode opened."""
-        return self._content.extras
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
         """Return rows of a column."""
@@ -153,8 +120,8 @@ class _Episode(Episode):
             self._kept.close()
             raise
 
-    @functools.cached_property
-    def _content(self) -> _Content:
+    def outline(self) -> Outline:
+        """Return what the file says without rows and images."""
         with self._open() as found:
             columns = {name: Column(shape, dtype) for name, (shape, dtype) in found.columns.items()}
             cameras = {name: _camera(found, name, picture) for name, picture in found.pictures.items()}
@@ -167,7 +134,8 @@ class _Episode(Episode):
             else:
                 extras.pop(_FACTS, None)
             extras |= facts
-        return _Content(told or told_in(extras), columns, cameras, extras)
+            length = len(found)
+        return Outline(length, told or told_in(extras), columns, cameras, extras)
 
 
 def _camera(found: Trajectory, name: str, picture: trajectory.Picture) -> Camera:

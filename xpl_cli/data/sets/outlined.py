@@ -1,0 +1,73 @@
+"""Episodes of which all but rows and images is read at once, when something is asked for."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from xpl_cli.data.sets.interface import Episode
+
+if TYPE_CHECKING:
+    from xpl_cli.data.sets.interface import Camera, Column
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What an episode says without its rows and images: see `Episode`."""
+
+    length: int
+    instructions: tuple[str, ...]
+    columns: Mapping[str, Column]
+    cameras: Mapping[str, Camera]
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+
+class OutlinedEpisode(Episode):
+    """An episode that answers from its outline; `outline`, `read` and `frames` are its format's.
+
+    Args:
+        key: its name in the set.
+    """
+
+    def __init__(self, key: str) -> None:
+        self._key = key
+
+    @property
+    def key(self) -> str:
+        """Its name in the set."""
+        return self._key
+
+    @property
+    def length(self) -> int:
+        """How many steps it has."""
+        return self._outline.length
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """What the robot was told."""
+        return self._outline.instructions
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns of numbers and texts."""
+        return self._outline.columns
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras."""
+        return self._outline.cameras
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """What else the file says of it."""
+        return self._outline.extras
+
+    @functools.cached_property
+    def _outline(self) -> Outline:
+        return self.outline()
+
+    def outline(self) -> Outline:
+        """Read all but rows and images; asked once."""
+        raise NotImplementedError
