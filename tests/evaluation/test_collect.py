@@ -158,4 +158,4 @@ def test_the_expert_of_a_simulation_is_recorded_through_a_kill(tmp_path: Path) -
     assert len(found) == 4
     assert all(one.episode["success"] for one in found)
     finals = records.read(demos / "run").finals
-    assert [one.episode.seed for one in found] == [line.seed for line in finals.values() if line.success][:4]
+    assert [one.episode["seed"] for one in found] == [line.seed for line in finals.values() if line.success][:4]

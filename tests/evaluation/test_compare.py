@@ -37,9 +37,10 @@ def rewritten(folder: Path, change: Callable[[Line], Line] = lambda line: line, 
 
 def compared(first: Path, second: Path) -> dict[str, Any]:
     """Return the comparison of two recorded runs, which keeps to its schema and can be shown."""
-    found = compare(records.read(first), records.read(second))
+    result = compare(records.read(first), records.read(second))
+    found = result.as_json()
     assert [str(problem) for problem in validate(found, "comparison")] == []
-    assert verdicts.text(found)
+    assert verdicts.text(result)
     return found
 
 
@@ -193,7 +194,7 @@ def test_the_command_prints_text_or_json(runs: tuple[Path, Path], tmp_path: Path
     assert (done.returncode, done.stderr) == (ExitCode.CLEAN, "")
     assert done.stdout.startswith("Bar is better than Foo: ")
     done = xpl("compare", "foo", "bar/records.jsonl", "--json", cwd=tmp_path)
-    assert json.loads(done.stdout)["schema"] == comparison.SCHEMA
+    assert json.loads(done.stdout)["schema"] == comparison.Comparison.schema
 
 
 def test_exit_codes(runs: tuple[Path, Path], tmp_path: Path) -> None:
@@ -219,7 +220,7 @@ def test_the_documentation_shows_what_the_command_prints(tmp_path: Path) -> None
             return {**line, "success": won, "failure": None if won else "task", "digest": None}
 
         folders.append(rewritten(folder, outcome))
-    shown = verdicts.text(compared(folders[0], folders[1])).splitlines()
+    shown = verdicts.text(compare(*map(records.read, folders))).splitlines()
     page = (ROOT / "docs" / "statistics.md").read_text(encoding="utf-8")
     assert "\n".join(shown[:6]) in page, "\n".join(shown)
     assert shown[-2].removeprefix("- ") in page.replace("\n  ", " ")

@@ -27,7 +27,7 @@ def _run(folder: Path, policy: str, **wishes: Any) -> records.Run:
     return records.read(synthetic(folder / policy, policy=policy, **wishes))
 
 
-def _rank(*runs: records.Run, **wishes: bool) -> dict[str, Any]:
+def _rank(*runs: records.Run, **wishes: bool) -> ranking.Ranking:
     return ranking.rank(field.gather(runs, **wishes))
 
 
@@ -38,44 +38,46 @@ def test_runs_are_ranked_by_success_and_compared_with_the_first(tmp_path: Path) 
     """The row of a run says what its own summary says, and by how much it is behind on equal seeds."""
     runs = [_run(tmp_path, name, episodes=40, rate=rate) for name, rate in (("Low", 0.3), ("High", 0.9), ("Mid", 0.6))]
     found = _rank(*runs)
-    assert validate(found, "leaderboard") == []
-    assert [(row["rank"], row["policy"]) for row in found["rows"]] == [(1, "High"), (2, "Mid"), (3, "Low")]
-    overall = summarise(runs[1])["overall"]
-    assert all(found["rows"][0][name] == overall[name] for name in ("success_rate", "success_interval", "mean_score"))
-    assert found["rows"][0]["to_first"] is None
-    assert all(row["to_first"]["difference"] < 0 for row in found["rows"][1:])
-    assert not any("Not told apart" in note for note in found["notes"])
+    assert validate(found.as_json(), "leaderboard") == []
+    assert [(row.rank, row.policy) for row in found.rows] == [(1, "High"), (2, "Mid"), (3, "Low")]
+    overall = summarise(runs[1]).overall
+    assert found.rows[0].success_rate == overall.success_rate
+    assert found.rows[0].success_interval == overall.success_interval
+    assert found.rows[0].mean_score == overall.mean_score
+    assert found.rows[0].to_first is None
+    assert all(row.to_first.difference < 0 for row in found.rows[1:])
+    assert not any("Not told apart" in note for note in found.notes)
 
 
 def test_what_the_episodes_do_not_tell_apart_is_said(tmp_path: Path) -> None:
     """Two policies that are equally good have an order, and a sentence that it may be luck."""
     found = _rank(*(_run(tmp_path, name, rate=0.6) for name in ("One", "Other")))
-    first, second = (row["policy"] for row in found["rows"])
-    assert any(note.startswith(f"Not told apart from {first} by these episodes: {second}.") for note in found["notes"])
-    assert board.standing(found["rows"][1]) == "not told apart from the first"
+    first, second = (row.policy for row in found.rows)
+    assert any(note.startswith(f"Not told apart from {first} by these episodes: {second}.") for note in found.notes)
+    assert board.standing(found.rows[1]) == "not told apart from the first"
 
 
 def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> None:
     """The same policy twice is told by the folders; the next rank is left out."""
     same = [records.read(synthetic(tmp_path / name, rate=0.9)) for name in ("a", "b")]
     found = _rank(*same, _run(tmp_path, "Worse", rate=0.1))
-    assert [row["rank"] for row in found["rows"]] == [1, 1, 3]
-    assert ranking.labels(found["rows"])[:2] == [f"Foo ({tmp_path / name})" for name in ("a", "b")]
+    assert [row.rank for row in found.rows] == [1, 1, 3]
+    assert found.labels[:2] == [f"Foo ({tmp_path / name})" for name in ("a", "b")]
 
 
 def test_a_run_of_which_too_much_was_spoilt_is_not_ranked(tmp_path: Path) -> None:
     """It is named with the reason; a run with few spoilt episodes is ranked by the rate with these as failures."""
     spoilt, bad = _run(tmp_path, "Spoilt", faults=Faults(infrastructure=1.0)), _run(tmp_path, "Bad", rate=0.0)
     found = _rank(spoilt, bad)
-    assert [row["policy"] for row in found["rows"]] == ["Bad"]
+    assert [row.policy for row in found.rows] == ["Bad"]
     assert "Spoilt is not ranked: the infrastructure spoilt 80 of its 80 episodes, more than 10%" in board.text(found)
     with pytest.raises(UserError, match="no run can be ranked"):
         _rank(spoilt)
     some = _run(tmp_path, "Some", rate=0.5, faults=Faults(infrastructure=0.05, policy=0.0))
-    (row,) = _rank(some)["rows"]
-    assert 0 < row["failures"]["infrastructure"] <= 8
-    assert row["judged"] == 80
-    assert row["success_rate"] == pytest.approx(row["successes"] / 80)
+    (row,) = _rank(some).rows
+    assert 0 < row.failures["infrastructure"] <= 8
+    assert row.judged == 80
+    assert row.success_rate == pytest.approx(row.successes / 80)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +104,7 @@ def test_a_ranking_is_written_for_people_papers_and_tables(tmp_path: Path) -> No
     assert len([line for line in board.text(found).splitlines() if "/80" in line or "/79" in line]) <= 2
     assert "| Other\\_\\|\\_two |" in board.as_markdown(found)
     rows = list(csv.DictReader(io.StringIO(board.as_csv(found))))
-    assert [float(row["success_rate"]) for row in rows] == [row["success_rate"] for row in found["rows"]]
+    assert [float(row["success_rate"]) for row in rows] == [row.success_rate for row in found.rows]
     assert rows[0]["p_value"] == ""
 
 
@@ -130,9 +132,9 @@ def test_runs_that_are_not_alike_are_ranked_only_by_those_who_want_it(
     assert said in str(refused.value)
     assert refused.value.code == ExitCode.NOT_RUN
     found = _rank(*runs, anyway=True)
-    assert any(note.startswith(said) for note in found["notes"])
+    assert any(note.startswith(said) for note in found.notes)
     assert "in spite of differences" in board.title(found)
-    assert validate(found, "leaderboard") == []
+    assert validate(found.as_json(), "leaderboard") == []
 
 
 def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> None:
@@ -141,7 +143,7 @@ def test_other_machines_are_named_and_no_reason_to_refuse(tmp_path: Path) -> Non
     facts = next(iter(runs[1].machines.values()))
     facts["system"] = "another system"
     found = _rank(*runs)
-    assert any(note.startswith("Machine: system: ") and "another system" in note for note in found["notes"])
+    assert any(note.startswith("Machine: system: ") and "another system" in note for note in found.notes)
     assert "in spite of differences" not in board.title(found)
 
 
@@ -152,13 +154,13 @@ def test_common_episodes_make_runs_alike(tmp_path: Path) -> None:
         _run(tmp_path, "Other", tasks=["b", "a"], episodes=30, first_seed=10, played=100),
     ]
     found = _rank(*runs, common=True)
-    assert found["tasks"] == ["a", "b"]
-    judged = {row["judged"] for row in found["rows"]}
+    assert found.tasks == ["a", "b"]
+    judged = {row.judged for row in found.rows}
     assert len(judged) == 1
     counted = [{(cell.task, cell.setting, seed) for cell in cells(run) for seed in cell.by_seed} for run in runs]
     assert judged == {len(counted[0] & counted[1])}
-    assert found["rows"][1]["to_first"]["pairs"] == judged.pop()
-    assert any(note.startswith("Only episodes count that were played in every run") for note in found["notes"])
+    assert found.rows[1].to_first.pairs == judged.pop()
+    assert any(note.startswith("Only episodes count that were played in every run") for note in found.notes)
 
 
 def test_a_difference_that_common_episodes_do_not_mend_is_refused_still(tmp_path: Path) -> None:

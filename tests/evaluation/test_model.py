@@ -1,4 +1,4 @@
-"""The classes of a record hold what its schema declares, key by key, and write what they have read."""
+"""The classes of records and answers hold what their schemas declare, key by key; records are written as read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support.recordings.runs import episode, synthetic
+from xpl_cli.evaluation.leaderboard import ranking
 from xpl_cli.evaluation.records import lines, model, records
+from xpl_cli.evaluation.statistics import comparison, course, summary
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import bundle, claims
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
 _RECORD = spec.schema("record")["$defs"]
 _PLAN = _RECORD["run"]["properties"]
 _SUBMISSION = spec.schema("submission")
+_SUMMARY, _COMPARISON, _LEADERBOARD = map(spec.schema, ("summary", "comparison", "leaderboard"))
+_COURSE = _SUMMARY["properties"]["course"]
+_ANSWER = {"schema", "next"}
 
 
 @pytest.mark.parametrize(
@@ -40,6 +45,18 @@ _SUBMISSION = spec.schema("submission")
         (bundle.Checkpoints, _SUBMISSION["$defs"]["checkpoints"], set()),
         (claims.Claim, _SUBMISSION["properties"]["runs"]["items"], set()),
         (claims.CellClaim, _SUBMISSION["$defs"]["cell"], set()),
+        (summary.Summary, _SUMMARY, _ANSWER),
+        (summary.Row, _SUMMARY["$defs"]["row"], set()),
+        (summary.Contrast, _SUMMARY["properties"]["contrasts"]["items"], set()),
+        (course.Course, _COURSE, set()),
+        (course.Latency, _COURSE["properties"]["inference"], set()),
+        (course.Error, _COURSE["properties"]["errors"]["items"], set()),
+        (comparison.Comparison, _COMPARISON, _ANSWER),
+        (comparison.Side, _COMPARISON["$defs"]["side"], set()),
+        (comparison.Row, _COMPARISON["$defs"]["row"], set()),
+        (ranking.Ranking, _LEADERBOARD, _ANSWER),
+        (ranking.Row, _LEADERBOARD["$defs"]["row"], set()),
+        (ranking.FieldDifference, _LEADERBOARD["properties"]["differences"]["items"], set()),
     ],
 )
 def test_fields_are_those_of_the_schema(kind: type, schema: dict[str, Any], apart: set[str]) -> None:

@@ -62,7 +62,7 @@ def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: P
     assert {path.name for path in (run / "report").iterdir()} == FILES
     document = json.loads((run / "report/report.json").read_text())
     assert validate(document, "report") == []
-    assert document["summary"] == summarise(records.read(run))
+    assert document["summary"] == summarise(records.read(run)).as_json()
     rows = list(csv.DictReader(io.StringIO((run / "report/episodes.csv").read_text())))
     assert [int(row["index"]) for row in rows] == list(range(24))
     assert sum(row["success"] == "1" for row in rows) == document["summary"]["overall"]["successes"]

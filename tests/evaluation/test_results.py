@@ -35,7 +35,7 @@ def _write(  # noqa: PLR0917 - a file of many
 def whole(tmp_path: Path) -> Path:
     """Return the results of two policies in all 42 tasks and three seeds, of one of which a task is missing."""
     for name, level in (("Good", 40), ("Poor", 4)):
-        for dimension, tasks in protocol()["dimensions"].items():
+        for dimension, tasks in protocol().dimensions.items():
             for place, task in enumerate(tasks):
                 for seed in (0, 1, 2):
                     if dimension == "Generalization":
@@ -46,9 +46,13 @@ def whole(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def _told(root: Path, by: str = "success", **options: Any) -> dict[str, Any]:
+def _ranked(root: Path, by: str = "success", **options: Any) -> tables.Results:
     results, notes = trees.read([root])
     return tables.rank(tally.tally(results, **options), by=by, notes=notes)
+
+
+def _told(root: Path, by: str = "success", **options: Any) -> dict[str, Any]:
+    return _ranked(root, by, **options).as_json()
 
 
 def test_figures_are_those_of_the_benchmarks_own_rule(whole: Path) -> None:
@@ -73,7 +77,7 @@ def test_figures_are_those_of_the_benchmarks_own_rule(whole: Path) -> None:
 
 def test_the_papers_tables_come_of_the_files(whole: Path) -> None:
     """By dimension, standard against randomized, by robot; score / success rate."""
-    second, third, fourth = tables.of_the_paper(_told(whole))
+    second, third, fourth = tables.of_the_paper(_ranked(whole))
     assert second.header == ("policy", "Generalization", "Precision", "Long-Horizon", "Memory", "Open", "Average")
     assert [row[0] for row in second.rows] == ["Good", "Poor"]
     assert second.rows[0][2] == "91.50 / 83.00"
@@ -130,7 +134,7 @@ def test_results_of_robotwin_are_plain_numbers(tmp_path: Path) -> None:
             file.write_text(f"Timestamp: 2026-08-01\n\nInstruction Type: unseen\n\n{rate}\n")
     results, _ = trees.read([tmp_path])
     told = tables.rank(tally.tally(results), results[0].benchmark)
-    (row,) = told["rows"]
+    (row,) = told.as_json()["rows"]
     assert row["overall"] == {"success": pytest.approx(0.5), "score": None, "success_spread": 0.0, "score_spread": None}
     assert tables.ranking(told).header == (
         "#",

@@ -32,12 +32,12 @@ def test_every_report_says_it_first(tmp_path: Path) -> None:
     """Summary, page, comparison, and what `xpl eval` prints; of a usual run none does."""
     run = _run(tmp_path)
     found = summarise(run)
-    assert SAID in found["notes"][0]
-    assert SETTING in found["notes"][0]
+    assert SAID in found.notes[0]
+    assert SETTING in found.notes[0]
     assert SAID in markdown.render(run, found).splitlines()[2]
-    assert SAID in compare(run, _run(tmp_path, "Bar"))["notes"][0]
+    assert SAID in compare(run, _run(tmp_path, "Bar")).notes[0]
     usual = summarise(_run(tmp_path, "Usual", ("clean",)))
-    assert not any(SAID in note for note in usual["notes"])
+    assert not any(SAID in note for note in usual.notes)
 
 
 @pytest.mark.parametrize(("setting", "is_said"), [(SETTING, True), ("clean", False)])

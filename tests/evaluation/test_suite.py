@@ -64,7 +64,7 @@ def _outcomes(run: records.Run) -> list[dict[str, Any]]:
 
 def _table(run: records.Run) -> str:
     """Return the final table, as bytes would show it."""
-    found = summary.summarise(run)
+    found = summary.summarise(run).as_json()
     return json.dumps({key: value for key, value in found.items() if key != "course"})
 
 
@@ -143,9 +143,9 @@ def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_agai
     (died,) = (line for line in run.attempts if line.end_reason == "policy_died")
     assert (died.index, died.failure, died.success, died.final) == (0, "policy", False, False)
     assert not any(line.film for line in run.attempts)
-    overall = summary.summarise(run)["overall"]
-    assert (overall["successes"], overall["judged"]) == (2, 5)
-    assert overall["success_rate"] == pytest.approx(1 / 6)  # one was spoilt, and one won after its policy had died
+    overall = summary.summarise(run).overall
+    assert (overall.successes, overall.judged) == (2, 5)
+    assert overall.success_rate == pytest.approx(1 / 6)  # one was spoilt, and one won after its policy had died
 
 
 @pytest.mark.slow

@@ -30,6 +30,6 @@ def compare(
         raise UserError(f"{first} and {second} are the same run", hint="name two runs")
     result = comparison.compare(*runs)
     if as_json:
-        console.data_json({**result, "next": [shlex.join(["xpl", "report", str(first), str(second)])]})
+        console.data_json({**result.as_json(), "next": [shlex.join(["xpl", "report", str(first), str(second)])]})
     else:
         console.data(verdicts.text(result))

@@ -56,7 +56,7 @@ def leaderboard(
         console.note(f"{out}: written")
     if as_json:
         following = [shlex.join(["xpl", "compare", *map(str, runs[:2])])] if len(runs) > 1 else []
-        console.data_json({**result, "next": following})
+        console.data_json({**result.as_json(), "next": following})
     else:
         console.data(board.text(result))
 
@@ -76,7 +76,7 @@ def _of_the_field(
     shown = tables.of_the_paper(told) if with_tables else [tables.ranking(told)]
     if out is not None:
         texts = {".md": tables.as_markdown(told, shown), ".csv": tables.as_csv(told)}
-        texts[".json"] = json.dumps(told, indent=2, ensure_ascii=False) + "\n"
+        texts[".json"] = json.dumps(told.as_json(), indent=2, ensure_ascii=False) + "\n"
         try:
             out.mkdir(parents=True, exist_ok=True)
             for ending, text in texts.items():
@@ -85,6 +85,6 @@ def _of_the_field(
             raise UserError(f"{out} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
         console.note(f"{out}: written")
     if as_json:
-        console.data_json({**told, "next": []})
+        console.data_json({**told.as_json(), "next": []})
     else:
         console.data(tables.text(told, shown))

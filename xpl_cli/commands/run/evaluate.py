@@ -262,7 +262,7 @@ def _recorded(request: suite.Request, *, as_json: bool) -> None:
         run = suite.evaluate(request)
     found = summary.summarise(run)
     if as_json:
-        console.data_json({**found, "next": [shlex.join(["xpl", "report", str(request.out)])]})
+        console.data_json({**found.as_json(), "next": [shlex.join(["xpl", "report", str(request.out)])]})
     else:
         console.data(wording.text(found))
     suite.check(run)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +39,8 @@ from xpl_cli.packages import environments
 from xpl_cli.serving.secrets import client_tls_context
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from xpl_cli.evaluation.records.model import Ending
 
 

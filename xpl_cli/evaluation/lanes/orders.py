@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import trajectory
@@ -12,7 +10,8 @@ from xpl_cli.isolation.bounds import Bounds
 
 if TYPE_CHECKING:
     import ssl
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
 
 SUCCESS, ALL = "success", "all"
 KEEP: Final = (SUCCESS, ALL)

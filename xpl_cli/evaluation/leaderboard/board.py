@@ -2,107 +2,105 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.basics.strangers import in_markdown
 from xpl_cli.evaluation.leaderboard.field import is_barrier
-from xpl_cli.evaluation.leaderboard.ranking import ALPHA, labels
 from xpl_cli.evaluation.report import episodes, markdown
 from xpl_cli.evaluation.report.phrases import points
 from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.verdicts import probability
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from xpl_cli.evaluation.leaderboard.ranking import Gap, Ranking, Row
 
 
-def text(ranking: Mapping[str, Any]) -> str:
+def text(ranking: Ranking) -> str:
     """Return a ranking for a terminal."""
-    notes = [f"- {note}" for note in ranking["notes"]]
+    notes = [f"- {note}" for note in ranking.notes]
     return "\n".join([title(ranking), "", *wording.aligned(header(ranking), rows(ranking)), "", *notes])
 
 
-def as_markdown(ranking: Mapping[str, Any]) -> str:
+def as_markdown(ranking: Ranking) -> str:
     """Return a ranking as Markdown."""
-    notes = "\n".join(f"- {in_markdown(note)}" for note in ranking["notes"])
+    notes = "\n".join(f"- {in_markdown(note)}" for note in ranking.notes)
     table = markdown.table(header(ranking), rows(ranking))
     return f"# {in_markdown(title(ranking))}\n\n{table}\n\n{notes}\n"
 
 
-def as_csv(ranking: Mapping[str, Any]) -> str:
+def as_csv(ranking: Ranking) -> str:
     """Return a ranking as CSV, with figures as they are."""
-    settings = ranking["settings"]
+    settings = ranking.settings
     plain = ("rank", "policy", "folder", "run", "checkpoint", "judged", "successes", "success_rate")
     columns = (*plain, "success_low", "success_high", "mean_score", "score_low", "score_high", *settings)
     gap = ("difference", "difference_low", "difference_high", "p_value", "adjusted_p_value")
     lines = []
-    for row in ranking["rows"]:
-        to_first = row["to_first"] or {}
+    for row in ranking.rows:
+        found = row.to_first
+        to_first: tuple[float | None, ...] = (None,) * len(gap)
+        if found is not None:
+            to_first = (found.difference, *found.interval, found.p_value, found.adjusted_p_value)
         lines.append(
             [
-                *(row[name] for name in plain),
-                *(row["success_interval"] or (None, None)),
-                row["mean_score"],
-                *(row["score_interval"] or (None, None)),
-                *(row["settings"].get(name) for name in settings),
-                to_first.get("difference"),
-                *to_first.get("interval", (None, None)),
-                to_first.get("p_value"),
-                to_first.get("adjusted_p_value"),
+                *(getattr(row, name) for name in plain),
+                *(row.success_interval or (None, None)),
+                row.mean_score,
+                *(row.score_interval or (None, None)),
+                *(row.settings.get(name) for name in settings),
+                *to_first,
             ]
         )
     return episodes.as_csv((*columns, *gap), lines)
 
 
-def title(ranking: Mapping[str, Any]) -> str:
+def title(ranking: Ranking) -> str:
     """Return the heading: what was ranked, and by which episodes."""
-    tasks, settings = len(ranking["tasks"]), len(ranking["settings"])
-    runs = wording.many(len(ranking["rows"]), "run")
+    tasks, settings = len(ranking.tasks), len(ranking.settings)
+    runs = wording.many(len(ranking.rows), "run")
     what = f"{wording.many(tasks, 'task')} in {wording.many(settings, 'setting')}"
-    limits = ["by the episodes that all runs played"] if ranking["common"] else []
-    if any(is_barrier(difference["what"]) for difference in ranking["differences"]):
+    limits = ["by the episodes that all runs played"] if ranking.common else []
+    if any(is_barrier(difference.what) for difference in ranking.differences):
         limits.append("in spite of differences")
-    return ", ".join([f"{runs} in {ranking['environment']}: {what}", *limits])
+    return ", ".join([f"{runs} in {ranking.environment}: {what}", *limits])
 
 
-def header(ranking: Mapping[str, Any]) -> tuple[str, ...]:
+def header(ranking: Ranking) -> tuple[str, ...]:
     """Return the names of the columns."""
-    settings = ranking["settings"] if len(ranking["settings"]) > 1 else []
+    settings = ranking.settings if len(ranking.settings) > 1 else []
     return ("#", "policy", "success", *settings, "score", "episodes", "to the first", "p (Holm)")
 
 
-def rows(ranking: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def rows(ranking: Ranking) -> list[tuple[str, ...]]:
     """Return the texts of the table."""
-    settings = ranking["settings"] if len(ranking["settings"]) > 1 else []
+    settings = ranking.settings if len(ranking.settings) > 1 else []
     found = []
-    for row, label in zip(ranking["rows"], labels(ranking["rows"]), strict=True):
-        score = wording.NOTHING if row["mean_score"] is None else f"{row['mean_score']:.2f}"
-        shares = (row["settings"].get(name) for name in settings)
+    for row, label in zip(ranking.rows, ranking.labels, strict=True):
+        score = wording.NOTHING if row.mean_score is None else f"{row.mean_score:.2f}"
+        shares = (row.settings.get(name) for name in settings)
         found.append(
             (
-                str(row["rank"]),
+                str(row.rank),
                 label,
                 wording.rate(row),
                 *(wording.NOTHING if share is None else wording.percent(share) for share in shares),
                 score,
-                f"{row['successes']}/{row['judged']}",
-                *_gap(row["to_first"]),
+                f"{row.successes}/{row.judged}",
+                *_gap(row.to_first),
             )
         )
     return found
 
 
-def standing(row: Mapping[str, Any]) -> str:
+def standing(row: Row) -> str:
     """Return how a row stands to the first, as far as these episodes tell."""
-    to_first = row["to_first"]
-    if to_first is None:
+    if row.to_first is None:
         return ""
-    return "behind the first" if to_first["adjusted_p_value"] < ALPHA else "not told apart from the first"
+    return "not told apart from the first" if row.is_close else "behind the first"
 
 
-def _gap(to_first: Mapping[str, Any] | None) -> tuple[str, str]:
+def _gap(to_first: Gap | None) -> tuple[str, str]:
     if to_first is None:
         return wording.NOTHING, wording.NOTHING
-    low, high = to_first["interval"]
-    told = f"{points(to_first['difference'])} ({points(low)} to {points(high)})"
-    return told, probability(to_first["adjusted_p_value"])
+    low, high = to_first.interval
+    told = f"{points(to_first.difference)} ({points(low)} to {points(high)})"
+    return told, probability(to_first.adjusted_p_value)

@@ -2,26 +2,128 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 from xpl_cli.basics.errors import one_of
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.statistics import cautions, intervals
 from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
+from xpl_cli.evaluation.statistics.documents import Document
 from xpl_cli.evaluation.statistics.summary import summarise
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from xpl_cli.evaluation.leaderboard.field import Field
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.statistics.intervals import Interval
+    from xpl_cli.evaluation.statistics.summary import Summary
 
-SCHEMA = "xpl.leaderboard/1"
 SUCCESS, SCORE = "success", "score"
 ALPHA = 0.05
 
 
-def rank(field: Field, by: str = SUCCESS) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Gap:
+    """By how much a run differs from the first one on the episodes that both played.
+
+    Attributes:
+        pairs: number of these.
+        difference, interval: of the success rates.
+        p_value: of "neither is better".
+        adjusted_p_value: corrected for the number of comparisons.
+    """
+
+    pairs: int
+    difference: float
+    interval: Interval
+    p_value: float
+    adjusted_p_value: float = 1.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """A run in a ranking; all but these as in its summary.
+
+    Attributes:
+        folder, run, policy, checkpoint: which run.
+        judged: episodes that the success rate is of.
+        settings, dimensions: success rates.
+        to_first: None for the first, and where the two cannot be compared.
+        rank: one more than the number of better ones.
+    """
+
+    folder: str
+    run: str
+    policy: str
+    checkpoint: str | None
+    planned: int
+    successes: int
+    success_rate: float | None
+    success_interval: Interval | None
+    judged: int
+    mean_score: float | None
+    score_interval: Interval | None
+    failures: Mapping[str, int]
+    if_spoilt: tuple[float, float] | None
+    settings: Mapping[str, float | None]
+    dimensions: Mapping[str, float | None]
+    to_first: Gap | None
+    rank: int
+
+    @property
+    def is_close(self) -> bool:
+        """Whether these episodes do not tell it apart from the first."""
+        return self.to_first is not None and self.to_first.adjusted_p_value >= ALPHA
+
+
+@dataclass(frozen=True)
+class FieldDifference:
+    """In what a run differs, besides the policy, from the one that was named first."""
+
+    folder: str
+    what: str
+    first: str
+    second: str
+
+
+@dataclass(frozen=True)
+class Ranking(Document):
+    """Runs in their order.
+
+    Attributes:
+        environment: in which all were played.
+        confidence: of every interval.
+        common: whether only the episodes count that all runs played.
+        tasks, settings: what was played.
+        differences: in what runs differ.
+        rows: the runs.
+        notes: what the order does not show, in sentences.
+    """
+
+    schema: ClassVar[str] = "xpl.leaderboard/1"
+
+    environment: str
+    confidence: float
+    common: bool
+    tasks: Sequence[str]
+    settings: Sequence[str]
+    differences: Sequence[FieldDifference]
+    rows: Sequence[Row]
+    notes: Sequence[str] = ()
+
+    @property
+    def labels(self) -> list[str]:
+        """What to call each row: its policy, with its folder where two have the same."""
+        names = [row.policy for row in self.rows]
+        return [
+            f"{name} ({row.folder})" if names.count(name) > 1 else name
+            for name, row in zip(names, self.rows, strict=True)
+        ]
+
+
+def rank(field: Field, by: str = SUCCESS) -> Ranking:
     """Return the ranking: by success rate, then by mean score, unless otherwise asked; equal ones share a rank.
 
     Args:
@@ -32,110 +134,100 @@ def rank(field: Field, by: str = SUCCESS) -> dict[str, Any]:
         UnknownNameError: no run has a task of such a dimension.
     """
     summaries = [summarise(run) for run in field.runs]
-    known = [row["dimension"] for summary in summaries for row in summary["dimensions"]]
-    one_of("--by", by, dict.fromkeys([SUCCESS, SCORE, *known]))
+    known = [row.dimension for summary in summaries for row in summary.dimensions]
+    one_of("--by", by, dict.fromkeys([SUCCESS, SCORE, *filter(None, known)]))
     order = sorted(range(len(summaries)), key=lambda place: _strength(summaries[place], by), reverse=True)
-    best = field.runs[order[0]]
-    rows, refusals = [], []
-    for place in order:
-        run, gap = field.runs[place], None
-        try:
-            gap = None if run is best else _gap(best, run)
-        except IncomparableError as error:
-            refusals.append(f"{run.folder} is not compared with the first: {error}.")
-        rows.append(_row(run, summaries[place], gap))
-    _number(rows, [_strength(summaries[place], by) for place in order])
-    _correct(rows)
-    result = {
-        "schema": SCHEMA,
-        "environment": summaries[0]["environment"],
-        "confidence": summaries[0]["confidence"],
-        "common": field.common,
-        "tasks": list(dict.fromkeys(row["task"] for summary in summaries for row in summary["tasks"])),
-        "settings": list(dict.fromkeys(row["setting"] for summary in summaries for row in summary["settings"])),
-        "differences": [
-            {"folder": str(field.runs[place].folder), **difference.as_json()} for place, difference in field.differences
+    strengths = [_strength(summaries[place], by) for place in order]
+    gaps, refusals = _gaps([field.runs[place] for place in order])
+    rows = [
+        _row(field.runs[place], summaries[place], gap, 1 + strengths.index(strength))
+        for place, gap, strength in zip(order, gaps, strengths, strict=True)
+    ]
+    result = Ranking(
+        environment=summaries[0].environment,
+        confidence=summaries[0].confidence,
+        common=field.common,
+        tasks=_named(row.task for summary in summaries for row in summary.tasks),
+        settings=_named(row.setting for summary in summaries for row in summary.settings),
+        differences=[
+            FieldDifference(str(field.runs[place].folder), one.what, one.first, one.second)
+            for place, one in field.differences
         ],
-        "rows": rows,
-    }
+        rows=rows,
+    )
     skipped = cautions.of_skipped([line for run in field.runs for line in run.skipped])
     asked = [] if by == SUCCESS else [f"Ranked by {by}; the comparison with the first is of success."]
-    return {**result, "notes": [*asked, *skipped, *field.sentences(), *refusals, *_notes(result)]}
+    return replace(result, notes=[*asked, *skipped, *field.sentences(), *refusals, *_notes(result)])
 
 
-def labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return what to call each row: its policy, with its folder where two have the same."""
-    names = [row["policy"] for row in rows]
-    return [
-        f"{name} ({row['folder']})" if names.count(name) > 1 else name for name, row in zip(names, rows, strict=True)
-    ]
+def _named(names: Iterable[str | None]) -> list[str]:
+    return list(dict.fromkeys(filter(None, names)))
 
 
-def _strength(summary: Mapping[str, Any], by: str) -> tuple[float, float]:
-    rows = [row for row in summary["dimensions"] if row["dimension"] == by]
-    told = summary["overall"] if by in (SUCCESS, SCORE) else rows[0] if rows else {}
-    rate, score = ((-1.0 if told.get(key) is None else told[key]) for key in ("success_rate", "mean_score"))
+def _strength(summary: Summary, by: str) -> tuple[float, float]:
+    row = summary.overall
+    if by not in (SUCCESS, SCORE):
+        found = next((row for row in summary.dimensions if row.dimension == by), None)
+        if found is None:
+            return -1.0, -1.0
+        row = found
+    rate, score = (-1.0 if value is None else value for value in (row.success_rate, row.mean_score))
     return (score, rate) if by == SCORE else (rate, score)
 
 
-def _row(run: Run, summary: Mapping[str, Any], gap: Mapping[str, Any] | None) -> dict[str, Any]:
-    overall, policy = summary["overall"], run.plan.policy
-    return {
-        "folder": str(run.folder),
-        "run": run.plan.run,
-        "policy": policy.name,
-        "checkpoint": policy.checkpoint and policy.checkpoint.digest,
-        **{name: overall[name] for name in ("planned", "successes", "success_rate", "success_interval")},
-        "judged": overall["judged"] + overall["failures"][INFRASTRUCTURE],  # which count as failed
-        **{name: overall[name] for name in ("mean_score", "score_interval", "failures", "if_spoilt")},
-        "settings": {row["setting"]: row["success_rate"] for row in summary["settings"]},
-        "dimensions": {row["dimension"]: row["success_rate"] for row in summary["dimensions"]},
-        "to_first": gap,
-    }
+def _row(run: Run, summary: Summary, gap: Gap | None, rank: int) -> Row:
+    overall, policy = summary.overall, run.plan.policy
+    return Row(
+        folder=str(run.folder),
+        run=run.plan.run,
+        policy=policy.name,
+        checkpoint=None if policy.checkpoint is None else policy.checkpoint.digest,
+        planned=overall.planned,
+        successes=overall.successes,
+        success_rate=overall.success_rate,
+        success_interval=overall.success_interval,
+        judged=overall.judged + overall.failures[INFRASTRUCTURE],  # which count as failed
+        mean_score=overall.mean_score,
+        score_interval=overall.score_interval,
+        failures=overall.failures,
+        if_spoilt=overall.if_spoilt,
+        settings={row.setting: row.success_rate for row in summary.settings if row.setting is not None},
+        dimensions={row.dimension: row.success_rate for row in summary.dimensions if row.dimension is not None},
+        to_first=gap,
+        rank=rank,
+    )
 
 
-def _gap(best: Run, run: Run) -> dict[str, Any]:
-    """Return by how much a run differs from the best one on the episodes that both played."""
-    overall = compare(best, run)["overall"]
-    return {name: overall[name] for name in ("pairs", "difference", "interval", "p_value")}
+def _gaps(runs: Sequence[Run]) -> tuple[list[Gap | None], list[str]]:
+    """Return by how much each run differs from the first, and sentences about those that cannot be compared."""
+    best, *others = runs
+    gaps: list[Gap | None] = [None]
+    refusals = []
+    for run in others:
+        try:
+            row = compare(best, run).overall
+            gaps.append(Gap(row.pairs, row.difference, row.interval, row.p_value))
+        except IncomparableError as error:
+            gaps.append(None)
+            refusals.append(f"{run.folder} is not compared with the first: {error}.")
+    raised = iter(intervals.holm([gap.p_value for gap in gaps if gap is not None]))
+    return [None if gap is None else replace(gap, adjusted_p_value=next(raised)) for gap in gaps], refusals
 
 
-def _number(rows: Sequence[dict[str, Any]], strengths: Sequence[tuple[float, float]]) -> None:
-    """Give each row its rank: one more than the number of better ones."""
-    for row, strength in zip(rows, strengths, strict=True):
-        row["rank"] = 1 + strengths.index(strength)
-
-
-def _correct(rows: Sequence[dict[str, Any]]) -> None:
-    """Add to each comparison with the first its p-value, corrected for there being several."""
-    gaps = [row["to_first"] for row in rows if row["to_first"] is not None]
-    for gap, raised in zip(gaps, intervals.holm([gap["p_value"] for gap in gaps]), strict=True):
-        gap["adjusted_p_value"] = raised
-
-
-def _notes(result: Mapping[str, Any]) -> Iterator[str]:
-    rows = result["rows"]
-    names = labels(rows)
-    if result["common"]:
+def _notes(result: Ranking) -> Iterator[str]:
+    names = result.labels
+    if result.common:
         yield "Only episodes count that were played in every run; figures of the single runs differ from these."
-    close = [
-        name
-        for name, row in zip(names, rows, strict=True)
-        if row["to_first"] is not None and row["to_first"]["adjusted_p_value"] >= ALPHA
-    ]
+    close = [name for name, row in zip(names, result.rows, strict=True) if row.is_close]
     if close:
         yield (
             f"Not told apart from {names[0]} by these episodes: {', '.join(close)}. Their order may be luck "
             "(exact McNemar test on equal seeds, corrected for the number of comparisons by Holm)."
         )
-    if len(rows) > 1:
+    if len(names) > 1:
         yield "The best of several is partly the best by luck: its rate is likely to be lower in new episodes."
-    spoilt = {
-        name: row["failures"]["infrastructure"]
-        for name, row in zip(names, rows, strict=True)
-        if row["failures"]["infrastructure"]
-    }
-    if spoilt:
-        told = ", ".join(f"{name} {count}" for name, count in spoilt.items())
+    spoilt = {name: row.failures[INFRASTRUCTURE] for name, row in zip(names, result.rows, strict=True)}
+    if any(spoilt.values()):
+        told = ", ".join(f"{name} {count}" for name, count in spoilt.items() if count)
         yield f"Episodes that the infrastructure spoilt count as failed, for nobody can tell who was to blame: {told}."
     yield cautions.scope()

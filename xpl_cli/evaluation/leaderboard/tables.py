@@ -16,13 +16,13 @@ from xpl_cli.evaluation.leaderboard.tally import OTHER, protocol
 from xpl_cli.evaluation.leaderboard.trees import ROBODOJO
 from xpl_cli.evaluation.report import episodes, markdown
 from xpl_cli.evaluation.statistics import wording
+from xpl_cli.evaluation.statistics.documents import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from xpl_cli.evaluation.leaderboard.tally import Figure, Tally
 
-SCHEMA: Final = "xpl.results/1"
 _CAUTION: Final = (
     "Result files tell neither what was evaluated nor which episodes are the same: no interval and no test goes with "
     "them."
@@ -43,10 +43,40 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
 
-def rank(
-    found: Sequence[Tally], benchmark: str = ROBODOJO, by: str = SUCCESS, notes: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Return the ranking (`xpl.results/1`): equal ones share a rank, and who has nothing that counts is last.
+@dataclass(frozen=True)
+class Row:
+    """A policy in the ranking: one more than the number of better ones, and what its results come to."""
+
+    rank: int
+    tally: Tally
+
+
+@dataclass(frozen=True)
+class Results:
+    """A ranking of results of the field (`xpl.results/1`).
+
+    Attributes:
+        benchmark: whose results they are.
+        by: what they are ranked by.
+        dimensions: those that any policy has something in, in the order of the benchmark.
+        rows: the policies.
+        notes: what was left out, and what the figures do not show.
+    """
+
+    benchmark: str
+    by: str
+    dimensions: Sequence[str]
+    rows: Sequence[Row]
+    notes: Sequence[str]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the ranking as JSON has it."""
+        rows = [{"rank": row.rank, **plain(row.tally)} for row in self.rows]
+        return {"schema": "xpl.results/1", **plain(self), "rows": rows}
+
+
+def rank(found: Sequence[Tally], benchmark: str = ROBODOJO, by: str = SUCCESS, notes: Sequence[str] = ()) -> Results:
+    """Return the ranking: equal ones share a rank, and who has nothing that counts is last.
 
     Args:
         found: what the results of each policy come to.
@@ -62,120 +92,112 @@ def rank(
         by = one_of("--by", _spelt(by, names), [SUCCESS, SCORE, *names])
     order = sorted(found, key=lambda one: (*(-part for part in _strength(one, by)), one.policy))
     strengths = [_strength(one, by) for one in order]
-    rows = [
-        {
-            "rank": 1 + strengths.index(strength),
-            "policy": one.policy,
-            "overall": _json(one.overall),
-            **{
-                kind: {name: _json(figure) for name, figure in getattr(one, kind).items()}
-                for kind in ("dimensions", "variants", "halves", "tasks")
-            },
-            "counted": one.counted,
-            "wanted": one.wanted,
-        }
-        for one, strength in zip(order, strengths, strict=True)
-    ]
-    told = {"benchmark": benchmark, "by": by, "dimensions": names, "rows": rows}
-    return {"schema": SCHEMA, **told, "notes": [*notes, *_notes(order)]}
+    rows = [Row(1 + strengths.index(strength), one) for one, strength in zip(order, strengths, strict=True)]
+    return Results(benchmark, by, names, rows, [*notes, *_notes(order)])
 
 
 def dimensions(found: Sequence[Tally]) -> list[str]:
     """Return the dimensions that any policy has something in, in the order of the benchmark."""
     there = {name for one in found for name in one.dimensions}
-    return [name for name in (*protocol()["dimensions"], OTHER) if name in there]
+    return [name for name in (*protocol().dimensions, OTHER) if name in there]
 
 
-def ranking(told: Mapping[str, Any]) -> Table:
+def ranking(told: Results) -> Table:
     """Return the ranking as a table."""
-    kind = "dimensions" if told["benchmark"] == ROBODOJO else "variants"
-    names = sorted({name for row in told["rows"] for name in row["variants"]})
-    if kind == "dimensions":
-        names = told["dimensions"] if told["dimensions"] != [OTHER] else []
+    if told.benchmark == ROBODOJO:
+        names = told.dimensions if list(told.dimensions) != [OTHER] else []
+        groups = [row.tally.dimensions for row in told.rows]
+    else:
+        names = sorted({name for row in told.rows for name in row.tally.variants})
+        groups = [row.tally.variants for row in told.rows]
     header = ("#", "policy", "success", "score", *names, "counted")
     rows = tuple(
         (
-            str(row["rank"]),
-            row["policy"],
-            _spread(row["overall"], SUCCESS),
-            _spread(row["overall"], SCORE),
-            *(_spread(row[kind].get(name), SUCCESS) for name in names),
-            f"{row['counted']}/{row['wanted']}",
+            str(row.rank),
+            row.tally.policy,
+            _spread(row.tally.overall, SUCCESS),
+            _spread(row.tally.overall, SCORE),
+            *(_spread(group.get(name), SUCCESS) for name in names),
+            f"{row.tally.counted}/{row.tally.wanted}",
         )
-        for row in told["rows"]
+        for row, group in zip(told.rows, groups, strict=True)
     )
     count = "1 policy" if len(rows) == 1 else f"{len(rows)} policies"
-    return Table(f"{count}, by {told['by']} (%, mean and spread over the seeds)", header, rows)
+    return Table(f"{count}, by {told.by} (%, mean and spread over the seeds)", header, rows)
 
 
-def of_the_paper(told: Mapping[str, Any]) -> list[Table]:
+def of_the_paper(told: Results) -> list[Table]:
     """Return Tables II to IV, as far as there is something in them; figures are score / success rate, in percent.
 
     Raises:
         UserError: the results are of another benchmark.
     """
-    if told["benchmark"] != ROBODOJO:
+    if told.benchmark != ROBODOJO:
         raise UserError("the tables are those of RoboDojo's paper: these results are of another benchmark")
     return [table for table in (_second(told), _third(told), _fourth(told)) if table.rows]
 
 
-def text(told: Mapping[str, Any], tables: Sequence[Table]) -> str:
+def text(told: Results, tables: Sequence[Table]) -> str:
     """Return tables for a terminal, with the notes."""
     parts = ["\n".join([table.title, "", *wording.aligned(table.header, table.rows)]) for table in tables]
-    return "\n\n".join([*parts, "\n".join(f"- {note}" for note in told["notes"])])
+    return "\n\n".join([*parts, "\n".join(f"- {note}" for note in told.notes)])
 
 
-def as_markdown(told: Mapping[str, Any], tables: Sequence[Table]) -> str:
+def as_markdown(told: Results, tables: Sequence[Table]) -> str:
     """Return tables as Markdown, with the notes."""
     parts = [f"## {in_markdown(table.title)}\n\n{markdown.table(table.header, table.rows)}" for table in tables]
-    return "\n\n".join([*parts, "\n".join(f"- {in_markdown(note)}" for note in told["notes"])]) + "\n"
+    return "\n\n".join([*parts, "\n".join(f"- {in_markdown(note)}" for note in told.notes)]) + "\n"
 
 
-def as_csv(told: Mapping[str, Any]) -> str:
+def as_csv(told: Results) -> str:
     """Return every figure as CSV: policy, kind of group, its name, success, score and their spreads."""
     columns = ("rank", "policy", "kind", "name", SUCCESS, SCORE, "success_spread", "score_spread")
     lines = []
-    for row in told["rows"]:
+    for row in told.rows:
+        one = row.tally
+        overall = {} if one.overall is None else {"": one.overall}
         groups = {
-            "overall": {"": row["overall"]},
-            **{kind: row[kind] for kind in ("dimensions", "variants", "halves", "tasks")},
+            "overall": overall,
+            "dimensions": one.dimensions,
+            "variants": one.variants,
+            "halves": one.halves,
+            "tasks": one.tasks,
         }
         for kind, figures in groups.items():
             for name, figure in figures.items():
-                if figure is not None:
-                    lines.append([row["rank"], row["policy"], kind, name, *(figure[key] for key in columns[4:])])
+                lines.append([row.rank, one.policy, kind, name, *(getattr(figure, key) for key in columns[4:])])
     return episodes.as_csv(columns, lines)
 
 
-def _second(told: Mapping[str, Any]) -> Table:
-    names = [name for name in told["dimensions"] if name != OTHER] or told["dimensions"]
+def _second(told: Results) -> Table:
+    names = [name for name in told.dimensions if name != OTHER] or told.dimensions
     rows = [
-        (row["policy"], *(_both(row["dimensions"].get(name)) for name in names), _both(row["overall"]))
-        for row in told["rows"]
-        if row["overall"] is not None
+        (row.tally.policy, *(_both(row.tally.dimensions.get(name)) for name in names), _both(row.tally.overall))
+        for row in told.rows
+        if row.tally.overall is not None
     ]
     title = "Table II. Results by dimension: score / success rate (%); the average is that of the dimensions"
     return Table(title, ("policy", *names, "Average"), tuple(rows))
 
 
-def _third(told: Mapping[str, Any]) -> Table:
+def _third(told: Results) -> Table:
     rows = []
-    for row in told["rows"]:
-        standard, random = (row["halves"].get(name) for name in ("standard", "random"))
+    for row in told.rows:
+        standard, random = (row.tally.halves.get(name) for name in ("standard", "random"))
         if standard is None and random is None:
             continue
-        drops = [_drop(standard, random, key) for key in (SCORE, SUCCESS)]
-        rows.append((row["policy"], _both(standard), _both(random), *drops))
+        drops = [_drop(*(getattr(part, key, None) for part in (standard, random))) for key in (SCORE, SUCCESS)]
+        rows.append((row.tally.policy, _both(standard), _both(random), *drops))
     title = "Table III. Generalization, standard against randomized: score / success rate (%), and relative drops"
     return Table(title, ("policy", "Standard", "Random", "drop of score", "drop of success"), tuple(rows))
 
 
-def _fourth(told: Mapping[str, Any]) -> Table:
-    names = sorted({name for row in told["rows"] for name in row["variants"]})
+def _fourth(told: Results) -> Table:
+    names = sorted({name for row in told.rows for name in row.tally.variants})
     rows = [
-        (row["policy"], *(_both(row["variants"].get(name)) for name in names), _both(row["overall"]))
-        for row in told["rows"]
-        if row["variants"]
+        (row.tally.policy, *(_both(row.tally.variants.get(name)) for name in names), _both(row.tally.overall))
+        for row in told.rows
+        if row.tally.variants
     ]
     return Table("Table IV. Results by robot: score / success rate (%)", ("policy", *names, "Overall"), tuple(rows))
 
@@ -204,24 +226,19 @@ def _notes(found: Sequence[Tally]) -> Iterator[str]:
     yield _CAUTION
 
 
-def _json(figure: Figure | None) -> dict[str, float | None] | None:
-    return None if figure is None else figure.as_json()
-
-
-def _spread(figure: Mapping[str, Any] | None, key: str) -> str:
-    """Return a figure with its spread over the seeds: `8.80 ±0.42`."""
-    if figure is None or figure[key] is None:
+def _spread(figure: Figure | None, key: str) -> str:
+    """Return success or score with its spread over the seeds: `8.80 ±0.42`."""
+    if figure is None or getattr(figure, key) is None:
         return wording.NOTHING
-    return f"{100 * figure[key]:.2f} ±{100 * figure[f'{key}_spread']:.2f}"
+    return f"{100 * getattr(figure, key):.2f} ±{100 * getattr(figure, f'{key}_spread'):.2f}"
 
 
-def _both(figure: Mapping[str, Any] | None) -> str:
+def _both(figure: Figure | None) -> str:
     if figure is None:
         return wording.NOTHING
-    score = wording.NOTHING if figure[SCORE] is None else f"{100 * figure[SCORE]:.2f}"
-    return f"{score} / {100 * figure[SUCCESS]:.2f}"
+    score = wording.NOTHING if figure.score is None else f"{100 * figure.score:.2f}"
+    return f"{score} / {100 * figure.success:.2f}"
 
 
-def _drop(standard: Mapping[str, Any] | None, random: Mapping[str, Any] | None, key: str) -> str:
-    before, after = ((part or {}).get(key) for part in (standard, random))
+def _drop(before: float | None, after: float | None) -> str:
     return wording.NOTHING if not before or after is None else f"{100 * (before - after) / before:.1f} %"

@@ -12,14 +12,14 @@ import statistics
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.basics.content import room
 from xpl_cli.evaluation.leaderboard.trees import ROBODOJO
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from xpl_cli.evaluation.leaderboard.trees import Result
 
@@ -40,10 +40,6 @@ class Figure:
     score: float | None
     success_spread: float = 0.0
     score_spread: float | None = None
-
-    def as_json(self) -> dict[str, float | None]:
-        """Return the figure as a map."""
-        return dict(vars(self))
 
 
 @dataclass
@@ -82,13 +78,29 @@ class _Cell:
     score: float | None
 
 
-@cache
-def protocol() -> dict[str, Any]:
-    """Return how RoboDojo counts, from its environment package.
+@dataclass(frozen=True)
+class Protocol:
+    """How RoboDojo counts.
 
-    Keys: `dimensions`, by the names of its tables, each with its tasks; `randomized`, the one whose tasks have another
-    form, and `random_suffix` of that; `seeds`; `episodes` of a task, and `halves` of each form.
+    Attributes:
+        dimensions: tasks by dimension, with the names and in the order of its tables.
+        randomized: the dimension whose tasks have another form.
+        random_suffix: of the other form's name.
+        seeds: of its evaluation.
+        episodes, halves: of a task; of each form of one that has two.
     """
+
+    dimensions: Mapping[str, list[str]]
+    randomized: str
+    random_suffix: str
+    seeds: Sequence[int]
+    episodes: int
+    halves: int
+
+
+@cache
+def protocol() -> Protocol:
+    """Return how RoboDojo counts, from its environment package."""
     facts = environments.manifest(room("envs") / ROBODOJO)
     counts, suffix = facts.data["counts"], facts.data["hand_over"]["randomized"]
     tasks = {task: entry.dimension for task, entry in facts.tasks.items()}
@@ -97,12 +109,12 @@ def protocol() -> dict[str, Any]:
         for name, title in counts["dimensions"].items()
     }
     randomized = next(counts["dimensions"][about] for task, about in tasks.items() if task.endswith(suffix))
-    return {**counts, "dimensions": dimensions, "randomized": randomized, "random_suffix": suffix}
+    return Protocol(dimensions, randomized, suffix, counts["seeds"], counts["episodes"], counts["halves"])
 
 
 def dimension_of(task: str) -> str:
     """Return the dimension that a task is about."""
-    return next((name for name, tasks in protocol()["dimensions"].items() if task in tasks), OTHER)
+    return next((name for name, tasks in protocol().dimensions.items() if task in tasks), OTHER)
 
 
 def tally(results: Sequence[Result], *, partial: bool = False) -> list[Tally]:
@@ -123,7 +135,7 @@ def _tallied(policy: str, results: Sequence[Result], *, partial: bool) -> Tally:
     known = protocol()
     is_known = any(dimension_of(_base(result)) != OTHER for result in results)
     asked = {(_base(result), result.variant, result.seed) for result in results}
-    whole = sum(map(len, known["dimensions"].values())) * len(known["seeds"])
+    whole = sum(map(len, known.dimensions.values())) * len(known.seeds)
     found = Tally(policy, counted=len(cells), wanted=whole if is_known else len(asked))
     found.dimensions = _grouped(cells, lambda cell: cell.dimension)
     found.variants = _grouped(cells, lambda cell: cell.variant)
@@ -136,7 +148,7 @@ def _tallied(policy: str, results: Sequence[Result], *, partial: bool) -> Tally:
 def _cells(results: Sequence[Result], *, partial: bool) -> tuple[list[_Cell], dict[str, list[_Cell]]]:
     """Return the cells that count, and the halves of those with a randomized form."""
     known = protocol()
-    suffix, half, full = known["random_suffix"], known["halves"], known["episodes"]
+    suffix, half, full = known.random_suffix, known.halves, known.episodes
     cells: list[_Cell] = []
     halves: dict[str, list[_Cell]] = {"standard": [], "random": []}
     places = {(result.task, result.variant, result.seed): result for result in results}
@@ -145,7 +157,7 @@ def _cells(results: Sequence[Result], *, partial: bool) -> tuple[list[_Cell], di
         dimension = dimension_of(base)
         if dimension == OTHER or result.benchmark != ROBODOJO:
             cells.append(_Cell(OTHER, task, variant, seed, result.success, result.score))
-        elif dimension == known["randomized"]:
+        elif dimension == known.randomized:
             name = "standard" if task == base else "random"
             part = _first(result, half, partial=partial)
             if part is not None:
@@ -166,8 +178,8 @@ def _cells(results: Sequence[Result], *, partial: bool) -> tuple[list[_Cell], di
 
 def _base(result: Result) -> str:
     """Return the task that a randomized form is of."""
-    base = result.task.removesuffix(protocol()["random_suffix"])
-    return base if dimension_of(base) == protocol()["randomized"] else result.task
+    base = result.task.removesuffix(protocol().random_suffix)
+    return base if dimension_of(base) == protocol().randomized else result.task
 
 
 def _first(result: Result, count: int, *, partial: bool) -> tuple[float, float] | None:
@@ -181,12 +193,12 @@ def _first(result: Result, count: int, *, partial: bool) -> tuple[float, float] 
     return sum(success for success, _ in chosen) / count, sum(score for _, score in chosen) / count
 
 
-def _grouped(cells: Iterable[_Cell], name: Any) -> dict[str, Figure]:
+def _grouped(cells: Iterable[_Cell], name: Callable[[_Cell], str]) -> dict[str, Figure]:
     """Return a figure for each group of cells."""
     groups: dict[str, list[_Cell]] = defaultdict(list)
     for cell in cells:
         groups[name(cell)].append(cell)
-    order = [*protocol()["dimensions"], OTHER]
+    order = [*protocol().dimensions, OTHER]
     names = sorted(groups, key=lambda each: (order.index(each) if each in order else len(order), each))
     return {each: figure for each in names if (figure := _over_seeds(groups[each])) is not None}
 

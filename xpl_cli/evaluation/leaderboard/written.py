@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.basics import atomic, pages
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.leaderboard import board
-from xpl_cli.evaluation.leaderboard.ranking import labels
 from xpl_cli.evaluation.report import figures
 from xpl_cli.evaluation.statistics import wording
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
+
+    from xpl_cli.evaluation.leaderboard.ranking import Ranking
 
 NAME = "leaderboard"
 
 
-def write(ranking: Mapping[str, Any], folder: Path) -> None:
+def write(ranking: Ranking, folder: Path) -> None:
     """Write a ranking as HTML, Markdown, CSV and JSON.
 
     Raises:
@@ -29,7 +29,7 @@ def write(ranking: Mapping[str, Any], folder: Path) -> None:
         ".html": page(ranking),
         ".md": board.as_markdown(ranking),
         ".csv": board.as_csv(ranking),
-        ".json": json.dumps(ranking, indent=2, ensure_ascii=False) + "\n",
+        ".json": json.dumps(ranking.as_json(), indent=2, ensure_ascii=False) + "\n",
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -39,25 +39,25 @@ def write(ranking: Mapping[str, Any], folder: Path) -> None:
         raise UserError(f"{folder} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
 
 
-def page(ranking: Mapping[str, Any]) -> str:
+def page(ranking: Ranking) -> str:
     """Return a ranking as a page of one file."""
     shown = [
         {
-            "rank": row["rank"],
+            "rank": row.rank,
             "label": label,
             "standing": board.standing(row),
             "rate": wording.rate(row),
-            "figure": figures.bar(row["success_rate"], row["success_interval"], "s0", f"{label}: {wording.rate(row)}"),
+            "figure": figures.bar(row.success_rate, row.success_interval, "s0", f"{label}: {wording.rate(row)}"),
         }
-        for row, label in zip(ranking["rows"], labels(ranking["rows"]), strict=True)
+        for row, label in zip(ranking.rows, ranking.labels, strict=True)
     ]
     return pages.render(
         "report/leaderboard.html.jinja",
         style="report/page.css",
         title=board.title(ranking),
-        confidence=wording.percent(ranking["confidence"]),
+        confidence=wording.percent(ranking.confidence),
         rows=shown,
         header=board.header(ranking),
         table=board.rows(ranking),
-        notes=ranking["notes"],
+        notes=ranking.notes,
     )

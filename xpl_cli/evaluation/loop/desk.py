@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -14,7 +13,7 @@ from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.wire import packed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
     from xpl.loop.shown import Shown
     from xpl.wire.arrays import Data

@@ -7,12 +7,14 @@ what need not be there, too. tests/evaluation/test_model.py holds the fields aga
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from xpl import _spec as sdk
 from xpl_cli.evaluation.records.fingerprints import Checkpoint, digest_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 SCHEMA: Final = "xpl.record/1"
 Place = tuple[str, str]

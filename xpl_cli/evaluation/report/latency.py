@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.report import figures
 from xpl_cli.evaluation.report.phrases import many, milliseconds
 from xpl_cli.evaluation.statistics.course import bin_edge
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from markupsafe import Markup
+
+    from xpl_cli.evaluation.statistics.course import Latency
 
 _STEP = 2
 """Bins from one label to the next: every other edge doubles the time."""
 
 
-def view(inference: Mapping[str, Any]) -> dict[str, Any] | None:
+@dataclass(frozen=True)
+class View:
+    """A histogram, its sentence, and the edges of its bins that are labelled."""
+
+    said: str
+    figure: Markup
+    ticks: list[str]
+
+
+def view(inference: Latency) -> View | None:
     """Return the histogram without its empty ends, with its sentence and the edges of its bins; None without any."""
-    counts = inference.get("histogram") or []
+    counts = inference.histogram
     filled = [place for place, count in enumerate(counts) if count]
     if not filled:
         return None
@@ -25,13 +37,9 @@ def view(inference: Mapping[str, Any]) -> dict[str, Any] | None:
     first = filled[0] - filled[0] % _STEP
     last = min(len(counts), filled[-1] + _STEP - filled[-1] % _STEP)
     said = (
-        f"Round trips of get_action as the environment's side saw them: {many(inference['count'], 'request')}, median "
-        f"{milliseconds(inference['p50'])}, 95 % within {milliseconds(inference['p95'])}, 99 % within "
-        f"{milliseconds(inference['p99'])}."
+        f"Round trips of get_action as the environment's side saw them: {many(inference.count, 'request')}, median "
+        f"{milliseconds(inference.p50)}, 95 % within {milliseconds(inference.p95)}, 99 % within "
+        f"{milliseconds(inference.p99)}."
     )
     edges = range(first, last + 1, _STEP)
-    return {
-        "said": said,
-        "figure": figures.columns(counts[first:last], said),
-        "ticks": [milliseconds(bin_edge(place)) for place in edges],
-    }
+    return View(said, figures.columns(counts[first:last], said), [milliseconds(bin_edge(place)) for place in edges])

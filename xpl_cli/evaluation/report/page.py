@@ -12,10 +12,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.statistics.summary import Summary
 
 
 def render(
-    run: Run, summary: Mapping[str, Any], media: Mapping[str, Mapping[str, Any]], *, renew_seconds: float | None = None
+    run: Run, summary: Summary, media: Mapping[str, Mapping[str, Any]], *, renew_seconds: float | None = None
 ) -> str:
     """Return the page of a run.
 

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.records import manner
 from xpl_cli.evaluation.report.phrases import many
 from xpl_cli.evaluation.statistics import wording
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from xpl_cli.evaluation.records.model import PlannedCell
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.statistics.summary import Summary
 
 _MOST_RANGES = 4
 
 
-def view(run: Run, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return pairs of a name and a value, and whether the value is to be read letter by letter."""
+@dataclass(frozen=True)
+class Pair:
+    """A fact by its name; `mono`: the value is to be read letter by letter."""
+
+    name: str
+    value: str
+    mono: bool
+
+
+def view(run: Run, summary: Summary) -> list[Pair]:
+    """Return what was run, fact by fact; a fact without a name goes with the one before it."""
     plan = run.plan
     policy, environment, checkpoint = plan.policy, plan.environment, plan.policy.checkpoint
     horizon, attempts = plan.control.horizon, plan.control.attempts
@@ -39,7 +50,7 @@ def view(run: Run, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
         ("Intervals", _methods(summary), False),
         *(("Machine", _flat(facts), False) for facts in run.machines.values()),
     ]
-    return [{"name": name, "value": value, "mono": mono} for name, value, mono in pairs]
+    return [Pair(*pair) for pair in pairs]
 
 
 def _seeds(cells: Sequence[PlannedCell]) -> str:
@@ -51,9 +62,9 @@ def _seeds(cells: Sequence[PlannedCell]) -> str:
     return f"{origin}: {', '.join(ranges[:_MOST_RANGES])}{more}"
 
 
-def _methods(summary: Mapping[str, Any]) -> str:
-    methods = summary["methods"]
-    return f"{wording.percent(summary['confidence'])}; success: {methods['success']}, score: {methods['score']}"
+def _methods(summary: Summary) -> str:
+    methods = summary.methods
+    return f"{wording.percent(summary.confidence)}; success: {methods.success}, score: {methods.score}"
 
 
 def _flat(value: object) -> str:

@@ -3,255 +3,238 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from xpl import _spec as sdk
 from xpl_cli import __version__
 from xpl_cli.evaluation.records import manner, stand_ins
 from xpl_cli.evaluation.report import figures, latency, provenance
+from xpl_cli.evaluation.report.parts import (
+    Bar,
+    Contrasts,
+    Fact,
+    Failures,
+    Fixed,
+    Group,
+    Headline,
+    Line,
+    Named,
+    Part,
+    Reason,
+    Table,
+    TableCell,
+    TableRow,
+    TaskBars,
+    View,
+)
 from xpl_cli.evaluation.report.phrases import between, duration, many, milliseconds, points
 from xpl_cli.evaluation.statistics import wording
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from xpl_cli.evaluation.records.records import Run
-
-    Row = Mapping[str, Any]
+    from xpl_cli.evaluation.statistics.course import Course
+    from xpl_cli.evaluation.statistics.summary import Row, Summary
 
 _COLOURS = 5  # of settings, in page.css
 _MOST_REASONS = 8
 
 
-def view(run: Run, summary: Mapping[str, Any], media_said: str) -> dict[str, Any]:
-    """Return what the template of the page asks for.
+def view(run: Run, summary: Summary, media_said: str) -> View:
+    """Return what the page says.
 
     Args:
         run: the run.
-        summary: of it, `xpl.summary/1`.
+        summary: of it.
         media_said: a sentence on films and curves.
     """
-    overall = summary["overall"]
-    complete = not overall["unplayed"]
-    kinds = _kinds(row["setting"] for row in summary["cells"])
-    return {
-        "title": f"{summary['policy']} in {summary['environment']}",
-        "policy": summary["policy"],
-        "environment": summary["environment"],
-        "complete": complete,
-        "state": "complete" if complete else f"{overall['played']} of {overall['planned']} episodes",
-        "about": _about(summary, manner.of(run.plan).sentence),
-        **_headline(summary),
-        "facts": _facts(summary),
-        "confidence": wording.percent(summary["confidence"]),
-        "settings": [{"name": name, "kind": kind} for name, kind in kinds.items()],
-        "tasks": _tasks(summary, kinds),
-        "groups": _groups(summary, kinds),
-        **_contrasts(summary, kinds),
-        "table": _table(summary, kinds),
-        "notes": [*summary["notes"], *summary["course"]["notes"]],
-        "failures": _failures(run, overall),
-        "corrections": _corrections(run, overall),
-        "latency": latency.view(summary["course"]["inference"]),
-        "media_said": media_said,
-        "versions": provenance.view(run, summary),
-        "footer": f"Made by xpl {__version__} from the record of this run.",
-    }
+    overall = summary.overall
+    complete = not overall.unplayed
+    kinds = _kinds(summary)
+    return View(
+        title=f"{summary.policy} in {summary.environment}",
+        policy=summary.policy,
+        environment=summary.environment,
+        complete=complete,
+        state="complete" if complete else f"{overall.played} of {overall.planned} episodes",
+        about=_about(summary, manner.of(run.plan).sentence),
+        headline=_headline(summary),
+        facts=_facts(summary),
+        confidence=wording.percent(summary.confidence),
+        settings=[Named(name, kind) for name, kind in kinds.items()],
+        tasks=_tasks(summary, kinds),
+        groups=_groups(summary, kinds),
+        contrasts=_contrasts(summary, kinds),
+        table=_table(summary, kinds),
+        notes=[*summary.notes, *summary.course.notes],
+        failures=_failures(run, overall),
+        corrections=_corrections(run, overall),
+        latency=latency.view(summary.course.inference),
+        media_said=media_said,
+        versions=provenance.view(run, summary),
+        footer=f"Made by xpl {__version__} from the record of this run.",
+    )
 
 
-def _kinds(settings: Iterable[str]) -> dict[str, str]:
+def _kinds(summary: Summary) -> dict[str, str]:
     """Return the colour class of each setting."""
+    settings = filter(None, (row.setting for row in summary.cells))
     return {name: f"s{place % _COLOURS}" for place, name in enumerate(dict.fromkeys(settings))}
 
 
-def _about(summary: Mapping[str, Any], unusual: str) -> str:
-    tasks, settings = (len(summary[name]) for name in ("tasks", "settings"))
-    robot = f"{summary['embodiment']}, {summary[sdk.Deploy.ACTION_TYPE]} control"
-    planned = f"{many(summary['overall']['planned'], 'episode')} planned"
-    unreal = stand_ins.sentence(summary["environment"], (row["setting"] for row in summary["settings"]))
+def _about(summary: Summary, unusual: str) -> str:
+    tasks, settings = len(summary.tasks), len(summary.settings)
+    robot = f"{summary.embodiment}, {summary.action_type} control"
+    planned = f"{many(summary.overall.planned, 'episode')} planned"
+    unreal = stand_ins.sentence(summary.environment, filter(None, (row.setting for row in summary.settings)))
     told = f", {unusual}" if unusual else ""
     said = f"{robot}. {many(tasks, 'task')} in {many(settings, 'setting')}, {planned}{told}."
     return said if unreal is None else f"{unreal} {said}"
 
 
-def _headline(summary: Mapping[str, Any]) -> dict[str, Any]:
-    overall = summary["overall"]
-    rate, interval = overall["success_rate"], overall["success_interval"]
-    if rate is None:
+def _headline(summary: Summary) -> Headline:
+    overall = summary.overall
+    rate, interval = overall.success_rate, overall.success_interval
+    if rate is None or interval is None:
         said = "No episode has a success to speak of yet."
-        return {
-            "rate": wording.NOTHING,
-            "rate_unit": "",
-            "rate_said": said,
-            "rate_figure": figures.strip(None, None, "s0", said),
-        }
+        return Headline(wording.NOTHING, "", said, figures.strip(None, None, "s0", said))
     low, high = interval
     said = (
-        f"{overall['successes']} of {overall['judged']} episodes succeeded. "
-        f"The {wording.percent(summary['confidence'])} interval goes from {100 * low:.1f} to {100 * high:.1f} %."
+        f"{overall.successes} of {overall.judged} episodes succeeded. "
+        f"The {wording.percent(summary.confidence)} interval goes from {100 * low:.1f} to {100 * high:.1f} %."
     )
-    return {
-        "rate": f"{100 * rate:.1f}".removesuffix(".0"),
-        "rate_unit": "%",
-        "rate_said": said,
-        "rate_figure": figures.strip(rate, interval, "s0", f"{100 * rate:.1f} % {said}"),
-    }
+    figure = figures.strip(rate, interval, "s0", f"{100 * rate:.1f} % {said}")
+    return Headline(f"{100 * rate:.1f}".removesuffix(".0"), "%", said, figure)
 
 
-def _facts(summary: Mapping[str, Any]) -> list[dict[str, str]]:
-    overall, course = summary["overall"], summary["course"]
-    failures = overall["failures"]
-    score, inference = overall["mean_score"], course["inference"]
-    facts = [
-        (
-            "Mean score",
-            wording.NOTHING if score is None else f"{score:.2f}",
-            between(overall["score_interval"], 2),
-        ),
-        ("Task not achieved", str(failures["task"]), "played to the end"),
-        ("Failed by the policy", str(failures["policy"]), "error or stopped; no success"),
-        ("Spoilt by infrastructure", str(failures["infrastructure"]), _spoilt(overall, course)),
-        (
-            "Action request",
-            milliseconds(inference.get("p50")),
-            f"median; 95 % within {milliseconds(inference.get('p95'))}",
-        ),
-        (
+def _facts(summary: Summary) -> list[Fact]:
+    overall, course = summary.overall, summary.course
+    failures, score, inference = overall.failures, overall.mean_score, course.inference
+    known_score = wording.NOTHING if score is None else f"{score:.2f}"
+    return [
+        Fact("Mean score", known_score, between(overall.score_interval, 2)),
+        Fact("Task not achieved", str(failures["task"]), "played to the end"),
+        Fact("Failed by the policy", str(failures["policy"]), "error or stopped; no success"),
+        Fact("Spoilt by infrastructure", str(failures["infrastructure"]), _spoilt(overall, course)),
+        Fact("Action request", milliseconds(inference.p50), f"median; 95 % within {milliseconds(inference.p95)}"),
+        Fact(
             "Played for",
-            duration(course["wall_seconds"]),
-            f"all episodes together, {many(course['attempts'], 'attempt')}",
+            duration(course.wall_seconds),
+            f"all episodes together, {many(course.attempts, 'attempt')}",
         ),
     ]
-    return [{"name": name, "value": value, "note": note} for name, value, note in facts]
 
 
-def _spoilt(overall: Row, course: Mapping[str, Any]) -> str:
-    bounds = overall["if_spoilt"]
-    retried = f"{course['retried']} played again" if course["retried"] else ""
+def _spoilt(overall: Row, course: Course) -> str:
+    bounds = overall.if_spoilt
+    retried = f"{course.retried} played again" if course.retried else ""
     if bounds is None:
         return retried or "nothing left out"
     return f"left out; {100 * bounds[0]:.1f} to {100 * bounds[1]:.1f} % if counted"
 
 
-def _tasks(summary: Mapping[str, Any], kinds: Mapping[str, str]) -> list[dict[str, Any]]:
-    found: dict[str, dict[str, Any]] = {}
-    for row in summary["cells"]:
-        entry = found.setdefault(row["task"], {"name": row["task"], "dimension": row["dimension"], "bars": []})
-        label = f"{row['task']}, {row['setting']}: {wording.rate(row)}"
-        figure = figures.bar(row["success_rate"], row["success_interval"], kinds[row["setting"]], label)
-        entry["bars"].append({"figure": figure, "text": wording.rate(row)})
+def _tasks(summary: Summary, kinds: Mapping[str, str]) -> list[TaskBars]:
+    found: dict[str, TaskBars] = {}
+    for row in summary.cells:
+        task, setting = str(row.task), str(row.setting)
+        label = f"{task}, {setting}: {wording.rate(row)}"
+        figure = figures.bar(row.success_rate, row.success_interval, kinds[setting], label)
+        found.setdefault(task, TaskBars(task, row.dimension, [])).bars.append(Bar(figure, wording.rate(row)))
     return list(found.values())
 
 
-def _groups(summary: Mapping[str, Any], kinds: Mapping[str, str]) -> list[dict[str, Any]]:
+def _groups(summary: Summary, kinds: Mapping[str, str]) -> list[Group]:
     """Return the rows by setting and by dimension, where there are several."""
     groups = []
-    for title, rows, name in (
-        ("By setting", summary["settings"], "setting"),
-        ("By dimension", summary["dimensions"], "dimension"),
+    for title, rows in (
+        ("By setting", [(str(row.setting), row) for row in summary.settings]),
+        ("By dimension", [(str(row.dimension), row) for row in summary.dimensions]),
     ):
         if len(rows) > 1:
-            shown = [
-                {
-                    "name": row[name],
-                    "text": wording.rate(row),
-                    "figure": figures.strip(
-                        row["success_rate"],
-                        row["success_interval"],
-                        kinds.get(row[name], "s0"),
-                        f"{row[name]}: {wording.rate(row)}",
-                    ),
-                }
-                for row in rows
-            ]
-            groups.append({"title": title, "rows": shown})
+            groups.append(Group(title, [_line(name, row, kinds.get(name, "s0")) for name, row in rows]))
     return groups
 
 
-def _contrasts(summary: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]:
-    rows = [row for row in summary["contrasts"] if row["difference"] is not None]
+def _line(name: str, row: Row, kind: str) -> Line:
+    text = wording.rate(row)
+    return Line(name, text, figures.strip(row.success_rate, row.success_interval, kind, f"{name}: {text}"))
+
+
+def _contrasts(summary: Summary, kinds: Mapping[str, str]) -> Contrasts:
+    rows = [row for row in summary.contrasts if row.difference is not None]
     if not rows:
-        return {"contrasts": [], "contrast_title": "", "contrast_said": ""}
-    first = rows[0]["settings"][0]
-    others = list(dict.fromkeys(row["settings"][1] for row in rows))
+        return Contrasts([])
+    first = rows[0].settings[0]
+    others = list(dict.fromkeys(row.settings[1] for row in rows))
     named = f" in {others[0]}" if len(others) == 1 else ""
-    shared = {bool(row["pairs"]) for row in rows}
+    shared = {bool(row.pairs) for row in rows}
     how = "on seeds of their own where the two share none"
     if len(shared) == 1:
         how = "on the same seeds" if shared.pop() else "on seeds of their own"
-    shown = []
+    lines = []
     for row in rows:
-        task, other = row["task"] or "all tasks", row["settings"][1]
+        task, other = row.task or "all tasks", row.settings[1]
         name = task if named else f"{task}, {other}"
-        low, high = map(points, row["interval"])
-        text = f"{points(row['difference'])} ({low} to {high})"
-        figure = figures.difference(row["difference"], row["interval"], kinds[other], f"{name}: {text}")
-        shown.append({"name": name, "figure": figure, "text": text})
-    return {
-        "contrasts": shown,
-        "contrast_title": f"{first.capitalize()} against {others[0] if named else 'the others'}",
-        "contrast_said": (
-            f"Success{named} less success in {first}, in points, {how}. An interval that holds 0 shows no difference."
-        ),
-    }
-
-
-def _table(summary: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]:
-    header = [
-        ("Task", ""),
-        ("Setting", ""),
-        ("Episodes", "number"),
-        ("Success", "number"),
-        ("", "mini"),
-        ("Interval", "number"),
-        ("Score", "number"),
-        ("Interval", "number"),
-        ("Policy", "number"),
-        ("Spoilt", "number"),
-        ("Steps", "number"),
-    ]
-    return {
-        "header": [{"name": name, "kind": kind} for name, kind in header],
-        "rows": [
-            {
-                "total": row["task"] is None,
-                "cells": [
-                    {"value": value, "kind": kind}
-                    for value, (_, kind) in zip(_cells(row, kinds.get(row["setting"], "s0")), header, strict=True)
-                ],
-            }
-            for row in wording.shown(summary)
-        ],
-    }
-
-
-def _cells(row: Row, kind: str) -> Sequence[Any]:
-    rate, score, failures = row["success_rate"], row["mean_score"], row["failures"]
-    episodes = str(row["judged"]) if not row["unplayed"] else f"{row['judged']} of {row['planned']}"
-    return (
-        row["task"] or "all tasks",
-        row["setting"] or "all",
-        episodes,
-        wording.NOTHING if rate is None else f"{100 * rate:.1f} %",
-        figures.strip(rate, row["success_interval"], kind, wording.rate(row)),
-        between(row["success_interval"], 1, 100),
-        wording.NOTHING if score is None else f"{score:.2f}",
-        between(row["score_interval"], 2),
-        str(failures["policy"]),
-        str(failures["infrastructure"]),
-        wording.NOTHING if row["mean_steps"] is None else f"{row['mean_steps']:.0f}",
+        low, high = map(points, row.interval or ())
+        text = f"{points(row.difference or 0.0)} ({low} to {high})"
+        figure = figures.difference(row.difference, row.interval, kinds[other], f"{name}: {text}")
+        lines.append(Line(name, text, figure))
+    return Contrasts(
+        lines,
+        f"{first.capitalize()} against {others[0] if named else 'the others'}",
+        f"Success{named} less success in {first}, in points, {how}. An interval that holds 0 shows no difference.",
     )
 
 
-def _failures(run: Run, overall: Row) -> dict[str, Any]:
-    failures = overall["failures"]
+def _table(summary: Summary, kinds: Mapping[str, str]) -> Table:
+    header = [
+        Named("Task", ""),
+        Named("Setting", ""),
+        Named("Episodes", "number"),
+        Named("Success", "number"),
+        Named("", "mini"),
+        Named("Interval", "number"),
+        Named("Score", "number"),
+        Named("Interval", "number"),
+        Named("Policy", "number"),
+        Named("Spoilt", "number"),
+        Named("Steps", "number"),
+    ]
+    rows = []
+    for row in wording.shown(summary):
+        texts = _cells(row, kinds.get(row.setting or "", "s0"))
+        cells = [TableCell(value, column.kind) for value, column in zip(texts, header, strict=True)]
+        rows.append(TableRow(row.task is None, cells))
+    return Table(header, rows)
+
+
+def _cells(row: Row, kind: str) -> Sequence[str]:
+    rate, score, failures = row.success_rate, row.mean_score, row.failures
+    episodes = str(row.judged) if not row.unplayed else f"{row.judged} of {row.planned}"
+    return (
+        row.task or "all tasks",
+        row.setting or "all",
+        episodes,
+        wording.NOTHING if rate is None else f"{100 * rate:.1f} %",
+        figures.strip(rate, row.success_interval, kind, wording.rate(row)),
+        between(row.success_interval, 1, 100),
+        wording.NOTHING if score is None else f"{score:.2f}",
+        between(row.score_interval, 2),
+        str(failures["policy"]),
+        str(failures["infrastructure"]),
+        wording.NOTHING if row.mean_steps is None else f"{row.mean_steps:.0f}",
+    )
+
+
+def _failures(run: Run, overall: Row) -> Failures:
+    failures = overall.failures
     counts = {
-        "success": overall["successes"],
+        "success": overall.successes,
         "task": failures["task"],
         "policy": failures["policy"],
         "infrastructure": failures["infrastructure"],
-        "not-judged": overall["played"] - overall["judged"] - failures["infrastructure"],
-        "unplayed": overall["unplayed"],
+        "not-judged": overall.played - overall.judged - failures["infrastructure"],
+        "unplayed": overall.unplayed,
     }
     names = {
         "success": "succeeded",
@@ -266,23 +249,20 @@ def _failures(run: Run, overall: Row) -> dict[str, Any]:
         for episode in run.finals.values()
         if episode.failure is not None
     )
-    return {
-        "said": (
+    return Failures(
+        said=(
             "Of all episodes that were planned. A policy that fails or is stopped has not succeeded; what the "
             "infrastructure spoilt is played again within a bound, and then counts as failed."
         ),
-        "figure": figures.shares(counts, ", ".join(f"{names[kind]} {count}" for kind, count in counts.items())),
-        "parts": [{"kind": kind, "name": names[kind], "count": count} for kind, count in counts.items() if count],
-        "reasons": [{"text": text, "count": count} for text, count in reasons.most_common(_MOST_REASONS)],
-    }
+        figure=figures.shares(counts, ", ".join(f"{names[kind]} {count}" for kind, count in counts.items())),
+        parts=[Part(kind, names[kind], count) for kind, count in counts.items() if count],
+        reasons=[Reason(text, count) for text, count in reasons.most_common(_MOST_REASONS)],
+    )
 
 
-def _corrections(run: Run, overall: Row) -> list[dict[str, str]]:
+def _corrections(run: Run, overall: Row) -> list[Fixed]:
     touched = Counter(kind for episode in run.finals.values() for kind in episode.corrections or {})
     return [
-        {
-            "name": kind.replace("_", " "),
-            "text": f"{many(steps, 'step')} of {many(touched[kind], 'episode')}",
-        }
-        for kind, steps in sorted(overall["corrections"].items(), key=lambda item: -item[1])
+        Fixed(kind.replace("_", " "), f"{many(steps, 'step')} of {many(touched[kind], 'episode')}")
+        for kind, steps in sorted(overall.corrections.items(), key=lambda item: -item[1])
     ]

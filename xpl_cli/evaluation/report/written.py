@@ -15,10 +15,10 @@ from xpl_cli.evaluation.statistics import wording
 from xpl_cli.evaluation.statistics.summary import summarise
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.statistics.summary import Summary
 
 SCHEMA = "xpl.report/1"
 FOLDER = "report"
@@ -57,14 +57,14 @@ def write(run: Run, folder: Path, budget: int) -> dict[str, Any]:
     return found
 
 
-def document(run: Run, summary: Mapping[str, Any]) -> dict[str, Any]:
+def document(run: Run, summary: Summary) -> dict[str, Any]:
     """Return `xpl.report/1`: what was run, on what, and what came out."""
     return {
         "schema": SCHEMA,
         "tool": {"name": "xpl", "version": __version__},
         "plan": run.plan.as_json(),
         "machines": run.machines,
-        "summary": summary,
+        "summary": summary.as_json(),
     }
 
 

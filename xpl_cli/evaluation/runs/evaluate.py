@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl.vector import INFRASTRUCTURE
@@ -28,6 +27,7 @@ from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from xpl_cli.evaluation.lanes.backend import Backend
     from xpl_cli.evaluation.lanes.orders import Demos

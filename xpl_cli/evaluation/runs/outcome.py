@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.evaluation.records.model import Ending, Episode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
 
 SCHEMA: Final = "xpl.eval/1"
 _SHOWN: Final = ("task", "setting", sdk.Deploy.SEED, *(item.name for item in fields(Ending)))

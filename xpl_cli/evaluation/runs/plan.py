@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -20,6 +18,9 @@ from xpl_cli.packages import environments, robots
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
     from xpl.manifest import EnvManifest
     from xpl_cli.packages.package import Package
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE, outcome
@@ -12,9 +12,10 @@ from xpl_cli.evaluation.runs.stopping import episodes_needed
 from xpl_cli.evaluation.statistics.wording import interval, many, percent, were
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from xpl_cli.evaluation.records.cells import Cell
+    from xpl_cli.evaluation.statistics.summary import Row, Summary
 
 _NARROW = 0.2
 _MANY = 10
@@ -27,16 +28,16 @@ def of_instruction(instruction: str | None) -> list[str]:
     return [f"The policy was {INSTRUCTIONS[instruction]}, so that this is no rate of the task."]
 
 
-def of_summary(summary: Mapping[str, Any], found: Sequence[Cell]) -> list[str]:
+def of_summary(summary: Summary, found: Sequence[Cell]) -> list[str]:
     """Return what a reader of a summary should know before believing it."""
-    overall = summary["overall"]
-    unreal = stand_ins.sentence(summary["environment"], (cell.setting for cell in found))
+    overall = summary.overall
+    unreal = stand_ins.sentence(summary.environment, (cell.setting for cell in found))
     return [
         *([] if unreal is None else [unreal]),
         *_of_what_is_missing(overall, found),
-        *_of_stopping(summary["until_width"], found),
-        *_of_width(summary["cells"]),
-        *_of_means(summary["cells"]),
+        *_of_stopping(summary.until_width, found),
+        *_of_width(summary.cells),
+        *_of_means(summary.cells),
         *_of_seeds(found),
         scope(),
     ]
@@ -95,10 +96,10 @@ def of_stopping() -> str:
     )
 
 
-def _of_what_is_missing(overall: Mapping[str, Any], found: Sequence[Cell]) -> Iterator[str]:
-    if overall["unplayed"]:
+def _of_what_is_missing(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
+    if overall.unplayed:
         yield (
-            f"{many(overall['unplayed'], 'episode')} of {overall['planned']} still to be played: the rows tell of "
+            f"{many(overall.unplayed, 'episode')} of {overall.planned} still to be played: the rows tell of "
             "those that were."
         )
     yield from _of_what_was_spoilt(overall, found)
@@ -107,14 +108,14 @@ def _of_what_is_missing(overall: Mapping[str, Any], found: Sequence[Cell]) -> It
         yield f"No episode with a success to speak of: {', '.join(blank)}; rows over several tasks leave these out."
 
 
-def _of_what_was_spoilt(overall: Mapping[str, Any], found: Sequence[Cell]) -> Iterator[str]:
-    spoilt = overall["failures"][INFRASTRUCTURE]
+def _of_what_was_spoilt(overall: Row, found: Sequence[Cell]) -> Iterator[str]:
+    spoilt = overall.failures[INFRASTRUCTURE]
     revived = sum(cell.certainly(line) is False for cell in found for line in cell.counted if outcome(line))
-    if spoilt and overall["judged"]:
-        rate = percent(overall["successes"] / overall["judged"])
+    if spoilt and overall.judged:
+        rate = percent(overall.successes / overall.judged)
         yield (
             f"{were(spoilt, 'episode')} spoilt by the infrastructure, and counted as failed, because nobody can tell "
-            f"who was to blame: without them {overall['successes']} of {overall['judged']} succeeded ({rate})."
+            f"who was to blame: without them {overall.successes} of {overall.judged} succeeded ({rate})."
         )
     elif spoilt:
         yield f"{were(spoilt, 'episode')} spoilt by the infrastructure: nothing can be said of them."
@@ -123,10 +124,10 @@ def _of_what_was_spoilt(overall: Mapping[str, Any], found: Sequence[Cell]) -> It
             f"{many(revived, 'episode')} succeeded only after the policy's process had died in an earlier attempt, and "
             "counted as failed."
         )
-    if overall["if_spoilt"]:
-        worst, best = map(percent, overall["if_spoilt"])
+    if overall.if_spoilt:
+        worst, best = map(percent, overall.if_spoilt)
         yield f"The overall rate is {worst} with these as failures; it would be {best} had all of them succeeded."
-    if (share := spoilt / max(1, overall["played"])) > MOST_SPOILT:
+    if (share := spoilt / max(1, overall.played)) > MOST_SPOILT:
         yield f"{percent(share)} of the episodes were spoilt, more than {percent(MOST_SPOILT)}: the run is not ranked."
 
 
@@ -139,23 +140,22 @@ def _of_stopping(width: float | None, found: Sequence[Cell]) -> Iterator[str]:
         yield f"No seeds are left, and the interval is still wider than asked for: {', '.join(short)}."
 
 
-def _of_width(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    known = [row for row in rows if row["success_interval"]]
+def _of_width(rows: Sequence[Row]) -> Iterator[str]:
+    known = [(row.success_interval, row) for row in rows if row.success_interval is not None]
     if not known:
         return
-    widest = max(known, key=lambda row: row["success_interval"][1] - row["success_interval"][0])
-    low, high = widest["success_interval"]
+    (low, high), widest = max(known, key=lambda one: one[0].width)
     if high - low > _NARROW:
         needed = episodes_needed(_NARROW, rate=min(max(0.5, low), high))
         yield (
-            f"With {many(widest['judged'], 'episode')}, the rate of {widest['task']} ({widest['setting']}) is known no "
+            f"With {many(widest.judged, 'episode')}, the rate of {widest.task} ({widest.setting}) is known no "
             f"better than {interval(low, high)}; an interval of {_NARROW * 100:.0f} points takes up to {needed}."
         )
 
 
-def _of_means(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    known = [row for row in rows if row["judged"]]
-    if len({row["judged"] for row in known}) > 1:
+def _of_means(rows: Sequence[Row]) -> Iterator[str]:
+    known = [row for row in rows if row.judged]
+    if len({row.judged for row in known}) > 1:
         yield (
             "Not all rows have equally many episodes. Rows over several tasks or settings are means of the rates, in "
             "which each weighs the same, and not the share of all successes."

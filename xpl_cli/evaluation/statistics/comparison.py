@@ -6,16 +6,17 @@ many cases only one of the two succeeded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
-from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import stand_ins
 from xpl_cli.evaluation.records.cells import cells, matched, score
 from xpl_cli.evaluation.statistics import cautions, intervals, verdicts
+from xpl_cli.evaluation.statistics.documents import Document
 from xpl_cli.evaluation.statistics.intervals import Estimate, Interval, Pairs
-from xpl_cli.evaluation.statistics.matching import differences
+from xpl_cli.evaluation.statistics.matching import Difference, differences
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -23,8 +24,106 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.records.model import Episode
     from xpl_cli.evaluation.records.records import Run
 
-SCHEMA: Final = "xpl.comparison/1"
-METHODS: Final = {"test": "mcnemar_exact", "interval": "newcombe_paired", "score": "bootstrap", "correction": "holm"}
+
+@dataclass(frozen=True)
+class Methods:
+    """How a comparison is computed."""
+
+    test: str = "mcnemar_exact"
+    interval: str = "newcombe_paired"
+    score: str = "bootstrap"
+    correction: str = "holm"
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two runs: where it lies, its name, and what its plan says."""
+
+    folder: str
+    run: str
+    policy: str
+    checkpoint: str | None
+    environment: str
+    embodiment: str
+    action_type: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """The comparison on one task and setting, or on all.
+
+    Attributes:
+        task, setting: None for all.
+        pairs: episodes that both played.
+        both, only_first, only_second, neither: in how many of them these succeeded.
+        first_rate, second_rate: success rates.
+        difference, interval: second minus first.
+        p_value: of "neither is better".
+        score_difference, score_interval: of the mean scores; None where there are none.
+        adjusted_p_value: corrected for the number of rows; None for all together.
+    """
+
+    task: str | None
+    setting: str | None
+    pairs: int
+    both: int
+    only_first: int
+    only_second: int
+    neither: int
+    first_rate: float
+    second_rate: float
+    difference: float
+    interval: Interval
+    p_value: float
+    score_difference: float | None
+    score_interval: Interval | None
+    adjusted_p_value: float | None = None
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Episodes of each run that have no partner that counts."""
+
+    first: int
+    second: int
+
+
+@dataclass(frozen=True)
+class Comparison(Document):
+    """Two runs on the episodes that both played.
+
+    Attributes:
+        first, second: the runs.
+        confidence, methods: of all figures.
+        differences: in what the runs differ besides the policy.
+        left_out: episodes without a partner.
+        same_trajectories: pairs in which both moved exactly alike.
+        known_layouts: pairs of which both records tell that things stood alike.
+        cells, overall: the rows.
+        verdict: the answer in a sentence.
+        notes: what the data do not show, in sentences.
+    """
+
+    schema: ClassVar[str] = "xpl.comparison/1"
+
+    first: Side
+    second: Side
+    confidence: float
+    methods: Methods
+    differences: Sequence[Difference]
+    left_out: LeftOut
+    same_trajectories: int
+    known_layouts: int
+    cells: Sequence[Row]
+    overall: Row
+    verdict: str = ""
+    notes: Sequence[str] = ()
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """What to call the two: their policies, or their folders where these are equal."""
+        one, other = self.first, self.second
+        return (one.policy, other.policy) if one.policy != other.policy else (one.folder, other.folder)
 
 
 class IncomparableError(UserError):
@@ -67,7 +166,7 @@ class _Matches:
         return Estimate(sum(gains) / len(gains), Interval(2 * low - 1, 2 * high - 1))
 
 
-def compare(first: Run, second: Run) -> dict[str, Any]:
+def compare(first: Run, second: Run) -> Comparison:
     """Return the comparison of two runs, finished or not.
 
     Raises:
@@ -83,22 +182,20 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
         raise IncomparableError("no episode was played in both runs: they have no task, setting and seed in common")
     _refuse_other_layouts(matches)
     rows = [_row(match.task, match.setting, [match]) for match in matches]
-    for row, raised in zip(rows, intervals.holm([row["p_value"] for row in rows]), strict=True):
-        row["adjusted_p_value"] = raised
+    raised = intervals.holm([row.p_value for row in rows])
     compared = sum(len(match.lines) for match in matches)
-    result = {
-        "schema": SCHEMA,
-        "first": _side(first),
-        "second": _side(second),
-        "confidence": intervals.CONFIDENCE,
-        "methods": METHODS,
-        "differences": [difference.as_json() for difference in differences(first, second)],
-        "left_out": {name: _counted(run) - compared for name, run in (("first", first), ("second", second))},
-        "same_trajectories": sum(_is_same(one, other) for match in matches for one, other in match.lines),
-        "known_layouts": sum(_has_layouts(*pair) for match in matches for pair in match.lines),
-        "cells": rows,
-        "overall": {**_row(None, None, matches), "adjusted_p_value": None},
-    }
+    result = Comparison(
+        first=_side(first),
+        second=_side(second),
+        confidence=intervals.CONFIDENCE,
+        methods=Methods(),
+        differences=differences(first, second),
+        left_out=LeftOut(_counted(first) - compared, _counted(second) - compared),
+        same_trajectories=sum(_is_same(one, other) for match in matches for one, other in match.lines),
+        known_layouts=sum(_has_layouts(*pair) for match in matches for pair in match.lines),
+        cells=[replace(row, adjusted_p_value=value) for row, value in zip(rows, raised, strict=True)],
+        overall=_row(None, None, matches),
+    )
     stops = any(plan.until_width is not None for plan in sides)
     unreal = stand_ins.sentence(names[0], (match.setting for match in matches))
     notes = [
@@ -106,7 +203,7 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
         *cautions.of_skipped((*first.skipped, *second.skipped)),
         *verdicts.notes(result, stops=stops),
     ]
-    return {**result, "verdict": verdicts.verdict(result), "notes": notes}
+    return replace(result, verdict=verdicts.verdict(result), notes=notes)
 
 
 def _matches(first: Run, second: Run) -> list[_Matches]:
@@ -145,40 +242,39 @@ def _refuse_other_layouts(matches: Sequence[_Matches]) -> None:
         )
 
 
-def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> dict[str, Any]:
+def _row(task: str | None, setting: str | None, matches: Sequence[_Matches]) -> Row:
     """Return the row of one task and setting, or of all."""
     tables = [match.pairs for match in matches]
     pairs = Pairs(*map(sum, zip(*tables, strict=True)))
     success = intervals.mean([intervals.paired(table) for table in tables])
     scores = [found for match in matches if (found := match.score_difference()) is not None]
     gain = intervals.mean(scores) if scores else None
-    return {
-        "task": task,
-        "setting": setting,
-        "pairs": pairs.total,
+    return Row(
+        task=task,
+        setting=setting,
+        pairs=pairs.total,
         **pairs._asdict(),
-        "first_rate": _mean((table.both + table.only_first) / table.total for table in tables),
-        "second_rate": _mean((table.both + table.only_second) / table.total for table in tables),
-        "difference": success.value,
-        "interval": list(success.interval),
-        "p_value": intervals.mcnemar(pairs),
-        "score_difference": gain and gain.value,
-        "score_interval": gain and list(gain.interval),
-    }
+        first_rate=_mean((table.both + table.only_first) / table.total for table in tables),
+        second_rate=_mean((table.both + table.only_second) / table.total for table in tables),
+        difference=success.value,
+        interval=success.interval,
+        p_value=intervals.mcnemar(pairs),
+        score_difference=gain and gain.value,
+        score_interval=gain and gain.interval,
+    )
 
 
-def _side(run: Run) -> dict[str, Any]:
-    plan = run.plan
-    checkpoint = plan.policy.checkpoint
-    return {
-        "folder": str(run.folder),
-        "run": plan.run,
-        "policy": plan.policy.name,
-        "checkpoint": checkpoint and checkpoint.digest,
-        "environment": plan.environment.name,
-        "embodiment": plan.embodiment,
-        sdk.Deploy.ACTION_TYPE: plan.action_type,
-    }
+def _side(run: Run) -> Side:
+    plan, checkpoint = run.plan, run.plan.policy.checkpoint
+    return Side(
+        folder=str(run.folder),
+        run=plan.run,
+        policy=plan.policy.name,
+        checkpoint=None if checkpoint is None else checkpoint.digest,
+        environment=plan.environment.name,
+        embodiment=plan.embodiment,
+        action_type=plan.action_type,
+    )
 
 
 def _counted(run: Run) -> int:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.statistics import cautions
@@ -14,10 +15,59 @@ if TYPE_CHECKING:
 
     from xpl_cli.evaluation.records.records import Run
 
-SHARES: Final = {"p50": 0.5, "p95": 0.95, "p99": 0.99}
+
+@dataclass(frozen=True)
+class Latency:
+    """The round trips of all attempts together.
+
+    Attributes:
+        count, seconds, histogram: as in a record.
+        p50, p95, p99: time in s that a share of them did not exceed; None without any.
+    """
+
+    count: int
+    seconds: float
+    histogram: Sequence[int]
+    p50: float | None
+    p95: float | None
+    p99: float | None
 
 
-def course(run: Run, beyond: int) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Error:
+    """What ended attempts, whose failure it was, and how often."""
+
+    failure: str | None
+    error: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Course:
+    """What all attempts at a run's episodes took.
+
+    Attributes:
+        attempts: number of them.
+        retried: how many were made again.
+        beyond: final episodes that do not count, because their cell had ended before them.
+        wall_seconds: of all attempts, one after the other.
+        machines: number of machines, or sets of library versions.
+        inference: round trips to the policy.
+        errors: the most frequent first.
+        notes: what else should be known of it, in sentences.
+    """
+
+    attempts: int
+    retried: int
+    beyond: int
+    wall_seconds: float
+    machines: int
+    inference: Latency
+    errors: Sequence[Error]
+    notes: Sequence[str]
+
+
+def course(run: Run, beyond: int) -> Course:
     """Return what all attempts at a run's episodes took.
 
     Args:
@@ -29,18 +79,16 @@ def course(run: Run, beyond: int) -> dict[str, Any]:
     spoilt = {line.index for line in retried if line.failure == INFRASTRUCTURE}
     revived = sum(bool(line.success) and line.index in spoilt for line in run.finals.values())
     errors = Counter((line.failure, line.error) for line in run.attempts if line.error)
-    return {
-        "attempts": len(run.attempts),
-        "retried": len(retried),
-        "beyond": beyond,
-        "wall_seconds": math.fsum(line.wall_seconds for line in run.attempts),
-        "machines": machines,
-        "inference": _inference(run),
-        "errors": [
-            {"failure": failure, "error": error, "count": count} for (failure, error), count in errors.most_common()
-        ],
-        "notes": cautions.of_course(beyond, machines, revived),
-    }
+    return Course(
+        attempts=len(run.attempts),
+        retried=len(retried),
+        beyond=beyond,
+        wall_seconds=math.fsum(line.wall_seconds for line in run.attempts),
+        machines=machines,
+        inference=_inference(run),
+        errors=[Error(failure, error, count) for (failure, error), count in errors.most_common()],
+        notes=cautions.of_course(beyond, machines, revived),
+    )
 
 
 def bin_edge(place: float) -> float:
@@ -48,7 +96,7 @@ def bin_edge(place: float) -> float:
     return float(0.001 * 2.0 ** (place / 2))
 
 
-def _inference(run: Run) -> dict[str, Any]:
+def _inference(run: Run) -> Latency:
     """Return the round trips of all attempts together."""
     told = [line.inference for line in run.attempts if line.inference]
     histograms = [one.histogram for one in told if one.histogram]
@@ -56,12 +104,14 @@ def _inference(run: Run) -> dict[str, Any]:
     for histogram in histograms:
         for place, count in enumerate(histogram):
             bins[place] += count
-    return {
-        "count": sum(one.count for one in told),
-        "seconds": math.fsum(one.seconds for one in told),
-        "histogram": bins,
-        **{name: _quantile(bins, share) for name, share in SHARES.items()},
-    }
+    return Latency(
+        count=sum(one.count for one in told),
+        seconds=math.fsum(one.seconds for one in told),
+        histogram=bins,
+        p50=_quantile(bins, 0.5),
+        p95=_quantile(bins, 0.95),
+        p99=_quantile(bins, 0.99),
+    )
 
 
 def _quantile(bins: Sequence[int], share: float) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.records import manner
@@ -29,10 +29,6 @@ class Difference:
 
     def __str__(self) -> str:
         return f"{self.what}: {self.first} against {self.second}"
-
-    def as_json(self) -> dict[str, str]:
-        """Return the difference as a map."""
-        return asdict(self)
 
 
 def differences(first: Run, second: Run) -> list[Difference]:

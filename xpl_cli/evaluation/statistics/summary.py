@@ -7,25 +7,118 @@ Where all cells have equally many, that is what all episodes together would give
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Final, TypeVar
 
-from xpl import _spec as sdk
 from xpl_cli.evaluation.records import manner
 from xpl_cli.evaluation.records.cells import FAILURES, INFRASTRUCTURE, Cell, cells, matched
 from xpl_cli.evaluation.statistics import cautions, intervals
-from xpl_cli.evaluation.statistics.course import course
+from xpl_cli.evaluation.statistics.course import Course, course
+from xpl_cli.evaluation.statistics.documents import Document
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.intervals import Estimate
+    from xpl_cli.evaluation.statistics.intervals import Estimate, Interval
 
-SCHEMA: Final = "xpl.summary/1"
 SCORE_METHOD: Final = "bootstrap"
 
 _T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one cell or several come to.
+
+    Attributes:
+        task, setting, dimension: what all of its cells share; None where they differ.
+        planned, played, unplayed: numbers of episodes.
+        judged, successes: of those that have a success to speak of.
+        success_rate, success_interval: what was spoilt counts as failed; None where no episode has a success.
+        if_spoilt: the rate if all spoilt episodes had failed, and if all had succeeded; None where none was spoilt.
+        mean_score, score_interval: None where no episode has a score.
+        failures: number of episodes by whose failure it was.
+        mean_steps: control steps of an episode.
+        corrections: number of corrected steps by kind of correction.
+    """
+
+    task: str | None
+    setting: str | None
+    dimension: str | None
+    planned: int
+    played: int
+    unplayed: int
+    judged: int
+    successes: int
+    success_rate: float | None
+    success_interval: Interval | None
+    if_spoilt: tuple[float, float] | None
+    mean_score: float | None
+    score_interval: Interval | None
+    failures: Mapping[str, int]
+    mean_steps: float | None
+    corrections: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """By how much a setting's success rate exceeds the first one's.
+
+    Attributes:
+        task: None for the mean over the tasks.
+        settings: the first one, and the other.
+        pairs: seeds that both have, by which they are compared; 0: none, compared as independent.
+        difference, interval: None where it is not known.
+    """
+
+    task: str | None
+    settings: tuple[str, str]
+    pairs: int
+    difference: float | None
+    interval: Interval | None
+
+
+@dataclass(frozen=True)
+class Methods:
+    """How intervals were computed."""
+
+    success: str
+    score: str
+
+
+@dataclass(frozen=True)
+class Summary(Document):
+    """What a run found.
+
+    Attributes:
+        run, policy, environment, embodiment, action_type, until_width: as in its plan.
+        confidence, methods: of every interval.
+        cells: one row for each task and setting, in the order of the plan.
+        tasks, settings, dimensions, overall: rows over several cells.
+        contrasts: settings against the first one.
+        course: how it went.
+        notes: what the data do not show, in sentences.
+    """
+
+    schema: ClassVar[str] = "xpl.summary/1"
+
+    run: str
+    policy: str
+    environment: str
+    embodiment: str
+    action_type: str
+    until_width: float | None
+    confidence: float
+    methods: Methods
+    cells: Sequence[Row]
+    tasks: Sequence[Row]
+    settings: Sequence[Row]
+    dimensions: Sequence[Row]
+    overall: Row
+    contrasts: Sequence[Contrast]
+    course: Course
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -37,7 +130,7 @@ class _Measured:
     score: Estimate | None
 
 
-def summarise(run: Run, method: str = "wilson") -> dict[str, Any]:
+def summarise(run: Run, method: str = "wilson") -> Summary:
     """Return the summary of a run, finished or not.
 
     Args:
@@ -45,75 +138,68 @@ def summarise(run: Run, method: str = "wilson") -> dict[str, Any]:
         method: of the success rates' intervals: one of `cells.METHODS`.
     """
     found, plan = cells(run), run.plan
-    summary = {
-        "schema": SCHEMA,
-        "run": plan.run,
-        "policy": plan.policy.name,
-        "environment": plan.environment.name,
-        "embodiment": plan.embodiment,
-        sdk.Deploy.ACTION_TYPE: plan.action_type,
-        "until_width": plan.until_width,
-        "confidence": intervals.CONFIDENCE,
-        "methods": {"success": method, "score": SCORE_METHOD},
-        **_rows([_Measured(cell, cell.success_rate(method), cell.mean_score()) for cell in found]),
-        "contrasts": _contrasts(found),
-        "course": course(run, sum(cell.beyond for cell in found)),
-    }
+    measured = [_Measured(cell, cell.success_rate(method), cell.mean_score()) for cell in found]
+    summary = Summary(
+        run=plan.run,
+        policy=plan.policy.name,
+        environment=plan.environment.name,
+        embodiment=plan.embodiment,
+        action_type=plan.action_type,
+        until_width=plan.until_width,
+        confidence=intervals.CONFIDENCE,
+        methods=Methods(method, SCORE_METHOD),
+        cells=[_row([one]) for one in measured],
+        tasks=_rows(measured, lambda cell: cell.task),
+        settings=_rows(measured, lambda cell: cell.setting),
+        dimensions=_rows(measured, lambda cell: cell.dimension),
+        overall=_row(measured),
+        contrasts=_contrasts(found),
+        course=course(run, sum(cell.beyond for cell in found)),
+    )
     told = cautions.of_instruction(manner.of(plan).instruction)
-    return {**summary, "notes": [*told, *cautions.of_skipped(run.skipped), *cautions.of_summary(summary, found)]}
+    return replace(summary, notes=[*told, *cautions.of_skipped(run.skipped), *cautions.of_summary(summary, found)])
 
 
-def _rows(measured: Sequence[_Measured]) -> dict[str, Any]:
-    def by(name: Callable[[Cell], str | None]) -> list[dict[str, Any]]:
-        groups: dict[str, list[_Measured]] = {}
-        for one in measured:
-            if (wanted := name(one.cell)) is not None:
-                groups.setdefault(wanted, []).append(one)
-        return [_row(group) for group in groups.values()]
-
-    return {
-        "cells": [_row([one]) for one in measured],
-        "tasks": by(lambda cell: cell.task),
-        "settings": by(lambda cell: cell.setting),
-        "dimensions": by(lambda cell: cell.dimension),
-        "overall": _row(measured),
-    }
+def _rows(measured: Sequence[_Measured], name: Callable[[Cell], str | None]) -> list[Row]:
+    """Return a row for each group of cells of one name; cells without one are in none."""
+    groups: dict[str, list[_Measured]] = {}
+    for one in measured:
+        if (wanted := name(one.cell)) is not None:
+            groups.setdefault(wanted, []).append(one)
+    return [_row(group) for group in groups.values()]
 
 
-def _row(measured: Sequence[_Measured]) -> dict[str, Any]:
+def _row(measured: Sequence[_Measured]) -> Row:
     """Return the row of one cell or of several."""
     members = [one.cell for one in measured]
     success, score = _mean(one.success for one in measured), _mean(one.score for one in measured)
-    return {
-        "task": _common(cell.task for cell in members),
-        "setting": _common(cell.setting for cell in members),
-        "dimension": _common(cell.dimension for cell in members),
-        "planned": sum(cell.planned for cell in members),
-        "played": sum(len(cell.counted) for cell in members),
-        "unplayed": sum(cell.unplayed for cell in members),
-        "judged": sum(len(cell.outcomes) for cell in members),
-        "successes": sum(sum(cell.outcomes) for cell in members),
-        "success_rate": success and success.value,
-        "success_interval": success and list(success.interval),
-        "if_spoilt": _if_spoilt(members),
-        "mean_score": score and score.value,
-        "score_interval": score and list(score.interval),
-        "failures": {kind: sum(cell.failed(kind) for cell in members) for kind in FAILURES},
-        **_conduct(members),
-    }
-
-
-def _conduct(members: Sequence[Cell]) -> dict[str, Any]:
-    """Return how the episodes were driven that the infrastructure did not spoil."""
+    # How the episodes were driven that the infrastructure did not spoil.
     lines = [line for cell in members for line in cell.counted if line.failure != INFRASTRUCTURE]
     steps = [line.steps for line in lines if line.steps is not None]
     corrections: Counter[str] = Counter()
     for line in lines:
         corrections.update(line.corrections or {})
-    return {"mean_steps": sum(steps) / len(steps) if steps else None, "corrections": dict(sorted(corrections.items()))}
+    return Row(
+        task=_common(cell.task for cell in members),
+        setting=_common(cell.setting for cell in members),
+        dimension=_common(cell.dimension for cell in members),
+        planned=sum(cell.planned for cell in members),
+        played=sum(len(cell.counted) for cell in members),
+        unplayed=sum(cell.unplayed for cell in members),
+        judged=sum(len(cell.outcomes) for cell in members),
+        successes=sum(sum(cell.outcomes) for cell in members),
+        success_rate=success and success.value,
+        success_interval=success and success.interval,
+        if_spoilt=_if_spoilt(members),
+        mean_score=score and score.value,
+        score_interval=score and score.interval,
+        failures={kind: sum(cell.failed(kind) for cell in members) for kind in FAILURES},
+        mean_steps=sum(steps) / len(steps) if steps else None,
+        corrections=dict(sorted(corrections.items())),
+    )
 
 
-def _if_spoilt(members: Sequence[Cell]) -> list[float] | None:
+def _if_spoilt(members: Sequence[Cell]) -> tuple[float, float] | None:
     """Return what the success rate would be if all spoilt episodes had failed, and if all had succeeded.
 
     Spoilt is what the infrastructure broke off, and what succeeded only after the policy's process had died. None where
@@ -128,29 +214,23 @@ def _if_spoilt(members: Sequence[Cell]) -> list[float] | None:
             rates.append((least / count, most / count))
     if not doubtful or not rates:
         return None
-    return [sum(ends) / len(rates) for ends in zip(*rates, strict=True)]
+    worst, best = (sum(ends) / len(rates) for ends in zip(*rates, strict=True))
+    return worst, best
 
 
-def _contrasts(found: Sequence[Cell]) -> list[dict[str, Any]]:
+def _contrasts(found: Sequence[Cell]) -> list[Contrast]:
     """Return by how much each setting's success rate exceeds the first one's, by task and over all tasks."""
     settings = list(dict.fromkeys(cell.setting for cell in found))
     places = {(cell.task, cell.setting): cell for cell in found}
-    rows: list[dict[str, Any]] = []
+    rows: list[Contrast] = []
     for other in settings[1:]:
         tasks = [task for task, setting in places if setting == settings[0] and (task, other) in places]
         parts = [(task, *_contrast(places[task, settings[0]], places[task, other])) for task in tasks]
         known = [(estimate, pairs) for _, estimate, pairs in parts if estimate is not None]
         overall = (None, _mean(estimate for estimate, _ in known), sum(pairs for _, pairs in known))
         for task, estimate, pairs in [*parts, *([overall] if known else [])]:
-            rows.append(
-                {
-                    "task": task,
-                    "settings": [settings[0], other],
-                    "pairs": pairs,
-                    "difference": estimate and estimate.value,
-                    "interval": estimate and list(estimate.interval),
-                }
-            )
+            difference, interval = (None, None) if estimate is None else estimate
+            rows.append(Contrast(task, (settings[0], other), pairs, difference, interval))
     return rows
 
 

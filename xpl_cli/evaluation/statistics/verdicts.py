@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.evaluation.statistics import cautions
 from xpl_cli.evaluation.statistics.wording import NOTHING, aligned, many, percent, points, were
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator
+
+    from xpl_cli.evaluation.statistics.comparison import Comparison, Row
 
 _ALPHA: Final = 0.05
 _LEAST: Final = 0.001
@@ -26,28 +28,28 @@ _HEADER: Final = (
 )
 
 
-def verdict(result: Mapping[str, Any]) -> str:
+def verdict(result: Comparison) -> str:
     """Return the answer in a sentence."""
-    first, second = names(result)
-    row = result["overall"]
-    rates, (low, high) = [percent(row["first_rate"]), percent(row["second_rate"])], row["interval"]
-    if not row["only_first"] + row["only_second"]:
-        said = f"{first} and {second} succeeded in the same episodes: {row['both']} of {row['pairs']}."
+    first, second = result.names
+    row = result.overall
+    rates, (low, high) = [percent(row.first_rate), percent(row.second_rate)], row.interval
+    if not row.only_first + row.only_second:
+        said = f"{first} and {second} succeeded in the same episodes: {row.both} of {row.pairs}."
         return f"{said} A difference of {points(low, high)} points fits these data all the same."
-    told = f"{many(row['pairs'], 'pair')}, {_p(row['p_value'])}"
-    if row["p_value"] >= _ALPHA:
+    told = f"{many(row.pairs, 'pair')}, {_p(row.p_value)}"
+    if row.p_value >= _ALPHA:
         return (
             f"Neither is shown to be better: {first} has {rates[0]}, {second} has {rates[1]} ({told}). "
             f"Anything from {points(low, high)} points for {second} fits these data."
         )
-    if row["only_second"] > row["only_first"]:
+    if row.only_second > row.only_first:
         return (
             f"{second} is better than {first}: {rates[1]} against {rates[0]}, by {points(low, high)} points ({told})."
         )
     return f"{first} is better than {second}: {rates[0]} against {rates[1]}, by {points(-high, -low)} points ({told})."
 
 
-def notes(result: Mapping[str, Any], *, stops: bool) -> list[str]:
+def notes(result: Comparison, *, stops: bool) -> list[str]:
     """Return what a reader should know before believing the verdict.
 
     Args:
@@ -56,7 +58,7 @@ def notes(result: Mapping[str, Any], *, stops: bool) -> list[str]:
     """
     return [
         *_of_differences(result),
-        *_of_test(result["overall"]),
+        *_of_test(result.overall),
         *_of_tasks(result),
         *_of_pairs(result),
         *([cautions.of_stopping()] if stops else []),
@@ -64,80 +66,73 @@ def notes(result: Mapping[str, Any], *, stops: bool) -> list[str]:
     ]
 
 
-def names(result: Mapping[str, Any]) -> tuple[str, str]:
-    """Return what to call the two: their policies, or their folders where these are equal."""
-    sides = (result["first"], result["second"])
-    key = "policy" if sides[0]["policy"] != sides[1]["policy"] else "folder"
-    return sides[0][key], sides[1][key]
-
-
 def probability(value: float) -> str:
     """Return a p-value as people read it."""
     return f"< {_LEAST}" if value < _LEAST else f"{value:.3f}"
 
 
-def text(result: Mapping[str, Any]) -> str:
+def text(result: Comparison) -> str:
     """Return a comparison for people: the verdict, the table, and what the data do not show."""
-    first, second = names(result)
-    rows = [*result["cells"], *([result["overall"]] if len(result["cells"]) > 1 else [])]
+    first, second = result.names
+    rows = [*result.cells, *([result.overall] if len(result.cells) > 1 else [])]
     return "\n".join(
         [
-            result["verdict"],
+            result.verdict,
             "",
             f"first: {first}, second: {second}; difference: second minus first, in points",
             *aligned(_HEADER, [_texts(row) for row in rows]),
             "",
-            *(f"- {note}" for note in result["notes"]),
+            *(f"- {note}" for note in result.notes),
         ]
     )
 
 
-def _of_differences(result: Mapping[str, Any]) -> Iterator[str]:
-    for entry in result["differences"]:
-        yield f"The runs differ in {entry['what']}, too: {entry['first']} against {entry['second']}."
-    first, second = result["first"], result["second"]
-    if first["run"] == second["run"]:
+def _of_differences(result: Comparison) -> Iterator[str]:
+    for entry in result.differences:
+        yield f"The runs differ in {entry.what}, too: {entry.first} against {entry.second}."
+    first, second = result.first, result.second
+    if first.run == second.run:
         yield "Both runs have the same plan: what differs between them is chance, or the machine."
-    elif first["checkpoint"] is not None and first["checkpoint"] == second["checkpoint"]:
+    elif first.checkpoint is not None and first.checkpoint == second.checkpoint:
         yield "Both runs loaded the same checkpoint."
 
 
-def _of_test(row: Mapping[str, Any]) -> Iterator[str]:
-    discordant = row["only_first"] + row["only_second"]
+def _of_test(row: Row) -> Iterator[str]:
+    discordant = row.only_first + row.only_second
     least = 2 * 0.5**discordant
     if discordant and least >= _ALPHA:
         yield (
-            f"Only {discordant} of {many(row['pairs'], 'pair')} ended differently. Had all of them favoured "
+            f"Only {discordant} of {many(row.pairs, 'pair')} ended differently. Had all of them favoured "
             f"one side, it would still be {_p(least)}: so few cannot show which is better."
         )
-    low, high = row["interval"]
-    if row["p_value"] >= _ALPHA and not low <= 0 <= high:
+    low, high = row.interval
+    if row.p_value >= _ALPHA and not low <= 0 <= high:
         yield "The interval leaves out 0 although the test is not sure: the test is exact, the interval is approximate."
 
 
-def _of_tasks(result: Mapping[str, Any]) -> Iterator[str]:
-    rows: Sequence[Mapping[str, Any]] = result["cells"]
+def _of_tasks(result: Comparison) -> Iterator[str]:
+    rows = result.cells
     if len(rows) < 2:
         return
-    shown = [f"{row['task']} ({row['setting']})" for row in rows if row["adjusted_p_value"] < _ALPHA]
+    shown = [f"{row.task} ({row.setting})" for row in rows if (row.adjusted_p_value or 0.0) < _ALPHA]
     told = f"a difference is shown in {', '.join(shown)}" if shown else "none of them shows a difference by itself"
     yield f"Corrected for looking at {len(rows)} tasks and settings (Holm), {told}."
-    if len({row["pairs"] for row in rows}) > 1:
+    if len({row.pairs for row in rows}) > 1:
         yield "Not all rows have equally many pairs: the test counts all pairs alike, the difference all rows."
 
 
-def _of_pairs(result: Mapping[str, Any]) -> Iterator[str]:
-    pairs = result["overall"]["pairs"]
-    for name, count in zip(names(result), result["left_out"].values(), strict=True):
+def _of_pairs(result: Comparison) -> Iterator[str]:
+    pairs = result.overall.pairs
+    for name, count in zip(result.names, (result.left_out.first, result.left_out.second), strict=True):
         if count:
             told = were(count, "episode", f"of {name}")
             yield f"{told} left out: the other run has none that counts for the same seed."
-    same = result["same_trajectories"]
+    same = result.same_trajectories
     if same == pairs:
         yield "In all pairs the two moved exactly alike: these are the same policy, as far as can be seen."
     elif same:
         yield f"In {same} of {many(pairs, 'pair')} the two moved exactly alike."
-    if not result["known_layouts"]:
+    if not result.known_layouts:
         yield "The records do not tell where things stood: that equal seeds drew equal scenes is taken on trust."
 
 
@@ -145,17 +140,17 @@ def _p(value: float) -> str:
     return f"p {probability(value)}" if value < _LEAST else f"p = {probability(value)}"
 
 
-def _texts(row: Mapping[str, Any]) -> tuple[str, ...]:
-    adjusted = row["adjusted_p_value"]
+def _texts(row: Row) -> tuple[str, ...]:
+    adjusted = row.adjusted_p_value
     return (
-        row["task"] or "all",
-        row["setting"] or "all",
-        str(row["pairs"]),
-        percent(row["first_rate"]),
-        percent(row["second_rate"]),
-        str(row["only_first"]),
-        str(row["only_second"]),
-        f"{round(row['difference'] * 100):+d} ({points(*row['interval'])})",
-        probability(row["p_value"]),
+        row.task or "all",
+        row.setting or "all",
+        str(row.pairs),
+        percent(row.first_rate),
+        percent(row.second_rate),
+        str(row.only_first),
+        str(row.only_second),
+        f"{round(row.difference * 100):+d} ({points(*row.interval)})",
+        probability(row.p_value),
         NOTHING if adjusted is None else probability(adjusted),
     )

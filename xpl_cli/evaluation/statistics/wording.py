@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
-
-from xpl import _spec as sdk
+from typing import TYPE_CHECKING, Final, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
+
+    from xpl_cli.evaluation.statistics.intervals import Interval
+    from xpl_cli.evaluation.statistics.summary import Row, Summary
+
+
+class Rated(Protocol):
+    """What has a success rate: a row of a summary, or of a ranking."""
+
+    @property
+    def success_rate(self) -> float | None:
+        """Share of successes."""
+
+    @property
+    def success_interval(self) -> Interval | None:
+        """Where it lies with 95 % confidence."""
+
 
 NOTHING: Final = "-"
 HEADER: Final = ("task", "setting", "episodes", "success", "95 % interval", "score", "95 % interval")
@@ -39,37 +53,36 @@ def were(count: int, thing: str, which: str = "") -> str:
     return f"{many(count, thing)}{which and ' ' + which} {'was' if count == 1 else 'were'}"
 
 
-def rate(row: Mapping[str, Any]) -> str:
+def rate(row: Rated) -> str:
     """Return a row's success rate with its interval: `84 % (71 to 92 %)`."""
-    if row["success_rate"] is None:
+    if row.success_rate is None or row.success_interval is None:
         return NOTHING
-    return f"{percent(row['success_rate'])} ({interval(*row['success_interval'])})"
+    return f"{percent(row.success_rate)} ({interval(*row.success_interval)})"
 
 
-def table(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def table(summary: Summary) -> list[tuple[str, ...]]:
     """Return what a terminal shows under HEADER."""
     return [_texts(row) for row in shown(summary)]
 
 
-def shown(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def shown(summary: Summary) -> list[Row]:
     """Return the rows that a table has: cells, settings where there are several, and all together where it is more."""
-    settings = summary["settings"] if len(summary["settings"]) > 1 else []
-    return [*summary["cells"], *settings, *([summary["overall"]] if len(summary["cells"]) > 1 else [])]
+    settings = summary.settings if len(summary.settings) > 1 else []
+    return [*summary.cells, *settings, *([summary.overall] if len(summary.cells) > 1 else [])]
 
 
-def text(summary: Mapping[str, Any]) -> str:
+def text(summary: Summary) -> str:
     """Return a summary for people: the table, what went wrong, and what the data do not show."""
-    control = summary[sdk.Deploy.ACTION_TYPE]
     lines = [
-        f"{summary['policy']} in {summary['environment']}, {summary['embodiment']}, {control} control",
+        f"{summary.policy} in {summary.environment}, {summary.embodiment}, {summary.action_type} control",
         "",
         *aligned(HEADER, table(summary)),
     ]
-    failures = summary["overall"]["failures"]
+    failures = summary.overall.failures
     if any(failures.values()):
         told = ", ".join(f"{kind} {count}" for kind, count in failures.items() if count)
         lines += ["", f"Failures: {told}"]
-    return "\n".join([*lines, "", *(f"- {note}" for note in (*summary["notes"], *summary["course"]["notes"]))])
+    return "\n".join([*lines, "", *(f"- {note}" for note in (*summary.notes, *summary.course.notes))])
 
 
 def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -79,12 +92,11 @@ def aligned(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
 
 
-def _texts(row: Mapping[str, Any]) -> tuple[str, ...]:
-    success = (NOTHING, NOTHING)
-    if row["success_rate"] is not None:
-        success = (percent(row["success_rate"]), interval(*row["success_interval"]))
-    score = (NOTHING, NOTHING)
-    if row["mean_score"] is not None:
-        low, high = row["score_interval"]
-        score = (f"{row['mean_score']:.2f}", f"{low:.2f} to {high:.2f}")
-    return (row["task"] or "all", row["setting"] or "all", f"{row['successes']}/{row['judged']}", *success, *score)
+def _texts(row: Row) -> tuple[str, ...]:
+    success = score = (NOTHING, NOTHING)
+    if row.success_rate is not None and row.success_interval is not None:
+        success = (percent(row.success_rate), interval(*row.success_interval))
+    if row.mean_score is not None and row.score_interval is not None:
+        low, high = row.score_interval
+        score = (f"{row.mean_score:.2f}", f"{low:.2f} to {high:.2f}")
+    return (row.task or "all", row.setting or "all", f"{row.successes}/{row.judged}", *success, *score)

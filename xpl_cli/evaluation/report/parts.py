@@ -1,0 +1,167 @@
+"""The parts of a report's page, as its template and the Markdown read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+    from xpl_cli.evaluation.report import latency, provenance
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A figure of the head of the page."""
+
+    name: str
+    value: str
+    note: str
+
+
+@dataclass(frozen=True)
+class Named:
+    """A name and its class in page.css."""
+
+    name: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A rate as a chart and in words."""
+
+    figure: Markup
+    text: str
+
+
+@dataclass(frozen=True)
+class TaskBars:
+    """A task's rates, by setting."""
+
+    name: str
+    dimension: str | None
+    bars: list[Bar]
+
+
+@dataclass(frozen=True)
+class Line:
+    """A named figure with its chart."""
+
+    name: str
+    text: str
+    figure: Markup
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rates by setting, or by dimension."""
+
+    title: str
+    rows: list[Line]
+
+
+@dataclass(frozen=True)
+class TableCell:
+    """A cell of the table and its class in page.css."""
+
+    value: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """A row of the table; `total`: over all tasks."""
+
+    total: bool
+    cells: list[TableCell]
+
+
+@dataclass(frozen=True)
+class Table:
+    """The table of all figures."""
+
+    header: list[Named]
+    rows: list[TableRow]
+
+
+@dataclass(frozen=True)
+class Part:
+    """How many of the planned episodes ended in one way."""
+
+    kind: str
+    name: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Reason:
+    """What ended episodes without success, and how many."""
+
+    text: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Failures:
+    """How the planned episodes ended."""
+
+    said: str
+    figure: Markup
+    parts: list[Part]
+    reasons: list[Reason]
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A kind of correction, and how often it was made."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The success rate of all, in words and as a chart."""
+
+    rate: str
+    unit: str
+    said: str
+    figure: Markup
+
+
+@dataclass(frozen=True)
+class Contrasts:
+    """Settings against the first one; no lines where there is nothing to compare."""
+
+    lines: list[Line]
+    title: str = ""
+    said: str = ""
+
+
+@dataclass(frozen=True)
+class View:
+    """What the template of the page asks for, in the order in which it shows it."""
+
+    title: str
+    policy: str
+    environment: str
+    complete: bool
+    state: str
+    about: str
+    headline: Headline
+    facts: list[Fact]
+    confidence: str
+    settings: list[Named]
+    tasks: list[TaskBars]
+    groups: list[Group]
+    contrasts: Contrasts
+    table: Table
+    notes: list[str]
+    failures: Failures
+    corrections: list[Fixed]
+    latency: latency.View | None
+    media_said: str
+    versions: list[provenance.Pair]
+    footer: str
