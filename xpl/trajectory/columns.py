@@ -11,6 +11,7 @@ from xpl.trajectory.storage import LIST, PER_STEP, hdf5
 
 if TYPE_CHECKING:
     from xpl.trajectory.names import Place
+    from xpl.trajectory.nodes import Group
 
 _ROWS = 64
 _WAITING_BYTES = 1 << 22
@@ -46,7 +47,14 @@ class Rows:
     """
 
     def __init__(
-        self, file: Any, path: Place, first: np.ndarray, chunk: int = _ROWS, *, marked: bool = False, **compression: Any
+        self,
+        file: Group,
+        path: Place,
+        first: np.ndarray,
+        chunk: int = _ROWS,
+        *,
+        marked: bool = False,
+        **compression: Any,
     ) -> None:
         self._name = "/".join(path)
         self._shape, self._dtype = first.shape, first.dtype
@@ -101,7 +109,7 @@ class Blobs:
         padded: as (T, N).
     """
 
-    def __init__(self, file: Any, path: Place, *, padded: bool) -> None:
+    def __init__(self, file: Group, path: Place, *, padded: bool) -> None:
         self._padded = padded
         self._waiting: list[np.ndarray] = []
         name = "/".join(path)
@@ -150,7 +158,7 @@ class Steady:
         always: stored for each step whether it changes or not.
     """
 
-    def __init__(self, file: Any, path: Place, *, always: bool = False) -> None:
+    def __init__(self, file: Group, path: Place, *, always: bool = False) -> None:
         self._file, self._path, self._always = file, path, always
         self._first: Any = None
         self._count = 0

@@ -12,15 +12,16 @@ from xpl.trajectory import names, pictures, storage
 from xpl.trajectory.errors import TrajectoryError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from types import TracebackType
 
+    from xpl.trajectory.nodes import Dataset, File
     from xpl.trajectory.pictures import Picture
 
 INFO = spec.Trajectory.ADDITIONAL_INFO
 NO_VALUE = object()
 """What stands for a dataset that is neither numbers nor text."""
-_READS: dict[names.Place, Any] = {
+_READS: dict[names.Place, Callable[[Dataset], object]] = {
     (spec.Trajectory.INSTRUCTIONS,): storage.wordings,
     (spec.Trajectory.SUBTASKS,): storage.document,
 }
@@ -42,8 +43,8 @@ class EpisodeFile:
         self.path = path
         self.key = key or Path(path).stem
         self._steps = steps
-        self._file: Any = None
-        self._found: dict[names.Place, Any] | None = None
+        self._file: File | None = None
+        self._found: dict[names.Place, Dataset] | None = None
         self._seen: dict[str, Picture] | None = None
         self._blocks: dict[names.Place, tuple[int, np.ndarray]] = {}
         self._kinds: dict[names.Place, tuple[str, Any]] = {}
@@ -79,15 +80,25 @@ class EpisodeFile:
             file.close()
 
     @property
-    def datasets(self) -> Mapping[names.Place, Any]:
+    def file(self) -> File:
+        """The file, open for reading.
+
+        Raises:
+            TrajectoryError: it cannot be read.
+        """
+        if self._file is None:
+            self._file = storage.opened(self.path)
+        return self._file
+
+    @property
+    def datasets(self) -> Mapping[names.Place, Dataset]:
         """Every dataset of the file, as h5py has it, by its path.
 
         Raises:
             TrajectoryError: the file cannot be read.
         """
         if self._found is None:
-            self._file = storage.opened(self.path)
-            self._found = storage.datasets(self._file)
+            self._found = storage.datasets(self.file)
         return self._found
 
     def rows(self, name: str, start: int = 0, stop: int | None = None) -> np.ndarray:
@@ -126,7 +137,7 @@ class EpisodeFile:
         return int(lengths[first])
 
     @staticmethod
-    def _has_rows(path: names.Place, dataset: Any) -> bool:
+    def _has_rows(path: names.Place, dataset: Dataset) -> bool:
         return dataset.ndim > 0 and (names.is_series(path) or names.is_image(path, *_FRAMES))
 
     def _checked(self, step: int) -> int:
@@ -135,7 +146,7 @@ class EpisodeFile:
             raise IndexError(f"{self.path} has {count} steps, there is no step {step}")
         return step % count
 
-    def _value(self, path: names.Place, dataset: Any, step: int) -> Any:
+    def _value(self, path: names.Place, dataset: Dataset, step: int) -> Any:
         """Return what a dataset says of a step."""
         kind, constant = self._read_as(path, dataset)
         if kind == "constant":
@@ -149,17 +160,19 @@ class EpisodeFile:
             return row[None]  # (T,) instead of (T, 1): some write one gripper so
         return row if row.ndim else row.item()
 
-    def _read_as(self, path: names.Place, dataset: Any) -> tuple[str, Any]:
+    def _read_as(self, path: names.Place, dataset: Dataset) -> tuple[str, Any]:
         """Return how a dataset is read, and its value where that is the same at each step."""
         if path not in self._kinds:
             self._kinds[path] = self._kind(path, dataset)
         return self._kinds[path]
 
-    def _kind(self, path: names.Place, dataset: Any) -> tuple[str, Any]:
+    def _kind(self, path: names.Place, dataset: Dataset) -> tuple[str, Any]:
         if names.is_image(path, spec.Camera.COLOR) and storage.is_encoded(dataset):
             return "image", None
         if storage.hdf5().check_string_dtype(dataset.dtype) is not None:
-            reads = _READS.get(path, storage.document if dataset.attrs.get(storage.LIST, False) else storage.text)
+            is_list = dataset.attrs.get(storage.LIST, False)
+            reads: Callable[[Dataset], object] = storage.document if is_list else storage.text
+            reads = _READS.get(path, reads)
             is_column = path not in _READS and dataset.ndim == 1 and self._is_per_step(path, dataset)
             return ("text", None) if is_column else ("constant", reads(dataset))
         if dataset.dtype.kind not in "biuf":
@@ -169,7 +182,7 @@ class EpisodeFile:
         value = storage.rows(dataset)
         return "constant", value.item() if value.ndim == 0 else value
 
-    def _is_per_step(self, path: names.Place, dataset: Any) -> bool:
+    def _is_per_step(self, path: names.Place, dataset: Dataset) -> bool:
         if storage.PER_STEP in dataset.attrs:
             return bool(dataset.attrs[storage.PER_STEP])
         if path[:2] == (INFO, names.STEPS) or self._has_rows(path, dataset):
@@ -180,7 +193,7 @@ class EpisodeFile:
             return False
         return bool(dataset.shape[:1] == (len(self),))
 
-    def _row(self, path: names.Place, dataset: Any, step: int) -> np.ndarray:
+    def _row(self, path: names.Place, dataset: Dataset, step: int) -> np.ndarray:
         """Return a row; small ones are read many at a time."""
         size = dataset.dtype.itemsize * int(np.prod(dataset.shape[1:]))
         count = min(256, _BLOCK_BYTES // max(1, size))
@@ -193,5 +206,5 @@ class EpisodeFile:
             self._blocks[path] = start, block
         return np.array(block[step - start])
 
-    def _at(self, dataset: Any) -> str:
+    def _at(self, dataset: Dataset) -> str:
         return f"{self.path}: {dataset.name.lstrip('/')}"

@@ -18,7 +18,7 @@ NAME = "index.jsonl"
 _MOST_BYTES = 1 << 28
 
 
-def note(path: Path, facts: Mapping[str, Any]) -> None:
+def note(path: Path, facts: Mapping[str, object]) -> None:
     """Add the line of a file that is in place.
 
     Raises:

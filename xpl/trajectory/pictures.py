@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from xpl.trajectory.errors import TrajectoryError
 
 if TYPE_CHECKING:
     from xpl.trajectory.names import Place
+    from xpl.trajectory.nodes import Dataset
 
 COLOR, DEPTH = spec.Camera.COLOR, spec.Camera.DEPTH
 _BEGINS = {b"\xff\xd8\xff": "jpeg", b"\x89PNG\r\n\x1a\n": "png"}
@@ -39,13 +40,13 @@ class Picture:
     encoding: str = "raw"
 
 
-def found(path: Place, dataset: Any) -> Picture | None:
+def found(path: Place, dataset: Dataset) -> Picture | None:
     """Return what images a dataset with a row for each step holds; None if they are none.
 
     Raises:
         TrajectoryError: its name says that it holds some, and the first is none; or they are larger than is read.
     """
-    shape: tuple[int, ...] = dataset.shape or ()
+    shape = dataset.shape
     is_named = names.is_image(path, COLOR, DEPTH)
     least = 1 if is_named else _SMALLEST
     picture = None
@@ -64,7 +65,7 @@ def found(path: Place, dataset: Any) -> Picture | None:
     return picture
 
 
-def decoded(dataset: Any, step: int) -> np.ndarray:
+def decoded(dataset: Dataset, step: int) -> np.ndarray:
     """Return an encoded image, (H, W, 3) uint8 RGB.
 
     Raises:
@@ -77,7 +78,7 @@ def decoded(dataset: Any, step: int) -> np.ndarray:
         raise TrajectoryError(f"{_at(dataset)}, step {step}: {error}") from None
 
 
-def encoded(dataset: Any, step: int) -> bytes:
+def encoded(dataset: Dataset, step: int) -> bytes:
     """Return an encoded image as it lies in the file, padding included.
 
     Raises:
@@ -90,14 +91,14 @@ def encoded(dataset: Any, step: int) -> bytes:
     return data if isinstance(data, bytes) else np.asarray(data, np.uint8).tobytes()
 
 
-def _is_depth(path: Place, dataset: Any) -> bool:
-    shape: tuple[int, ...] = dataset.shape or ()
+def _is_depth(path: Place, dataset: Dataset) -> bool:
+    shape = dataset.shape
     is_flat = len(shape) == 3 or (len(shape) == 4 and shape[3] == 1)
     is_called_so = names.is_image(path, DEPTH) or DEPTH in "/".join(path).lower()
     return is_flat and is_called_so and dataset.dtype.kind in "uf"
 
 
-def _may_be_encoded(dataset: Any) -> bool:
+def _may_be_encoded(dataset: Dataset) -> bool:
     library = storage.hdf5()
     if not storage.is_encoded(dataset):
         return False
@@ -105,12 +106,12 @@ def _may_be_encoded(dataset: Any) -> bool:
     return bool(dataset.dtype.kind != "O" or is_bytes or library.check_string_dtype(dataset.dtype) is not None)
 
 
-def _size(dataset: Any, data: bytes) -> tuple[int, int]:
+def _size(dataset: Dataset, data: bytes) -> tuple[int, int]:
     try:
         return codec.size_of(data)
     except ObservationError as error:
         raise TrajectoryError(f"{_at(dataset)}, step 0: {error}") from None
 
 
-def _at(dataset: Any) -> str:
+def _at(dataset: Dataset) -> str:
     return f"{dataset.file.filename}: {dataset.name.lstrip('/')}"

@@ -13,8 +13,9 @@ from xpl.trajectory.errors import TrajectoryError
 from xpl.trajectory.file import INFO, NO_VALUE, EpisodeFile
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Callable, Collection, Iterator
 
+    from xpl.trajectory.nodes import Dataset
     from xpl.trajectory.pictures import Picture
 
 
@@ -75,7 +76,9 @@ class Trajectory(EpisodeFile):
     def episode(self) -> dict[str, Any]:
         """Facts of the episode, as `Writer` was told; empty where the file has none."""
         found = self.datasets.get((INFO, names.EPISODE))
-        told = {} if found is None else storage.document(found)
+        if found is None:
+            return {}
+        told = storage.document(found)
         if not isinstance(told, dict):
             raise TrajectoryError(f"{self._at(found)}: expected a map, got {type(told).__name__}")
         return told
@@ -98,7 +101,7 @@ class Trajectory(EpisodeFile):
             TrajectoryError: a camera's images are none, or larger than is read.
         """
         if self._seen is None:
-            rows = ((path, data) for path, data in self.datasets.items() if (data.shape or ())[:1] == (len(self),))
+            rows = ((path, data) for path, data in self.datasets.items() if data.shape[:1] == (len(self),))
             seen = (("/".join(path), pictures.found(path, dataset)) for path, dataset in rows)
             self._seen = {name: picture for name, picture in seen if picture is not None}
         return self._seen
@@ -120,10 +123,10 @@ class Trajectory(EpisodeFile):
         JSON is left as text, and what is too large to be a fact left out.
         """
         known = {*self.columns, *self.pictures}
-        found = {name: storage.plain(value) for name, value in self._file.attrs.items()}
+        found = {name: storage.plain(value) for name, value in self.file.attrs.items()}
         for path, dataset in self.datasets.items():
             name = "/".join(path)
-            if name not in known and dataset.shape is not None and dataset.size <= storage.MOST_FACT:
+            if name not in known and dataset.size <= storage.MOST_FACT:
                 found[name] = storage.plain(dataset[()])
         return found
 
@@ -208,14 +211,14 @@ class Trajectory(EpisodeFile):
             image = storage.rows(dataset, step) if picture.encoding == "raw" else pictures.decoded(dataset, step)
             yield image[..., 0] if picture.kind == spec.Camera.DEPTH and image.ndim == 3 else image
 
-    def _camera(self, camera: str, leaf: str) -> tuple[names.Place, Any]:
+    def _camera(self, camera: str, leaf: str) -> tuple[names.Place, Dataset]:
         for path, dataset in self.datasets.items():
             if names.is_image(path, leaf) and path[1] == camera:
                 return path, dataset
         known = self.cameras if leaf == spec.Camera.COLOR else self.depth_cameras
         raise KeyError(f"{self.path} has no {leaf} of {camera!r}; it has that of {', '.join(known) or 'no camera'}")
 
-    def _tree(self, step: int, wanted: Any) -> dict[str, Any]:
+    def _tree(self, step: int, wanted: Callable[[names.Place], bool]) -> dict[str, Any]:
         tree: dict[str, Any] = {}
         for path, dataset in self.datasets.items():
             is_fact = path[:2] in ((INFO, names.EPISODE), (INFO, names.STEPS)) or path == (spec.Trajectory.SUBTASKS,)

@@ -19,6 +19,7 @@ from xpl.trajectory.errors import TrajectoryError
 
 if TYPE_CHECKING:
     from xpl.trajectory.names import Place
+    from xpl.trajectory.nodes import Dataset, File, Group
 
 MOST_DATASETS = 4096
 DEEPEST = 8
@@ -54,7 +55,7 @@ def hdf5() -> Any:
     return h5py
 
 
-def opened(path: str) -> Any:
+def opened(path: str) -> File:
     """Return an HDF5 file, open for reading.
 
     Raises:
@@ -65,32 +66,34 @@ def opened(path: str) -> Any:
     try:
         if not Path(path).is_file():  # whoever opens a pipe waits for its other end
             raise TrajectoryError(f"{path} is no file, or is not there")
-        return library.File(path, "r", locking=False)  # who writes puts whole files in place
+        found: File = library.File(path, "r", locking=False)  # who writes puts whole files in place
     except OSError as error:
         raise TrajectoryError(f"{path} cannot be read as HDF5: {error.strerror or error}") from None
+    return found
 
 
-def group(file: Any, path: str) -> Any:
-    """Return a group of a file by its path.
+def group(root: Group, path: str) -> Group:
+    """Return a group of a file, or below another one, by its path.
 
     Raises:
         TrajectoryError: there is none, or a link leads to it.
     """
-    found = file
+    found = root
     for name in path.split("/"):
-        found = _entry(found, name) if name in found else None
-        if not isinstance(found, hdf5().Group):
-            raise TrajectoryError(f"{file.filename} has no group {path}")
+        inner = _entry(found, name) if name in found else None
+        if not isinstance(inner, hdf5().Group):
+            raise TrajectoryError(f"{_where(root)} has no group {path}")
+        found = inner
     return found
 
 
-def datasets(root: Any) -> dict[Place, Any]:
+def datasets(root: Group) -> dict[Place, Dataset]:
     """Return every dataset of a file, or below a group of it, by its path from there.
 
     Raises:
         TrajectoryError: there are too many, too deep, or one lies in another file.
     """
-    found: dict[Place, Any] = {}
+    found: dict[Place, Dataset] = {}
     for path, dataset in _below(root, ()):
         found[path] = dataset
         if len(found) > MOST_DATASETS:
@@ -98,7 +101,7 @@ def datasets(root: Any) -> dict[Place, Any]:
     return found
 
 
-def _below(node: Any, path: Place) -> Iterator[tuple[Place, Any]]:
+def _below(node: Group, path: Place) -> Iterator[tuple[Place, Dataset]]:
     library = hdf5()
     if len(path) > DEEPEST:
         raise TrajectoryError(f"{_where(node)} lies deeper than {DEEPEST} groups")
@@ -107,12 +110,12 @@ def _below(node: Any, path: Place) -> Iterator[tuple[Place, Any]]:
         entry = _entry(node, name)
         if isinstance(entry, library.Group):
             yield from _below(entry, place)
-        elif isinstance(entry, library.Dataset):
+        elif isinstance(entry, library.Dataset) and entry.shape is not None:  # else it has not even room for values
             _check(entry, _where(entry))
             yield place, entry
 
 
-def _entry(node: Any, name: str) -> Any:
+def _entry(node: Group, name: str) -> Any:
     """Return what a group has under a name; links are not followed."""
     if not isinstance(node.get(name, getlink=True), hdf5().HardLink):
         where = f"{_where(node)}/{name}" if node.name != "/" else f"{node.file.filename}: {name}"
@@ -120,32 +123,32 @@ def _entry(node: Any, name: str) -> Any:
     return node[name]
 
 
-def _where(node: Any) -> str:
+def _where(node: Group | Dataset) -> str:
     return f"{node.file.filename}: {node.name.lstrip('/')}" if node.name != "/" else str(node.file.filename)
 
 
-def _check(dataset: Any, where: str) -> None:
+def _check(dataset: Dataset, where: str) -> None:
     if dataset.external or dataset.is_virtual:
         raise TrajectoryError(f"{where} has its data in other files; an episode is one file by itself")
-    shape = dataset.shape or ()
+    shape = dataset.shape
     sizes = [math.prod(shape[1:]), math.prod(dataset.chunks or ())]
     if max(sizes) * dataset.dtype.itemsize > MOST_BYTES:
         raise TrajectoryError(f"{where} has rows of shape {shape[1:]}, more than {MOST_BYTES} bytes each")
 
 
-def is_text(dataset: Any) -> bool:
+def is_text(dataset: Dataset) -> bool:
     """Tell whether a dataset holds text of variable length."""
     return hdf5().check_string_dtype(dataset.dtype) is not None and dataset.dtype.kind == "O"
 
 
-def is_encoded(dataset: Any) -> bool:
+def is_encoded(dataset: Dataset) -> bool:
     """Tell whether the rows of a dataset are encoded images: padded, of fixed length, or of variable length."""
     if dataset.dtype.kind in "SO":
         return bool(dataset.ndim == 1)
     return bool(dataset.dtype == np.uint8) and dataset.ndim == 2
 
 
-def size_of(dataset: Any, index: Any) -> int:
+def size_of(dataset: Dataset, index: object) -> int:
     """Return how many bytes a read takes: of a row, of a slice of them, or of all."""
     row = int(math.prod(dataset.shape[1:])) * int(dataset.dtype.itemsize)
     if isinstance(index, slice):
@@ -153,7 +156,7 @@ def size_of(dataset: Any, index: Any) -> int:
     return row * (dataset.shape[0] if index == () and dataset.ndim else 1)
 
 
-def rows(dataset: Any, index: Any = ()) -> np.ndarray:
+def rows(dataset: Dataset, index: object = ()) -> np.ndarray:
     """Return rows of a dataset of numbers, as it is stored.
 
     Raises:
@@ -170,7 +173,7 @@ def rows(dataset: Any, index: Any = ()) -> np.ndarray:
         raise TrajectoryError(f"{_where(dataset)}{step} cannot be read: {error}") from None
 
 
-def text(dataset: Any, index: Any = ()) -> Any:
+def text(dataset: Dataset, index: object = ()) -> str | list[str]:
     """Return a text, or a list of them.
 
     Raises:
@@ -187,7 +190,7 @@ def text(dataset: Any, index: Any = ()) -> Any:
     return texts[0] if isinstance(value, (bytes, str)) else texts
 
 
-def document(dataset: Any) -> Any:
+def document(dataset: Dataset) -> Any:
     """Return what a dataset of JSON text holds; a list of texts that are none as it is.
 
     Raises:
@@ -203,7 +206,7 @@ def document(dataset: Any) -> Any:
         raise TrajectoryError(f"{where}: expected a JSON text, got {told[:60]!r}") from None
 
 
-def wordings(dataset: Any) -> list[str]:
+def wordings(dataset: Dataset) -> list[str]:
     """Return the texts in a list of them, JSON or none, or the one text that is no list.
 
     Raises:

@@ -37,7 +37,7 @@ class Truth:
         names = sorted("/".join(path[1:]) for path in self._kept or ())
         return {RECORDED: names, LEFT_OUT: dict(sorted(self.left_out.items()))}
 
-    def parts(self, told: Any, step: int) -> dict[Place, np.ndarray]:
+    def parts(self, told: object, step: int) -> dict[Place, np.ndarray]:
         """Return what is kept of a step, by its part of the observation.
 
         Args:
@@ -55,7 +55,7 @@ class Truth:
             self.left_out.setdefault("/".join(path[1:]), f"is not there before step {step}")
         return {path: found[path] for path in self._kept}
 
-    def _numbers(self, told: Mapping[Any, Any], path: Place) -> Iterator[tuple[Place, np.ndarray]]:
+    def _numbers(self, told: Mapping[Any, object], path: Place) -> Iterator[tuple[Place, np.ndarray]]:
         for key, value in told.items():
             place = (*path, str(key))
             name = "/".join(place[1:])
@@ -73,7 +73,7 @@ class Truth:
                     self.left_out[name] = "is no array of numbers"
 
 
-def _array(value: Any) -> np.ndarray | None:
+def _array(value: object) -> np.ndarray | None:
     try:
         array = np.asarray(value)
     except ValueError:  # lists of unequal lengths

@@ -23,6 +23,8 @@ from xpl.trajectory.truth import Truth
 if TYPE_CHECKING:
     from types import TracebackType
 
+    from xpl.trajectory.nodes import File
+
 JPEG, PADDED, PNG, RAW = "jpeg", "jpeg-padded", "png", "raw"
 FORMS = (JPEG, PADDED, PNG, RAW)
 """How colour images lie in a file: JPEG, as (T,) of variable length or as (T, N) padded with NUL; PNG; or pixels.
@@ -101,7 +103,7 @@ class Writer:
             handle, name = tempfile.mkstemp(dir=self.path.parent, prefix=f".{self.path.name}.", suffix=".part")
             os.close(handle)
             self._partial = Path(name)
-            self._file: Any = library.File(self._partial, "w")
+            self._file: File = library.File(self._partial, "w")
 
     def __enter__(self) -> Writer:  # noqa: PYI034 - Python 3.9 has no Self
         """Return the writer itself."""
@@ -344,7 +346,7 @@ class _Depth(Rows):
 class _Encoded:
     """Colour images, encoded."""
 
-    def __init__(self, blobs: Blobs, encode: Any, size: tuple[int, int], path: names.Place) -> None:
+    def __init__(self, blobs: Blobs, encode: Callable[[Any], bytes], size: tuple[int, int], path: names.Place) -> None:
         self._blobs, self._encode, self._size, self._path = blobs, encode, size, path
 
     def fitting(self, value: Any) -> bytes:
@@ -358,8 +360,7 @@ class _Encoded:
         image = np.asarray(value)
         if image.shape[:2] != self._size:
             raise TrajectoryError(f"{'/'.join(self._path)}: expected images of {self._size}, got {image.shape}")
-        encoded: bytes = self._encode(image)
-        return encoded
+        return self._encode(image)
 
     def add(self, value: bytes) -> None:
         """Take the image of the next step."""

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from xpl.trajectory.names import Place
+    from xpl.trajectory.nodes import Dataset, File, Group
 
 _SUFFIXES: Final = (".hdf5", ".h5")
 _DEPTHS: Final = ("*", "*/*", "*/*/*")
@@ -48,7 +49,7 @@ def first(path: Path) -> Path | None:
     return next(_files(path), None)
 
 
-def is_of(path: Path, recognises: Callable[[Any], bool]) -> bool:
+def is_of(path: Path, recognises: Callable[[File], bool]) -> bool:
     """Tell whether a set is of HDF5 files of a kind, by one of them.
 
     Args:
@@ -80,7 +81,7 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def opened(path: Path) -> Iterator[File]:
     """Open a file for reading.
 
     Raises:
@@ -106,7 +107,7 @@ def told(path: str | Path) -> Iterator[None]:
         raise DataError(f"{path} is damaged: {str(error)[:200]}") from None
 
 
-def attributes(node: Any) -> dict[str, Any]:
+def attributes(node: Group | Dataset) -> dict[str, Any]:
     """Return the attributes of a group or file as plain data."""
     return {name: storage.plain(value) for name, value in node.attrs.items()}
 
@@ -150,7 +151,7 @@ class Hdf5Episode(OutlinedEpisode):
                     image = pictures.pixels(stored.encoded(dataset, index).rstrip(b"\0"), where)
                 yield image[..., 0] if known.kind == "depth" and image.ndim == 3 else image
 
-    def _root(self, file: Any) -> Any:
+    def _root(self, file: File) -> Group:
         return storage.group(file, self._group) if self._group else file
 
     def outline(self) -> Outline:
@@ -172,7 +173,7 @@ class Hdf5Episode(OutlinedEpisode):
                     cameras[name] = Camera(picture.height, picture.width, picture.kind, picture.encoding, **beside)
                 elif is_steps and (column := _column(dataset)) is not None:
                     columns[name] = column
-                elif dataset.size is not None and dataset.size <= storage.MOST_FACT:
+                elif dataset.size <= storage.MOST_FACT:
                     extras[name] = storage.plain(dataset[()])
         return Outline(length, self._sentences(extras), columns, cameras, extras)
 
@@ -181,7 +182,7 @@ class Hdf5Episode(OutlinedEpisode):
         del extras
         return self._told
 
-    def _counted(self, found: Mapping[Place, Any], where: str) -> int:
+    def _counted(self, found: Mapping[Place, Dataset], where: str) -> int:
         for name in self._steps:
             dataset = found.get(tuple(name.split("/")))
             if dataset is not None and dataset.shape:
@@ -189,14 +190,14 @@ class Hdf5Episode(OutlinedEpisode):
         raise DataError(f"{where} has no {' or '.join(self._steps)}, one of which every episode of this format has")
 
 
-def _column(dataset: Any) -> Column | None:
+def _column(dataset: Dataset) -> Column | None:
     """Return what a dataset is as a column; None if it holds no numbers and no texts."""
     if libraries.h5py().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 1:
         return Column((), "str")
     return Column(tuple(dataset.shape[1:]), dataset.dtype.name) if dataset.dtype.kind in "biuf" else None
 
 
-def _matrices(path: Place, found: Mapping[Place, Any]) -> dict[str, Any]:
+def _matrices(path: Place, found: Mapping[Place, Dataset]) -> dict[str, Any]:
     """Return the matrices that lie beside a camera's images."""
     result = {}
     for field, names in (

@@ -9,13 +9,16 @@ import functools
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from xpl.trajectory import TrajectoryError, storage
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.formats.hdf5 import Hdf5Episode, natural
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Demonstrations
+
+if TYPE_CHECKING:
+    from xpl.trajectory.nodes import File
 
 NAME: Final = "robomimic"
 _STEPS: Final = ("actions", "states")
@@ -32,7 +35,7 @@ def opened(path: Path) -> RobomimicSet:
     return RobomimicSet(path, hdf5.files(path))
 
 
-def _is_one(file: Any) -> bool:
+def _is_one(file: File) -> bool:
     try:
         return any(name.startswith("demo") for name in storage.group(file, "data"))
     except TrajectoryError:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    from xpl.trajectory.nodes import Dataset
+
 SCHEMA: Final = "trajectory"
 _JSON: Final = (sdk.Trajectory.INSTRUCTIONS, sdk.Trajectory.SUBTASKS)
 _SERIES: Final = (sdk.Trajectory.STATE, sdk.Trajectory.ACTION)
@@ -46,7 +48,7 @@ def problems(file: Path) -> list[Problem]:
     return sorted(placed, key=lambda one: [str(part) for part in one.path])
 
 
-def _of_schema(datasets: Mapping[names.Place, Any]) -> Iterator[Problem]:
+def _of_schema(datasets: Mapping[names.Place, Dataset]) -> Iterator[Problem]:
     document: dict[str, Any] = {}
     for path, dataset in datasets.items():
         *groups, leaf = path
@@ -58,7 +60,7 @@ def _of_schema(datasets: Mapping[names.Place, Any]) -> Iterator[Problem]:
         yield replace(problem, path=tuple(["/".join(map(str, problem.path))] if problem.path else ()))
 
 
-def _of_series(datasets: Mapping[names.Place, Any]) -> Iterator[Problem]:
+def _of_series(datasets: Mapping[names.Place, Dataset]) -> Iterator[Problem]:
     """Yield a problem for each of state and action of which no name is the standard's: the schema takes any."""
     stems = {
         prefix + stored
@@ -94,16 +96,15 @@ def _of_images(found: trajectory.Trajectory) -> Iterator[Problem]:
                 break
 
 
-def _stood_for(path: names.Place, dataset: Any) -> Any:
+def _stood_for(path: names.Place, dataset: Dataset) -> Any:
     """Return a value of the dataset's shape and type; its content only where that is a word or a number."""
     if storage.hdf5().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 0:
-        told = storage.text(dataset)
+        told = str(storage.text(dataset))
         return _parsed(told) if path[0] in _JSON and len(path) == 1 else told
     if storage.is_encoded(dataset) and names.is_image(path, sdk.Camera.COLOR) and dataset.dtype.kind in "SO":
         return [np.zeros(1, np.uint8)] * min(dataset.shape[0], 2)
     if dataset.dtype.kind in "biuf":
-        shape = dataset.shape or ()
-        return dataset[()] if not shape else np.broadcast_to(np.zeros((), dataset.dtype), shape)
+        return np.broadcast_to(np.zeros((), dataset.dtype), dataset.shape) if dataset.shape else dataset[()]
     if storage.hdf5().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 1:
         return storage.text(dataset)
     return f"{dataset.shape} {dataset.dtype}"
