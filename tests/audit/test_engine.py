@@ -12,13 +12,12 @@ import pytest
 from tests.support.adapters.rules import Room, made_adapter, made_room
 from tests.support.peer import xpl
 from xpl_cli.audit.engine import engine
-from xpl_cli.audit.engine.checks import outcome_of
 from xpl_cli.audit.engine.waivers import Waiver, waive
 from xpl_cli.audit.formats import document
 from xpl_cli.audit.formats.listing import Context
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, Outcome, Result
+from xpl_cli.audit.rules.model import Finding, Outcome, Result, outcome_of
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.audit.rules.registry import RegistryError
 from xpl_cli.basics.errors import ExitCode

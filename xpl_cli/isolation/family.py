@@ -127,6 +127,16 @@ def resident(pid: int) -> int:
         return 0
 
 
+def private(pid: int) -> int | None:
+    """Return the memory that a process has for itself, bytes; None where the system does not tell."""
+    try:
+        status = (_PROC / str(pid) / "status").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    line = next((line for line in status.splitlines() if line.startswith("RssAnon:")), None)
+    return None if line is None else 1024 * int(line.split()[1])
+
+
 def shared_out_memory(pid: int) -> int:
     """Return the resident memory of a process and of those below it, bytes; a page that they share counts once.
 

@@ -6,7 +6,7 @@ found.text        # "with `channels: bgr` the difference falls from 0.31 to 1e-0
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -207,8 +207,3 @@ def _placed(part: str) -> tuple[str, int]:
 
 def _listed(items: Sequence[str]) -> str:
     return items[0] if len(items) == 1 else ", ".join(items[:-1]) + f" or {items[-1]}" if items else ""
-
-
-def only(parts: Sequence[str], spread: Mapping[str, float]) -> str:
-    """Return what the differing numbers alone tell: "only right_ee_joint_state[0] differs", or "" if all do."""
-    return "" if len(parts) == len(spread) else f"only {ranges(parts)} differ{'s' if len(parts) == 1 else ''}"

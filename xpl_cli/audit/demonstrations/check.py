@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 from xpl_cli.audit.rules.gates import DataGate
 from xpl_cli.audit.rules.model import Finding
+from xpl_cli.basics.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -131,8 +132,5 @@ class Tally:
     def told(self, *, must: bool | None = None, expected: str | None = None) -> Iterator[Finding]:
         """Yield a finding for each thing that is wrong."""
         for what, where in self.counts.items():
-            named = ", ".join(where[:MOST_NAMED])
-            more = f" and {len(where) - MOST_NAMED} more" if len(where) > MOST_NAMED else ""
-            count = f"{len(where)} of {self.seen} episodes"
-            message = f"{what}, in {count}: {named}{more}"
+            message = f"{what}, in {len(where)} of {self.seen} episodes: {listed(where, MOST_NAMED)}"
             yield Finding(message, expected=expected, evidence={"episodes": len(where), "of": self.seen}, must=must)

@@ -28,6 +28,7 @@ from xpl_cli.audit.rules.model import (
     Result,
     TargetReport,
     Waived,
+    outcome_of,
 )
 from xpl_cli.basics import parallel
 from xpl_cli.data.formats import open_set
@@ -206,8 +207,7 @@ def _result(check: Check, found: Sequence[Finding], waived: Mapping[str, str]) -
     reason = next((why for name, why in waived.items() if _matches(type(check), name)), None)
     kept = () if reason is not None else tuple(found)
     accepted = tuple(Waived(finding, reason) for finding in found) if reason is not None else ()
-    fails = any(check.severity == "must" if one.must is None else one.must for one in kept)
-    outcome = Outcome.PASS if not kept else Outcome.FAIL if fails else Outcome.WARN
+    outcome = outcome_of(kept, check.severity)
     return Result(check.code, check.slug, check.requirement, check.severity, outcome, kept, waived=accepted)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.audit.rules.facts import wanted
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Proof, Result
+from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun, Outcome, Proof, Result, outcome_of
 from xpl_cli.audit.rules.presence import Presence
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import RegistryError, needed
@@ -136,14 +136,6 @@ class Checks:
         proof: Mapping[str, Any] | None = None,
     ) -> Result:
         return Result(rule.code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason, proof=proof)
-
-
-def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:
-    """Return how a rule of a severity (`must`, `should`) ends with these findings."""
-    if not findings:
-        return Outcome.PASS
-    fails = (severity == "must" if finding.must is None else finding.must for finding in findings)
-    return Outcome.FAIL if any(fails) else Outcome.WARN
 
 
 def _is_of_the_server(rule: Rule, error: BaseException) -> bool:

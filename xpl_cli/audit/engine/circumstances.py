@@ -11,12 +11,13 @@ from xpl_cli.audit.rules.gates import GATES
 from xpl_cli.audit.rules.model import Circumstances, NotRun
 from xpl_cli.audit.static import reading
 from xpl_cli.basics.strangers import command
+from xpl_cli.basics.words import listed
 from xpl_cli.native import names
 from xpl_cli.packages.package import ENV
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.static.source import Source
@@ -94,13 +95,8 @@ def _narrowed(kind: str, options: Options) -> Iterator[str]:
     if len(asked) < len(GATES[kind]):
         yield f"{' and '.join(asked) or 'no gate'} only"
     if options.names:
-        yield f"only {_listed(options.names)}"
+        yield f"only {listed(options.names, _MOST)}"
     if options.ignore:
-        yield f"without {_listed(options.ignore)}"
+        yield f"without {listed(options.ignore, _MOST)}"
     if kind == ENV and options.overrides:
-        yield f"only with --set {_listed(tuple(options.overrides))}"
-
-
-def _listed(found: Sequence[str]) -> str:
-    more = f" and {len(found) - _MOST} more" if len(found) > _MOST else ""
-    return f"{', '.join(found[:_MOST])}{more}"
+        yield f"only with --set {listed(tuple(options.overrides), _MOST)}"

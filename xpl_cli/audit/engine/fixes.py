@@ -21,6 +21,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.progress import Progress
+from xpl_cli.basics.words import amount
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -291,11 +292,6 @@ def _parses(name: str, text: str) -> bool:
     except (SyntaxError, ValueError, RecursionError, MemoryError, yaml.YAMLError):
         return False
     return True
-
-
-def amount(number: int, one: str, many: str | None = None) -> str:
-    """Return a number with its noun."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def _diff(change: Change) -> Iterator[str]:

@@ -28,7 +28,7 @@ from xpl_cli.packages import package
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from xpl_cli.audit.rules.registry import Rule
 
@@ -50,7 +50,7 @@ class Subject:
     good: bool
     target: str = package.POLICY
     scaffold: dict[str, Any] | None = field(default_factory=dict)
-    remove: tuple[str, ...] = ()
+    remove: Sequence[str] = ()
     edit: dict[str, dict[str, str]] = field(default_factory=dict)
     append: dict[str, str] = field(default_factory=dict)
     like: str | None = None
@@ -130,17 +130,6 @@ def _rendered(kind: str, options: tuple[tuple[str, Any], ...], name: str) -> dic
 def _read(folder: Path, *, good: bool, target: str) -> Subject:
     overlay = folder / OVERLAY
     told = spec.read_yaml(overlay) if overlay.is_file() else {}
-    scaffold = told.get("scaffold", {})
-    return Subject(
-        folder=folder,
-        good=good,
-        target=target,
-        scaffold=None if scaffold is False else scaffold,
-        remove=tuple(told.get("remove", ())),
-        edit=told.get("edit", {}),
-        append=told.get("append", {}),
-        like=told.get("like"),
-        methods=told.get("methods", ""),
-        demonstrations=told.get("demonstrations", 0),
-        message=told.get("message"),
-    )
+    if told.get("scaffold") is False:
+        told = {**told, "scaffold": None}
+    return Subject(folder=folder, good=good, target=target, **told)

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.audit.engine.checks import outcome_of
 from xpl_cli.audit.rules import retired
-from xpl_cli.audit.rules.model import NotRun, Waived
+from xpl_cli.audit.rules.model import NotRun, Waived, outcome_of
 from xpl_cli.audit.rules.registry import lookup
 
 if TYPE_CHECKING:

@@ -210,8 +210,3 @@ def shortened(value: Any, most: int = _SHORT) -> str:
     """Return a value as text of bounded length."""
     text = str(value)
     return text if len(text) <= most else f"{text[: most - 3]}..."
-
-
-def amount(number: int, noun: str) -> str:
-    """Return a number with its noun: `1 failure`, `2 failures`."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.formats.listing import (
     Context,
     Listed,
-    amount,
     by_reason,
     joined,
     listed,
@@ -24,6 +23,7 @@ from xpl_cli.audit.formats.steps import audit_again, next_commands
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport, counted
 from xpl_cli.audit.rules.verdict import Verdict, Word, judged
 from xpl_cli.basics.strangers import one_line
+from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

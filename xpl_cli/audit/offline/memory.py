@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,12 +14,12 @@ from xpl.client import ClientError
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.served.hanging import bounds
 from xpl_cli.audit.served.servers import PATIENCE
+from xpl_cli.isolation import family
 
 if TYPE_CHECKING:
     from xpl_cli.audit.served.inputs import Observation
     from xpl_cli.audit.served.probe import Probe
 
-_PROC = Path("/proc")
 _ENLARGED = 3
 """Factor of the pictures' sides: what is kept of an observation stands out from what Python itself takes and frees."""
 _STEPS, _SECONDS = 30, 3.0
@@ -89,24 +88,9 @@ def _stretched(probe: Probe, policy: Client, pid: int) -> LongEpisode:
 
 def private_memory(pid: int) -> int | None:
     """Return the memory that the children of a process, and theirs, have for themselves, bytes; None if unknown."""
-    parents: dict[int, int] = {}
-    for folder in _PROC.glob("[0-9]*"):
-        try:
-            # The name may hold spaces and brackets; the parent is the second field after its end.
-            parents[int(folder.name)] = int((folder / "stat").read_bytes().rpartition(b")")[2].split()[1])
-        except (OSError, ValueError, IndexError):
-            continue  # it has just ended
-    found, family = [], {pid}
-    while grown := {child for child, parent in parents.items() if parent in family and child not in family}:
-        family |= grown
-    for member in family - {pid}:
-        try:
-            status = (_PROC / str(member) / "status").read_text(encoding="utf-8")
-        except OSError:
-            continue
-        line = next((line for line in status.splitlines() if line.startswith("RssAnon:")), None)
-        found += [] if line is None else [1024 * int(line.split()[1])]
-    return sum(found) if found else None
+    found = [family.private(member.pid) for member in family.descendants(pid)]
+    known = [size for size in found if size is not None]
+    return sum(known) if known else None
 
 
 def _play(probe: Probe, policy: Client, first: int, most: int) -> int:

@@ -260,6 +260,14 @@ class TargetReport:
         return [result for gate in self.gates for result in gate.results]
 
 
+def outcome_of(findings: tuple[Finding, ...], severity: str) -> Outcome:
+    """Return how a rule of a severity (`must`, `should`) ends with these findings."""
+    if not findings:
+        return Outcome.PASS
+    fails = (severity == "must" if finding.must is None else finding.must for finding in findings)
+    return Outcome.FAIL if any(fails) else Outcome.WARN
+
+
 def counted(results: Iterable[Result]) -> Counter[str]:
     """Return how many results have each outcome."""
     return Counter(result.outcome for result in results)

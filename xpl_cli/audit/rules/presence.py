@@ -6,6 +6,8 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
+from xpl_cli.basics.words import listed
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -34,8 +36,7 @@ class Presence:
         gone = [name for name in self.names if not _is_file(self.path / name)]
         if not gone:
             return None
-        more = f" and {len(gone) - _SHOWN} more" if len(gone) > _SHOWN else ""
-        return f"the package removed files of its own while it ran: {', '.join(gone[:_SHOWN])}{more}"
+        return f"the package removed files of its own while it ran: {listed(gone, _SHOWN)}"
 
 
 def _is_file(path: Path) -> bool:

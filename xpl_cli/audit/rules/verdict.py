@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, GATES
 from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.basics.words import amount, listed
 from xpl_cli.packages.package import ENV, POLICY
 
 if TYPE_CHECKING:
@@ -75,16 +76,16 @@ class Claim:
 
 def _of_parity(numbers: Mapping[str, Any]) -> Iterable[str]:
     """Yield the pairs that were compared, and how many conventions nobody was found to say."""
-    yield _amount(numbers.get("pairs", 0), "pair")
+    yield amount(numbers.get("pairs", 0), "pair")
     if not numbers.get("conventions", True):
         yield "no convention named"
     elif "assumed" in numbers:
-        yield f"{_amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
+        yield f"{amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
 
 
 def _of_demonstrations(numbers: Mapping[str, Any]) -> Iterable[str]:
     """Yield the episodes that the policy was held against."""
-    yield _amount(numbers.get("episodes", 0), "episode")
+    yield amount(numbers.get("episodes", 0), "episode")
 
 
 CONTRACT: Final = Claim("contract", "contract")
@@ -172,7 +173,7 @@ class Verdict:
         if self.word is not Word.GREEN:
             parts += map(str, (*self.proven, *(item for item in self.beside if isinstance(item, Proven))))
         if self.waived:
-            parts.append(f"{_amount(len(self.waived), 'finding')} waived ({_named(self.waived)})")
+            parts.append(f"{amount(len(self.waived), 'finding')} waived ({_named(self.waived)})")
         unproven = [*self.unproven, *(item for item in self.beside if isinstance(item, Unproven))]
         return "; ".join([*parts, *(str(item) for item in unproven if item.is_told)])
 
@@ -327,7 +328,7 @@ def _asides(gates: Sequence[Ended], around: Circumstances) -> Iterable[str]:
         if gate.outcome is Outcome.NOT_APPLICABLE:
             yield f"not in the {gate.name} gate ({gate.reason or 'no rule of it applies'})"
     if around.settings:
-        yield f"with --set {_listed(around.settings, _MOST)}"
+        yield f"with --set {listed(around.settings, _MOST)}"
 
 
 def _beside(gates: Sequence[Ended], around: Circumstances) -> Iterable[Proven | Unproven]:
@@ -355,27 +356,18 @@ def _doubt(result: Result) -> str | None:
     if result.waived:
         return f"findings of {result.code} are waived"
     if result.findings:
-        return f"{result.code} found {_amount(len(result.findings), 'difference')}"
+        return f"{result.code} found {amount(len(result.findings), 'difference')}"
     return None if result.outcome is Outcome.PASS else result.reason
 
 
 def _places(found: Sequence[str], noun: str, what: str) -> str:
-    return f"{_amount(len(found), noun)} {what} ({_listed(found, 1)})" if found else ""
+    return f"{amount(len(found), noun)} {what} ({listed(found, 1)})" if found else ""
 
 
 def _counted(codes: Sequence[str], what: str) -> str:
-    return f"{_amount(len(codes), 'rule')} {what} ({_named(codes)})" if codes else ""
+    return f"{amount(len(codes), 'rule')} {what} ({_named(codes)})" if codes else ""
 
 
 def _named(codes: Sequence[str]) -> str:
     """Return codes, each once; those that come most often are not told from others."""
-    return _listed(list(Counter(codes)), _MOST)
-
-
-def _listed(names: Sequence[str], most: int) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{', '.join(names[:most])}{more}"
-
-
-def _amount(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    return listed(list(Counter(codes)), _MOST)

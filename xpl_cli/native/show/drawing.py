@@ -26,7 +26,6 @@ COLOURS: Final = {
     "word": (60, 66, 74),
 }
 """By kind of a shape; the page's styles have the same for paper that is dark."""
-PAPER: Final = (255, 255, 255)
 
 
 @dataclass(frozen=True)

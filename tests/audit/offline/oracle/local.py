@@ -20,7 +20,7 @@ from xpl.worker import variants
 from xpl.worker.loading import load_model_class
 from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.offline.demonstrations.fact import Demonstrated
-from xpl_cli.audit.offline.parity import blocks
+from xpl_cli.audit.offline.parity.changed import Changed
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
@@ -79,7 +79,7 @@ class Local:
         told = self.__getattr__("update_obs")(obs)
         return told if isinstance(told, PolicyServerError) else self.__getattr__("get_action")()
 
-    def blocks(self, _probe: Any, course: Any, _config: Any, tried: Any, wanted: Any, seconds: float) -> Any:
+    def blocks(self, course: Any, tried: Any, wanted: Any, seconds: float) -> Any:
         """Return the answers under each block, as the errand does; the model is as it was afterwards."""
         if variants.unfit(self.model) is not None:
             return None
@@ -124,5 +124,9 @@ class Judged:
 
     def _checked(self, slug: str) -> Result:
         facts = {"path": self.package, "demonstrations": self.fact, "options": self.probe.options}
-        with mock.patch.object(blocks, "answers", self.probe.blocks):
+
+        def blocks(again: Any, tried: Any, wanted: Any, seconds: float) -> Any:
+            return self.probe.blocks(again._course, tried, wanted, seconds)
+
+        with mock.patch.object(Changed, "blocks", blocks):
             return Checks(Facts(facts, {}))._checked(find(slug))  # type: ignore[arg-type]

@@ -20,6 +20,7 @@ from xpl_cli.audit.offline.parity.played import RefusedError, replay
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics.atomic import write_file
+from xpl_cli.basics.words import amount, listed
 
 if TYPE_CHECKING:
     from xpl.trajectory import Folder, Trajectory
@@ -55,8 +56,9 @@ class Demonstrated:
         """
         found = self._episodes()
         if len(found) < LEAST_EPISODES:
-            some = f"{len(found)} episode{'' if len(found) == 1 else 's'}"
-            raise NotRun(f"{some} tell nothing for certain: at least {LEAST_EPISODES} are needed")
+            raise NotRun(
+                f"{amount(len(found), 'episode')} tell nothing for certain: at least {LEAST_EPISODES} are needed"
+            )
         places = np.unique(np.linspace(0, len(found) - 1, min(len(found), _MOST_EPISODES)).astype(int))
         try:
             return [recording(found[int(place)], self.probe.embodiment, self.probe.action_type) for place in places]
@@ -204,16 +206,10 @@ class Demonstrated:
             raise NotRun(f"the demonstrations that {declared.FILE} names are not here: {path}")
         others = [name for name, digest in digests.items() if not _is(root / name, root, digest)]
         if others:
-            more = f" and {len(others) - 1} more" if len(others) > 1 else ""
-            raise NotRun(f"the demonstrations are not those that {declared.FILE} names: {others[0]}{more} differ")
+            raise NotRun(f"the demonstrations are not those that {declared.FILE} names: {listed(others, 1)} differ")
         from xpl.trajectory import Trajectory
 
         return [Trajectory(str(root / name)) for name in sorted(digests)]
-
-
-def given(package: Path, demos: Path | None) -> bool:
-    """Tell whether there are demonstrations that a package is to be held against."""
-    return demos is not None or declared.is_there(package)
 
 
 def _opened(path: Path) -> Folder:

@@ -21,8 +21,8 @@ from xpl.manifest import Native
 from xpl_cli.audit.offline.demonstrations.certainty import Margin, margin
 from xpl_cli.audit.offline.demonstrations.episodes import Asking, few
 from xpl_cli.audit.offline.demonstrations.rates import rates
-from xpl_cli.audit.offline.parity import blocks
 from xpl_cli.audit.offline.parity.around import Around
+from xpl_cli.audit.offline.parity.changed import Changed
 from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.native.alternatives.block import alternatives
 from xpl_cli.native.alternatives.prompts import templates
@@ -178,11 +178,12 @@ class Search:
         except NativeError:
             return None
         converts = True
+        again = Changed(self._probe, self._course, settled)
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Chunks | None]:
             nonlocal converts
             tried = [self._native.data, *(changes[number].block for number in chosen)]
-            found = blocks.answers(self._probe, self._course, settled, tried, wanted, self._left)
+            found = again.blocks(tried, wanted, self._left)
             converts = converts and found is not None
             if found and found[0] is not None and not self._refused:
                 # What is drawn depends on how it is asked, so that changes are held against answers asked alike.

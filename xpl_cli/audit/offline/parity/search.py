@@ -20,11 +20,10 @@ from xpl.client import ClientError
 from xpl.convert import NativeError
 from xpl.convert.frames import tool
 from xpl.manifest import Native
-from xpl_cli.audit.offline.parity import blocks
 from xpl_cli.audit.offline.parity.around import Around
+from xpl_cli.audit.offline.parity.changed import Changed
 from xpl_cli.audit.offline.parity.contest import Ask, Contest
 from xpl_cli.audit.offline.parity.course import Course
-from xpl_cli.audit.offline.parity.encoded import Encoded
 from xpl_cli.audit.offline.parity.played import overrides
 from xpl_cli.audit.offline.parity.shown import Shown
 from xpl_cli.audit.rules.model import NotRun
@@ -145,13 +144,13 @@ class Search:
         except NativeError:
             return None
         converts_by_it = True
-
+        again = Changed(self._probe, self._course, self._settled)
         contest = Contest(self._course, self._judgement, self._course.everything)
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
             nonlocal converts_by_it
             tried = [self._native.data, *(changes[number].block for number in chosen)]
-            found = blocks.answers(self._probe, self._course, self._settled, tried, wanted, self._left)
+            found = again.blocks(tried, wanted, self._left)
             converts_by_it = converts_by_it and found is not None
             for number, given in zip(chosen, (found or [])[1:], strict=False):
                 yield Tried(changes[number].words, changes[number].convention, contest.remaining(given))
@@ -198,19 +197,19 @@ class Search:
                 templates=self._templates,
             )
         )
-        encoded = Encoded(self._probe, self._course, self._settled)
+        again = Changed(self._probe, self._course, self._settled)
         contest = Contest(self._course, self._judgement, self._course.everything)
 
         def ask(chosen: Sequence[int], wanted: Sequence[int]) -> Iterator[Tried]:
             # The last family needs time, too; but those that are left of many are near the mistake.
             share = _MANY if len(chosen) == len(changes) else _FEW
-            answered = encoded.answers([changes[number] for number in chosen], wanted, share * self._left)
+            answered = again.encodings([changes[number] for number in chosen], wanted, share * self._left)
             for one in answered:
                 tried = Tried(one.words, one.convention, contest.remaining(one.given))
                 yield self._both_ways(tried, one.given) if len(wanted) == len(self._course.everything) else tried
 
         found = contest.held(len(changes), ask)
-        if found.cause is None and encoded.draws == 0 and self._kind.draws:
+        if found.cause is None and again.draws == 0 and self._kind.draws:
             self._unseen.append(Pattern("the adapter draws no number, and the model samples", "sampling"))
         return found
 

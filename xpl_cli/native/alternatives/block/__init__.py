@@ -38,13 +38,11 @@ class Alternative:
         words: what is changed, as a finding says it: "channels: bgr (wrists)".
         convention: which convention it is about, of the vocabulary of native.py.
         block: the changed block; valid, and it fits the robot.
-        answers_only: whether it changes nothing that the model reads, so that recorded answers of the model will do.
     """
 
     words: str
     convention: str
     block: dict[str, Any]
-    answers_only: bool
 
 
 def alternatives(  # noqa: PLR0913, PLR0917 - what is known of the adapter
@@ -84,8 +82,7 @@ def alternatives(  # noqa: PLR0913, PLR0917 - what is known of the adapter
         except NativeError:
             continue
         if fits and _is_valid(block):
-            told = all(place[0] == "action" for place in candidate.edits)
-            yield Alternative(candidate.words, candidate.convention, block, told)
+            yield Alternative(candidate.words, candidate.convention, block)
 
 
 def _candidates(

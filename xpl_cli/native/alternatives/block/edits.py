@@ -9,7 +9,6 @@ from typing import Any
 
 Place = tuple[str | int, ...]
 """Keys and positions that lead to a value of the block."""
-Entry = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
