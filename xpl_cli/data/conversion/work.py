@@ -23,7 +23,7 @@ from xpl_cli.data.conversion import chain, mapping
 from xpl_cli.data.conversion.names import Renamed, Renaming, renaming
 from xpl_cli.data.conversion.packing import NAME, PackedSet
 from xpl_cli.data.formats.writers import writer_of
-from xpl_cli.data.formats.writing import CONVERTED, Options, Plan
+from xpl_cli.data.formats.writing import CONVERTED, Options, Piece, Plan
 from xpl_cli.data.sets.delegating import base_format
 from xpl_cli.data.sets.errors import DataError
 
@@ -232,7 +232,7 @@ def _write(task: _Task, source: Demonstrations, index: int) -> bool:
     """Write one episode, and then the note that it is there."""
     episode = Renamed(source[index], task.how)
     told = writer_of(task.job.to).piece(task.staging, task.plan, index, episode)
-    write_file(task.staging / _PIECES / f"{index:06d}.json", json.dumps(told).encode())
+    write_file(task.staging / _PIECES / f"{index:06d}.json", json.dumps(asdict(told)).encode())
     return True
 
 
@@ -283,23 +283,19 @@ def _done(staging: Path, count: int) -> set[int]:
     return {index for index in range(count) if (staging / _PIECES / f"{index:06d}.json").is_file()}
 
 
-def _piece(staging: Path, index: int) -> dict[str, Any]:
-    told: dict[str, Any] = json.loads((staging / _PIECES / f"{index:06d}.json").read_bytes())
-    return told
+def _piece(staging: Path, index: int) -> Piece:
+    return Piece(**json.loads((staging / _PIECES / f"{index:06d}.json").read_bytes()))
 
 
-def _lossy(job: Job, pieces: list[dict[str, Any]]) -> dict[str, str]:
+def _lossy(job: Job, pieces: list[Piece]) -> dict[str, str]:
     """Return what is not exactly what it was: images that were encoded here, with the worst that a sample shows."""
     worst: dict[str, float] = {}
     how: dict[str, str] = {}
     for piece in pieces:
-        for name, value in piece.get("psnr_db", {}).items():
-            how[name] = "encoded as JPEG"
+        for name, value in piece.psnr_db.items():
+            codec = piece.videos.get(name)
+            how[name] = "encoded as JPEG" if codec is None else f"encoded as {codec}, crf {job.options.crf}"
             worst[name] = min(worst.get(name, value), value)
-        for name, told in piece.get("videos", {}).items():
-            if not told["copied"]:
-                how[name] = f"encoded as {told['codec']}, crf {job.options.crf}"
-                worst[name] = min(worst.get(name, told["psnr_db"]), told["psnr_db"])
     return {name: f"{what}; PSNR {worst[name]:.1f} dB or more in samples" for name, what in how.items()}
 
 

@@ -20,7 +20,7 @@ from xpl.trajectory import TrajectoryError, names
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import hdf5, libraries, pictures
 from xpl_cli.data.formats.folders import FolderSet, told_in
-from xpl_cli.data.formats.writing import CONVERTED, Names
+from xpl_cli.data.formats.writing import CONVERTED, Names, Piece
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Camera, Column
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
@@ -184,7 +184,7 @@ class StandardWriter:
                 hint="say it by --map MAPPING; libero, aloha and robotwin are ready",
             )
 
-    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
+    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> Piece:
         """Write one episode's file, and its line in the index."""
         libraries.h5py()
         path, form = folder / _SET / f"episode_{index}.hdf5", _form(plan)
@@ -213,9 +213,9 @@ class StandardWriter:
         except TrajectoryError as error:
             raise DataError(str(error)) from None
         worst = {name: min(values) for name, values in samples.items() if values}
-        return {"psnr_db": {name: value for name, value in worst.items() if value != float("inf")}}
+        return Piece({name: value for name, value in worst.items() if value != float("inf")})
 
-    def finish(self, folder: Path, plan: Plan, pieces: list[dict[str, Any]]) -> Path:
+    def finish(self, folder: Path, plan: Plan, pieces: list[Piece]) -> Path:
         """Return the folder: the files are the set."""
         del plan, pieces
         return folder / _SET

@@ -89,6 +89,23 @@ class Names:
     environment: str = ""
 
 
+@dataclass(frozen=True)
+class Piece:
+    """What was written of one episode, as the end of a conversion needs to know it; it is kept as JSON meanwhile.
+
+    Attributes:
+        psnr_db: by camera whose images were encoded here and lost something, the lowest of a sample.
+        videos: by camera that became a video, its codec.
+        stats: by column and camera, its statistics.
+        extras: what else the episode says, where the format keeps it for all episodes together.
+    """
+
+    psnr_db: Mapping[str, float] = field(default_factory=dict)
+    videos: Mapping[str, str] = field(default_factory=dict)
+    stats: Mapping[str, Mapping[str, list[Any]]] = field(default_factory=dict)
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+
 class Writer(Protocol):
     """Writes sets of one format."""
 
@@ -108,11 +125,11 @@ class Writer(Protocol):
             DataError: something is missing that the format needs.
         """
 
-    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
-        """Write one episode below a folder; return what the finish needs to know of it, plain data.
+    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> Piece:
+        """Write one episode below a folder; return what the finish needs to know of it.
 
         It may be called again for an episode of which a part was written.
         """
 
-    def finish(self, folder: Path, plan: Plan, pieces: list[dict[str, Any]]) -> Path:
+    def finish(self, folder: Path, plan: Plan, pieces: list[Piece]) -> Path:
         """Join the pieces; return the file or folder that is the set."""

@@ -38,6 +38,8 @@ EXTRAS: Final = "extras"
 _PLACE: Final = re.compile(r"\{([a-z_]+)(?::0?([0-9])d)?\}")
 _MOST_META: Final = 512 << 20
 _POINTERS: Final = ("data/", "meta/", "videos/", "stats/")
+_NAMED: Final = ("codebase_version", "features", "fps", "robot_type", "data_path", "video_path")
+_COUNTS: Final = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb", "splits")
 _KNOWN: Final = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
 
 
@@ -64,8 +66,59 @@ class Entry:
     extras: Mapping[str, Any] = field(default_factory=dict)
 
 
-def information(root: Path) -> dict[str, Any]:
-    """Return what `meta/info.json` says, its features and rate judged.
+@dataclass(frozen=True)
+class Feature:
+    """What `meta/info.json` says of one column or camera.
+
+    Attributes:
+        dtype: `video`, `image`, `string`, or numpy's name of a type.
+        shape: of a row or an image; sets of 2024 have an image's channels first.
+        names: of the numbers of a row, or of the axes of an image; empty where it has none.
+        codec: of a video; "" where it is not said.
+    """
+
+    dtype: str
+    shape: tuple[int, ...]
+    names: tuple[str, ...]
+    codec: str = ""
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether it is one of images."""
+        return self.dtype in ("video", "image")
+
+
+@dataclass(frozen=True)
+class Info:
+    """What `meta/info.json` says.
+
+    Attributes:
+        version: v2.1 or v3.0, by which the files lie.
+        rate_hz: steps per second.
+        robot: what the set calls its robot; None where it does not.
+        features: by name.
+        data_path, video_path: templates of the paths of files.
+        chunk: most episodes of a folder, where each has files of its own.
+        rest: what else it says, without its counts.
+    """
+
+    version: str
+    rate_hz: float
+    robot: str | None
+    features: Mapping[str, Feature]
+    data_path: str
+    video_path: str
+    chunk: int
+    rest: Mapping[str, Any]
+
+    @property
+    def videos(self) -> list[str]:
+        """The names of the cameras that are videos."""
+        return [name for name, feature in self.features.items() if feature.dtype == "video"]
+
+
+def information(root: Path) -> Info:
+    """Return what `meta/info.json` says.
 
     Raises:
         DataError: it cannot be read, or says something that cannot be.
@@ -73,22 +126,41 @@ def information(root: Path) -> dict[str, Any]:
     info = _json(root / INFO)
     if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
         raise DataError(f"{root / INFO} has no map `features`")
-    for name, feature in info["features"].items():
-        shape = feature.get("shape") if isinstance(feature, dict) else None
-        if not isinstance(shape, list) or not all(isinstance(size, int) and size >= 0 for size in shape):
-            raise DataError(f"{root / INFO}: the feature {name} has no shape of whole numbers")
-    if not isinstance(info.get("fps"), (int, float)) or not info["fps"] > 0:
-        raise DataError(f"{root / INFO} has no fps above 0, got {info.get('fps')!r}")
-    return info
+    rate = info.get("fps")
+    if not isinstance(rate, (int, float)) or not rate > 0:
+        raise DataError(f"{root / INFO} has no fps above 0, got {rate!r}")
+    if not isinstance(info.get("data_path"), str):
+        raise DataError(f"{root / INFO} has no data_path")
+    kept = info.get(EXTRAS)
+    known = (*_NAMED, *_COUNTS, EXTRAS)
+    rest = {key: value for key, value in info.items() if key not in known and not key.startswith("total_")}
+    return Info(
+        version=_version(root, str(info.get("codebase_version"))),
+        rate_hz=float(rate),
+        robot=str(info.get("robot_type") or "") or None,
+        features={name: _feature(root, name, entry) for name, entry in info["features"].items()},
+        data_path=info["data_path"],
+        video_path=str(info.get("video_path") or ""),
+        chunk=int(info.get("chunks_size") or CHUNKS_SIZE),
+        rest={**(kept if isinstance(kept, dict) else {}), **rest},
+    )
 
 
-def version_of(root: Path, info: Mapping[str, Any]) -> str:
-    """Return v2.1 or v3.0, by which the files lie.
+def _feature(root: Path, name: str, entry: Any) -> Feature:
+    shape = entry.get("shape") if isinstance(entry, dict) else None
+    if not isinstance(shape, list) or not all(isinstance(size, int) and size >= 0 for size in shape):
+        raise DataError(f"{root / INFO}: the feature {name} has no shape of whole numbers")
+    names = entry.get("names")
+    if isinstance(names, dict):  # lists in a map such as `motors`
+        names = [one for value in names.values() if isinstance(value, list) for one in value]
+    about = entry.get("info") or entry.get("video_info")
+    codec = about.get("video.codec") if isinstance(about, dict) else None
+    listed = tuple(map(str, names)) if isinstance(names, list) else ()
+    return Feature(str(entry.get("dtype")), tuple(shape), listed, str(codec or ""))
 
-    Raises:
-        DataError: it is another version.
-    """
-    told = str(info.get("codebase_version"))
+
+def _version(root: Path, told: str) -> str:
+    """Return v2.1 or v3.0, by which the files lie."""
     if told.startswith("v3."):
         return V30
     if told.startswith("v2."):
@@ -96,14 +168,14 @@ def version_of(root: Path, info: Mapping[str, Any]) -> str:
     raise DataError(f"{root / INFO} says version {told[:40]}; v2.0, v2.1 and v3.0 are read")
 
 
-def entries(root: Path, info: Mapping[str, Any], version: str) -> list[Entry]:
+def entries(root: Path, info: Info) -> list[Entry]:
     """Return what there is of each episode, in the order of their numbers.
 
     Raises:
         DataError: the files below `meta/` cannot be read, or lack something.
     """
     try:
-        found = list(_of_lines(root, info) if version == V21 else _of_tables(root, info))
+        found = list(_of_lines(root, info) if info.version == V21 else _of_tables(root, info))
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, DataError):
             raise
@@ -129,7 +201,7 @@ def statistics(root: Path, version: str, feature: str) -> dict[int, dict[str, An
     }
 
 
-def filled(template: Any, values: Mapping[str, Any]) -> str:
+def filled(template: str, values: Mapping[str, Any]) -> str:
     """Return a path with values in the places of a template; it never leads out of the dataset.
 
     Raises:
@@ -141,17 +213,12 @@ def filled(template: Any, values: Mapping[str, Any]) -> str:
         return str(value) if match[2] is None else f"{int(value):0{match[2]}d}"
 
     try:
-        path = _PLACE.sub(put, str(template))
+        path = _PLACE.sub(put, template)
     except KeyError as error:
-        raise DataError(f"{INFO}: the path {str(template)[:200]!r} has a place {error} that is not known") from None
+        raise DataError(f"{INFO}: the path {template[:200]!r} has a place {error} that is not known") from None
     if "{" in path or path.startswith("/") or ".." in Path(path).parts or "\0" in path:
-        raise DataError(f"{INFO}: the path {str(template)[:200]!r} leads out of the dataset, or is damaged")
+        raise DataError(f"{INFO}: the path {template[:200]!r} leads out of the dataset, or is damaged")
     return path
-
-
-def cameras(info: Mapping[str, Any], dtype: str) -> list[str]:
-    """Return the names of the features that are videos, or images."""
-    return [name for name, feature in info["features"].items() if feature.get("dtype") == dtype]
 
 
 def lines(path: Path) -> Iterator[dict[str, Any]]:
@@ -187,33 +254,30 @@ def object_of(text: str, where: str) -> dict[str, Any]:
     return value
 
 
-def _of_lines(root: Path, info: Mapping[str, Any]) -> Iterator[Entry]:
-    size = int(info.get("chunks_size") or CHUNKS_SIZE)
-    videos = cameras(info, "video")
+def _of_lines(root: Path, info: Info) -> Iterator[Entry]:
     for line in lines(root / "meta/episodes.jsonl"):
         index = int(line["episode_index"])
-        places = {"episode_index": index, "episode_chunk": index // size}
+        places = {"episode_index": index, "episode_chunk": index // info.chunk}
         yield Entry(
             index,
             int(line["length"]),
             tuple(map(str, line.get("tasks") or ())),
-            filled(info["data_path"], places),
+            filled(info.data_path, places),
             0,
-            {name: (filled(info["video_path"], {**places, "video_key": name}), 0.0) for name in videos},
+            {name: (filled(info.video_path, {**places, "video_key": name}), 0.0) for name in info.videos},
             {key: value for key, value in line.items() if key not in _KNOWN},
         )
 
 
-def _of_tables(root: Path, info: Mapping[str, Any]) -> Iterator[Entry]:
-    videos = cameras(info, "video")
+def _of_tables(root: Path, info: Info) -> Iterator[Entry]:
     rows = sorted(_rows(root), key=lambda row: int(row["episode_index"]))
     begins: dict[str, int] = {}
     for row in rows:
-        path = filled(info["data_path"], _pointer(row, "data"))
+        path = filled(info.data_path, _pointer(row, "data"))
         begins.setdefault(path, int(row["dataset_from_index"]))
         begins[path] = min(begins[path], int(row["dataset_from_index"]))
     for row in rows:
-        path = filled(info["data_path"], _pointer(row, "data"))
+        path = filled(info.data_path, _pointer(row, "data"))
         yield Entry(
             int(row["episode_index"]),
             int(row["length"]),
@@ -222,10 +286,10 @@ def _of_tables(root: Path, info: Mapping[str, Any]) -> Iterator[Entry]:
             int(row["dataset_from_index"]) - begins[path],
             {
                 name: (
-                    filled(info["video_path"], {**_pointer(row, f"videos/{name}"), "video_key": name}),
+                    filled(info.video_path, {**_pointer(row, f"videos/{name}"), "video_key": name}),
                     float(row[f"videos/{name}/from_timestamp"]),
                 )
-                for name in videos
+                for name in info.videos
             },
             {key: value for key, value in row.items() if key not in _KNOWN and not key.startswith(_POINTERS)},
         )

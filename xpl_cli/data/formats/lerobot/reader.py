@@ -25,8 +25,6 @@ _MOST_ROW: Final = 64 << 20
 """Bytes of one row of a column."""
 _TYPES: Final = ("bool", *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)))
 _NUMBERS: Final = (*_TYPES, "float16", "float32", "float64")
-_KNOWN: Final = ("codebase_version", "features", "fps", "robot_type", "data_path", "video_path")
-_COUNTS: Final = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb", "splits")
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,6 @@ class LeRobotSet(Demonstrations):
     def __init__(self, root: Path) -> None:
         self.root = root
         self.info = layout.information(root)
-        self.version = layout.version_of(root, self.info)
 
     @property
     def path(self) -> str:
@@ -70,29 +67,22 @@ class LeRobotSet(Demonstrations):
     @property
     def format(self) -> str:
         """The name of its format."""
-        return f"lerobot-{self.version}"
+        return f"lerobot-{self.info.version}"
 
     @property
     def rate_hz(self) -> float | None:
         """Steps per second."""
-        return float(self.info["fps"])
+        return self.info.rate_hz
 
     @property
     def robot(self) -> str | None:
         """What the set calls its robot."""
-        told = self.info.get("robot_type")
-        return str(told) if told else None
+        return self.info.robot
 
     @property
     def extras(self) -> Mapping[str, Any]:
         """What else `meta/info.json` says, without its counts."""
-        told = self.info.get(layout.EXTRAS)
-        rest = {
-            key: value
-            for key, value in self.info.items()
-            if key not in (*_KNOWN, *_COUNTS, layout.EXTRAS) and not key.startswith("total_")
-        }
-        return {**(told if isinstance(told, dict) else {}), **rest}
+        return self.info.rest
 
     def __len__(self) -> int:
         """How many episodes there are."""
@@ -105,11 +95,7 @@ class LeRobotSet(Demonstrations):
     @functools.cached_property
     def columns(self) -> Mapping[str, Column]:
         """The columns of every episode."""
-        return {
-            name: _column(name, feature)
-            for name, feature in self.info["features"].items()
-            if feature.get("dtype") not in ("video", "image")
-        }
+        return {name: _column(name, feature) for name, feature in self.info.features.items() if not feature.is_camera}
 
     @functools.lru_cache(maxsize=8)  # noqa: B019 - a set lives as long as what reads it
     def group(self, path: str, number: int, column: str) -> NDArray[Any]:
@@ -127,7 +113,7 @@ class LeRobotSet(Demonstrations):
     @functools.lru_cache(maxsize=16)  # noqa: B019 - as above
     def statistics(self, feature: str) -> dict[int, dict[str, Any]]:
         """Return the statistics of a feature by episode."""
-        return layout.statistics(self.root, self.version, feature)
+        return layout.statistics(self.root, self.info.version, feature)
 
     def rows(self, entry: layout.Entry, column: str, start: int, stop: int) -> NDArray[Any]:
         """Return rows of an episode."""
@@ -161,7 +147,7 @@ class LeRobotSet(Demonstrations):
 
     @functools.cached_property
     def _entries(self) -> list[layout.Entry]:
-        return layout.entries(self.root, self.info, self.version)
+        return layout.entries(self.root, self.info)
 
     def _require(self, file: Any, column: str, path: str) -> None:
         if column not in file.schema_arrow.names:
@@ -227,7 +213,8 @@ class LeRobotEpisode(Episode):
     @functools.cached_property
     def cameras(self) -> Mapping[str, Camera]:
         """The cameras, in the order of the features."""
-        return {name: self._camera(name, feature) for name, feature in self._features()}
+        features = self._owner.info.features.items()
+        return {name: _camera(name, feature) for name, feature in features if feature.is_camera}
 
     @property
     def extras(self) -> Mapping[str, Any]:
@@ -259,62 +246,41 @@ class LeRobotEpisode(Episode):
 
     def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield images of a camera."""
-        feature = dict(self._features())[camera]
+        feature = self._owner.info.features[camera]
         first, last, _ = slice(start, stop).indices(self.length)
-        if feature["dtype"] == "video":
+        if feature.dtype == "video":
             path, begins = self.entry.videos[camera]
-            yield from video.frames(self._owner.root / path, begins, float(self._owner.info["fps"]), first, last)
+            yield from video.frames(self._owner.root / path, begins, self._owner.info.rate_hz, first, last)
             return
         for index, data in self._owner.pictures(self.entry, camera, first, last):
             yield pictures.pixels(data, f"{self._owner.root / self.entry.data}, {camera}, image {index}")
 
-    def _features(self) -> list[tuple[str, dict[str, Any]]]:
-        return [
-            (name, feature)
-            for name, feature in self._owner.info["features"].items()
-            if feature.get("dtype") in ("video", "image")
-        ]
 
-    def _camera(self, name: str, feature: Mapping[str, Any]) -> Camera:
-        if len(feature["shape"]) != 3:
-            raise DataError(f"{layout.INFO}: the camera {name} has the shape {feature['shape']}, expected three sizes")
-        height, width = _sizes(feature)
-        if height * width > PIXELS:
-            raise DataError(f"{layout.INFO}: images of {name} have {height} x {width} pixels, more than {PIXELS}")
-        if feature["dtype"] == "image":
-            return Camera(height, width, encoding="png")
-        told = feature.get("info") or feature.get("video_info") or {}
-        return Camera(height, width, encoding=str(told.get("video.codec", "video")))
+def _camera(name: str, feature: layout.Feature) -> Camera:
+    if len(feature.shape) != 3:
+        raise DataError(f"{layout.INFO}: the camera {name} has the shape {feature.shape}, expected three sizes")
+    height, width = _sizes(feature)
+    if height * width > PIXELS:
+        raise DataError(f"{layout.INFO}: images of {name} have {height} x {width} pixels, more than {PIXELS}")
+    return Camera(height, width, encoding="png" if feature.dtype == "image" else feature.codec or "video")
 
 
-def _sizes(feature: Mapping[str, Any]) -> tuple[int, int]:
+def _sizes(feature: layout.Feature) -> tuple[int, int]:
     """Return height and width; sets of 2024 have the channels first, and say so in their names."""
-    names = feature.get("names")
-    is_first = isinstance(names, list) and names and str(names[0]).startswith("channel")
-    is_first = is_first or (not names and feature["shape"][0] == 3 and feature["shape"][2] != 3)
-    height, width = feature["shape"][1:] if is_first else feature["shape"][:2]
-    return height, width
+    first, second, last = feature.shape
+    is_first = feature.names[0].startswith("channel") if feature.names else first == 3 != last
+    return (second, last) if is_first else (first, second)
 
 
-def _column(name: str, feature: Mapping[str, Any]) -> Column:
-    dtype = str(feature.get("dtype"))
-    if dtype in ("string", "large_string"):
+def _column(name: str, feature: layout.Feature) -> Column:
+    if feature.dtype in ("string", "large_string"):
         return Column((), "str")
-    if dtype not in _NUMBERS:
-        raise DataError(f"{layout.INFO}: the feature {name} has the type {dtype[:40]}, which is not read")
-    shape = () if name in layout.DEFAULTS else tuple(feature["shape"])
+    if feature.dtype not in _NUMBERS:
+        raise DataError(f"{layout.INFO}: the feature {name} has the type {feature.dtype[:40]}, which is not read")
+    shape = () if name in layout.DEFAULTS else feature.shape
     if math.prod(shape) * 8 > _MOST_ROW:
         raise DataError(f"{layout.INFO}: the feature {name} has the shape {shape}, too large for a row")
-    return Column(shape, dtype, _names(feature.get("names"), shape))
-
-
-def _names(told: Any, shape: tuple[int, ...]) -> tuple[str, ...]:
-    """Return the names of the entries of a row: a list, or a list in a map such as `motors`."""
-    if isinstance(told, dict):
-        lists = [value for value in told.values() if isinstance(value, list)]
-        told = [name for value in lists for name in value]
-    names = tuple(map(str, told)) if isinstance(told, list) else ()
-    return names if len(shape) == 1 and len(names) == shape[0] else ()
+    return Column(shape, feature.dtype, feature.names if shape == (len(feature.names),) else ())
 
 
 def _groups(sizes: Sequence[int], start: int, stop: int) -> Iterator[tuple[int, int, int]]:

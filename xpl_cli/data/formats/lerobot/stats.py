@@ -18,7 +18,8 @@ QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99
 _FEWEST, _MOST = 100, 10_000
 _SMALL, _WANTED = 300, 150
 
-Stats = dict[str, Any]
+Stats = Mapping[str, list[Any]]
+"""By name: min, max, mean, std, quantiles, count; nested lists of numbers."""
 
 
 def of_numbers(rows: NDArray[Any]) -> Stats:

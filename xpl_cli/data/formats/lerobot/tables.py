@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl_cli.data.formats import libraries
+
+if TYPE_CHECKING:
+    from xpl_cli.data.formats.writing import Piece
 
 
 def schema(features: Mapping[str, Any]) -> Any:
@@ -75,14 +78,14 @@ def write_tasks(path: Path, tasks: list[str]) -> None:
     libraries.parquet().write_table(arrow.Table.from_arrays(columns, schema=types), path)
 
 
-def write_episodes(path: Path, rows: list[dict[str, Any]], pieces: list[dict[str, Any]]) -> None:
+def write_episodes(path: Path, rows: list[dict[str, Any]], pieces: list[Piece]) -> None:
     """Write the table of episodes: a row each, with its statistics as columns `stats/<feature>/<name>`."""
     arrow = libraries.arrow()
     keys = list(dict.fromkeys(key for row in rows for key in row))
     columns: dict[str, list[Any]] = {key: [row.get(key) for row in rows] for key in keys}
-    for feature, told in pieces[0]["stats"].items():
+    for feature, told in pieces[0].stats.items():
         for name in told:
-            columns[f"stats/{feature}/{name}"] = [piece["stats"][feature][name] for piece in pieces]
+            columns[f"stats/{feature}/{name}"] = [piece.stats[feature][name] for piece in pieces]
     path.parent.mkdir(parents=True, exist_ok=True)
     libraries.parquet().write_table(arrow.Table.from_pydict(columns), path, compression="snappy")
 

@@ -15,7 +15,7 @@ from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import encoding, pictures, video
 from xpl_cli.data.formats.lerobot import layout, stats, tables
-from xpl_cli.data.formats.writing import Names
+from xpl_cli.data.formats.writing import Names, Piece
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class LeRobotWriter:
         if wrong:
             raise DataError(f"LeRobot takes no / in names, got {', '.join(wrong)}")
 
-    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> dict[str, Any]:
+    def piece(self, folder: Path, plan: Plan, index: int, episode: Episode) -> Piece:
         """Write the numbers and videos of one episode."""
         _same(plan, index, episode)
         rate = float(plan.rate_hz or 0)
@@ -78,12 +78,14 @@ class LeRobotWriter:
             columns[name] = rows
             if rows.dtype.kind in "biuf":
                 found[name] = stats.of_numbers(rows)
-        videos = {}
+        videos: dict[str, str] = {}
+        psnr_db: dict[str, float] = {}
         for name in plan.cameras:
             if _is_video(plan, name):
                 path = _video_path(folder, index, name)
                 path.parent.mkdir(parents=True, exist_ok=True)
-                videos[name], found[name] = _video(path, episode, name, plan, rate)
+                videos[name], worst, found[name] = _video(path, episode, name, plan, rate)
+                psnr_db |= {} if worst is None else {name: worst}
             else:
                 columns[name], found[name] = _pngs(episode, name)
         columns |= _counted(plan, index, rate, _tasks(plan))
@@ -91,9 +93,9 @@ class LeRobotWriter:
         path = _table_path(folder, index)
         path.parent.mkdir(parents=True, exist_ok=True)
         tables.write(path, tables.schema(_features(plan)), columns)
-        return {"stats": found, "videos": videos, "extras": dict(episode.extras)}
+        return Piece(psnr_db, videos, found, dict(episode.extras))
 
-    def finish(self, folder: Path, plan: Plan, pieces: list[dict[str, Any]]) -> Path:
+    def finish(self, folder: Path, plan: Plan, pieces: list[Piece]) -> Path:
         """Join the files of episodes, and write `meta/`."""
         result = folder / _SET
         if result.exists():  # of a run that ended here
@@ -110,20 +112,20 @@ class LeRobotWriter:
             rows[index] |= {f"meta/episodes/{key}": value for key, value in _file(0).items()}
         tables.write_tasks(meta / "tasks.parquet", tasks)
         tables.write_episodes(result / layout.filled(layout.EPISODES_PATH, _file(0)), rows, pieces)
-        write_file(meta / "stats.json", _json(stats.of_all([piece["stats"] for piece in pieces])))
+        write_file(meta / "stats.json", _json(stats.of_all([piece.stats for piece in pieces])))
         write_file(result / layout.INFO, _json(_information(plan, pieces, tasks)))
         return result
 
 
-def _information(plan: Plan, pieces: list[dict[str, Any]], tasks: list[str]) -> dict[str, Any]:
+def _information(plan: Plan, pieces: list[Piece], tasks: list[str]) -> dict[str, Any]:
     """Return `meta/info.json`."""
     rate = float(plan.rate_hz or 0)
     features = _features(plan)
-    for name, told in pieces[0]["videos"].items():
+    for name, codec in pieces[0].videos.items():
         features[name]["info"] = {
             "video.height": plan.cameras[name].height,
             "video.width": plan.cameras[name].width,
-            "video.codec": told["codec"],
+            "video.codec": codec,
             "video.pix_fmt": "yuv420p",
             "video.is_depth_map": False,
             "video.fps": _whole(rate),
@@ -179,13 +181,17 @@ def _joined(folder: Path, plan: Plan) -> list[dict[str, Any]]:
     return places
 
 
-def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> tuple[dict[str, Any], stats.Stats]:
-    """Write a camera's video, copied where it is one already; return what it is, and its statistics."""
+def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> tuple[str, float | None, stats.Stats]:
+    """Write a camera's video, copied where it is one already.
+
+    Returns:
+        codec, PSNR in dB of the worst frame of a sample (None for a copy), and its statistics.
+    """
     wanted = stats.chosen(episode.length)
     source = getattr(episode, "video", lambda _: None)(name)
     if source is not None and encoding.copied(source.path, source.begins_s, rate, episode.length, path):
         seen = _sampled(episode, name, wanted)
-        return {"codec": source.codec, "copied": True}, seen
+        return source.codec, None, seen
     kept: list[NDArray[np.uint8]] = []
 
     def shown() -> Iterator[NDArray[np.uint8]]:
@@ -201,7 +207,7 @@ def _video(path: Path, episode: Episode, name: str, plan: Plan, rate: float) -> 
     sample = min(episode.length, _SAMPLED)
     back = video.frames(path, 0.0, rate, 0, sample)
     worst = min(pictures.psnr(one, other) for one, other in zip(episode.frames(name, 0, sample), back, strict=True))
-    return {"codec": plan.options.codec, "copied": False, "psnr_db": min(worst, _EXACT)}, stats.of_images(kept)
+    return plan.options.codec, min(worst, _EXACT), stats.of_images(kept)
 
 
 def _sampled(episode: Episode, name: str, wanted: list[int]) -> stats.Stats:
@@ -271,15 +277,15 @@ def _features(plan: Plan) -> dict[str, Any]:
     return features
 
 
-def _row(plan: Plan, index: int, piece: Mapping[str, Any]) -> dict[str, Any]:
+def _row(plan: Plan, index: int, piece: Piece) -> dict[str, Any]:
     """Return what `meta/` says of an episode, in every version."""
     row: dict[str, Any] = {
         "episode_index": index,
         "tasks": list(plan.instructions[index]) or [""],
         "length": plan.lengths[index],
     }
-    if piece["extras"]:
-        row[layout.EXTRAS] = json.dumps(piece["extras"], ensure_ascii=False)
+    if piece.extras:
+        row[layout.EXTRAS] = json.dumps(piece.extras, ensure_ascii=False)
     return row
 
 
