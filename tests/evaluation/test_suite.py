@@ -78,7 +78,7 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     assert told["overall"]["successes"] == 6
     assert "8 of 8 episodes" in done.stderr
     lines = [json.loads(line) for line in (room / "run" / records.FILE).read_text().splitlines()]
-    assert [problem for line in lines for problem in validate(line, "record")] == []
+    assert [problem for line in lines for problem in validate(line.as_json(), "record")] == []
     run = records.read(room / "run")
     assert [(line.task, line.seed) for line in run.finals.values()] == [
         (task, seed) for task in ("hold", "wait") for seed in range(4)
@@ -130,7 +130,7 @@ def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_agai
     assert done.returncode == ExitCode.NOT_RUN, done.stderr
     assert "1 of 6 episodes were spoilt" in done.stderr
     run = records.read(tmp_path / "run")
-    assert [problem for line in run.attempts for problem in validate(line, "record")] == []
+    assert [problem for line in run.attempts for problem in validate(line.as_json(), "record")] == []
     finals = run.finals
     assert [finals[index].failure for index in range(6)] == [None, "policy", "task", None, "infrastructure", "task"]
     assert [finals[index].attempt for index in range(6)] == [2, 1, 1, 2, 3, 1]
