@@ -10,7 +10,7 @@ import pytest
 from xpl import rollout, trajectory
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.lanes.backend import Job
-from xpl_cli.evaluation.lanes.orders import ALL, SUCCESS, Demos, Orders
+from xpl_cli.evaluation.lanes.orders import ALL, SUCCESS, Demos, Orders, Settings
 from xpl_cli.evaluation.lanes.recorder import recorded
 from xpl_cli.evaluation.records.model import Ending
 
@@ -80,9 +80,9 @@ class Chunks:
         return chunks if isinstance(obs, list) else chunks[0]
 
 
-def _orders(folder: Path, keep: str = ALL, **settings: bool) -> Orders:
-    settings = {"embodiment": "arx_x5", "action_type": "joint", **settings}
-    demos = Demos(str(folder), keep, privileged="privileged" in settings)
+def _orders(folder: Path, keep: str = ALL, **told: bool) -> Orders:
+    settings = Settings("lift", "arx_x5", "joint", **told)
+    demos = Demos(str(folder), keep, privileged="privileged" in told)
     return Orders("policy/P", "1" * 64, "envs/E", "2" * 64, {}, settings, demos=demos)
 
 

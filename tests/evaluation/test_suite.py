@@ -78,7 +78,7 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     assert told["overall"]["successes"] == 6
     assert "8 of 8 episodes" in done.stderr
     lines = [json.loads(line) for line in (room / "run" / records.FILE).read_text().splitlines()]
-    assert [problem for line in lines for problem in validate(line.as_json(), "record")] == []
+    assert [problem for line in lines for problem in validate(line, "record")] == []
     run = records.read(room / "run")
     assert [(line.task, line.seed) for line in run.finals.values()] == [
         (task, seed) for task in ("hold", "wait") for seed in range(4)

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl import _spec as sdk
 from xpl_cli.evaluation.lanes import trial
+from xpl_cli.evaluation.lanes.orders import Settings
 from xpl_cli.evaluation.records.model import Ending
 
 if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
 
-_TASK, _SETTING = "task", "setting"
 RESULT: Final = trial.outcome([Ending(success=False, score=0.25, steps=3, end_reason="max_steps")])
 """How a trial went."""
 
 
 def case_of(probe: Probe) -> dict[str, Any]:
     """Return what a policy is told of a case, for the robot that it is served for."""
-    settings = {"embodiment": probe.embodiment.name, sdk.Deploy.ACTION_TYPE: probe.action_type}
-    return trial.case(_TASK, _SETTING, settings)
+    return trial.case(Settings("task", probe.embodiment.name, probe.action_type, setting="setting"))

@@ -358,7 +358,7 @@ class Simulation:
             )
         except UserError as error:
             raise NotRun(str(error)) from None
-        return environments.make(ENVIRONMENT, {**settings, "max_steps": max_steps})
+        return environments.make(ENVIRONMENT, {**settings.as_config(), "max_steps": max_steps})
 
     @contextlib.contextmanager
     def _filmed(self, course: Course, seeds: Sequence[int], *, wanted: bool) -> Iterator[Watch | None]:

@@ -24,7 +24,7 @@ from xpl_cli.environments.film import Reel
 from xpl_cli.evaluation.lanes import blame, trial
 from xpl_cli.evaluation.lanes.backend import Job, Outcome
 from xpl_cli.evaluation.lanes.fitting import Fitting
-from xpl_cli.evaluation.lanes.orders import Access, Orders
+from xpl_cli.evaluation.lanes.orders import Access, Orders, Settings
 from xpl_cli.evaluation.lanes.recorder import recorded
 from xpl_cli.evaluation.lanes.retold import retold
 from xpl_cli.evaluation.lanes.scene import Scene, SpoiltError, hang_up, impatient, reset
@@ -61,7 +61,7 @@ class Lane:
         if self._access.ca_file is not None:
             self._tls = client_tls_context(self._access.ca_file)
         self._facts = environments.manifest(environments.find(orders.environment))
-        self._robot = get_embodiment(orders.settings["embodiment"])
+        self._robot = get_embodiment(orders.settings.embodiment)
         self._machine = machine_facts()
         self._open = contextlib.ExitStack()
         self._own = None if orders.horizon is not None else self._own_loop()
@@ -161,7 +161,7 @@ class Lane:
         try:
             scene = self._ready(jobs[0])
             reel = Reel(scene.frequency, scene.camera) if jobs[0].film and scene.camera is not None else None
-            env: Any = Fitting(scene.env, self._robot, self._orders.settings[sdk.Deploy.ACTION_TYPE])
+            env: Any = Fitting(scene.env, self._robot, self._orders.settings.action_type)
             if self._orders.instruction is not None:
                 env = retold(env, self._orders.instruction, jobs, self._orders.num_envs)
             with recorded(env, self._orders, jobs, scene.frequency) as recorder:
@@ -185,7 +185,7 @@ class Lane:
         Raises:
             SpoiltError: the infrastructure broke it off.
         """
-        told = trial.case(jobs[0].task, jobs[0].setting, self._orders.settings, self._orders.num_envs)
+        told = trial.case(self._settings(jobs[0].task, jobs[0].setting))
         endings = self._judged(watch, client, len(jobs), told)
         is_connected = self._scene is not None and self._scene.client is not None
         if is_connected and not trial.end(client, endings):
@@ -254,17 +254,21 @@ class Lane:
         self._leave()
         orders = self._orders
         python = interpreter.resolve(Path(orders.environment), self._facts.environment, env=orders.eval_env)
-        config = {**orders.settings, "task": task, "setting": setting, "num_envs": orders.num_envs}
+        settings = self._settings(task, setting)
         if orders.demos is not None and orders.demos.privileged:
             if not self._facts.privileged:
                 name = Path(orders.environment).name
                 raise UserError(f"--privileged: {name} tells nobody more than a robot sees (`privileged` in env.yml)")
-            config[sdk.Obs.PRIVILEGED] = True
-        env = environments.start(orders.environment, config, workers=orders.env_workers, python=python)
+            settings = replace(settings, privileged=True)
+        env = environments.start(orders.environment, settings.as_config(), workers=orders.env_workers, python=python)
         names = list(self._facts.cameras)
         camera = next((name for name in sdk.OPTIONAL_CAMERAS if name in names), next(iter(names), None))
         self._scene = Scene((task, setting), env, self._facts.frequency(task), camera)
         return self._scene
+
+    def _settings(self, task: str, setting: str) -> Settings:
+        """Return the settings of the environment for a task and setting."""
+        return replace(self._orders.settings, task=task, setting=setting, num_envs=self._orders.num_envs)
 
     def _connected(self, scene: Scene, url: str) -> Client:
         """Return a client of the policy server, connected for this scene.
@@ -279,8 +283,8 @@ class Lane:
         hang_up(scene)
         settings = self._orders.settings
         offer = {
-            "embodiment": settings["embodiment"],
-            sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
+            "embodiment": settings.embodiment,
+            sdk.Deploy.ACTION_TYPE: settings.action_type,
             "control_frequency": scene.frequency,
             **({REAL_TIME: True} if self._facts.real_time else {}),
         }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import trajectory
@@ -40,6 +40,35 @@ class Demos:
 
 
 @dataclass(frozen=True)
+class Settings:
+    """How an environment is configured for an adapter.
+
+    Attributes:
+        task: of the environment; None where the offline one plays whatever there is.
+        embodiment, action_type: its robot, and how that is driven.
+        num_envs: environments that are played at once.
+        cameras: False for no images, True for images of its own size, or (height, width).
+        privileged: whether it tells what a robot does not see.
+        setting: of the environment; None leaves it to that.
+    """
+
+    task: str | None
+    embodiment: str
+    action_type: str
+    num_envs: int = 1
+    cameras: bool | tuple[int, int] = True
+    privileged: bool = False
+    setting: str | None = None
+
+    def as_config(self) -> dict[str, Any]:
+        """Return the configuration that an environment is made with."""
+        told = asdict(self)
+        if self.setting is None:
+            del told["setting"]
+        return told
+
+
+@dataclass(frozen=True)
 class Orders:
     """What all lanes of a run play; everything in it may travel to another machine.
 
@@ -49,7 +78,7 @@ class Orders:
         environment: folder of the environment package.
         environment_digest: of its own files.
         config: the adapter's configuration.
-        settings: configuration of the environment, but for task and setting.
+        settings: of the environment; task and setting are those of each job.
         horizon: actions of a chunk that are executed, at most; None leaves the loop to the adapter.
         eval_env: Python of the environment, as `interpreter.resolve` takes it; None is env.yml's, or ours.
         num_envs: environments that a lane plays at once, in one batch.
@@ -64,7 +93,7 @@ class Orders:
     environment: str
     environment_digest: str
     config: Mapping[str, Any]
-    settings: Mapping[str, Any]
+    settings: Settings
     horizon: int | None = None
     eval_env: str | None = None
     num_envs: int = 1

@@ -64,7 +64,7 @@ class Recorder:
         assert orders.demos is not None  # noqa: S101 - for the type checker: `recorded` looks
         self._env, self._orders, self._demos, self._jobs = task_env, orders, orders.demos, list(jobs)
         self._frequency = frequency
-        self._hides = orders.demos.privileged and not orders.settings.get(sdk.Obs.PRIVILEGED)
+        self._hides = orders.demos.privileged and not orders.settings.privileged
         self._seen: dict[int, Any] = {}
         self._asked = False
         self._failed: Exception | None = None
@@ -178,8 +178,8 @@ class Recorder:
             "task": job.task,
             "setting": job.setting,
             sdk.Deploy.SEED: job.seed,
-            "robot": orders.settings["embodiment"],
-            sdk.Deploy.ACTION_TYPE: orders.settings[sdk.Deploy.ACTION_TYPE],
+            "robot": orders.settings.embodiment,
+            sdk.Deploy.ACTION_TYPE: orders.settings.action_type,
             "policy": Path(orders.policy).name,
             "policy_digest": orders.policy_digest,
             **{name: getattr(ending, name) for name in ("success", "score", "end_reason")},

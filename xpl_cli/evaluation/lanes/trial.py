@@ -16,28 +16,22 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl import Client
+    from xpl_cli.evaluation.lanes.orders import Settings
     from xpl_cli.evaluation.records.model import Ending
 
 _TOLD = ("success", "score", "steps", "end_reason")
 _UNKNOWN = (sdk.ErrorCode.UNKNOWN_MESSAGE_TYPE, sdk.ErrorCode.INVALID_FRAME)
 
 
-def case(task: str, setting: str, settings: Mapping[str, Any], num_envs: int = 1) -> dict[str, Any]:
-    """Return what is told of a case, its name among it.
-
-    Args:
-        task: task of the environment.
-        setting: setting of it.
-        settings: configuration of the environment: `embodiment` and `action_type`.
-        num_envs: environments at once.
-    """
+def case(settings: Settings) -> dict[str, Any]:
+    """Return what is told of a case, its name among it; `settings` are those of the environment."""
     return {
-        sdk.Payload.ACTION_CASE_ID: f"{task}/{setting}",
-        sdk.Deploy.TASK_NAME: task,
-        "setting": setting,
-        sdk.Deploy.ENV_CFG_TYPE: settings["embodiment"],
-        sdk.Deploy.ACTION_TYPE: settings[sdk.Deploy.ACTION_TYPE],
-        "num_envs": num_envs,
+        sdk.Payload.ACTION_CASE_ID: f"{settings.task}/{settings.setting}",
+        sdk.Deploy.TASK_NAME: settings.task,
+        "setting": settings.setting,
+        sdk.Deploy.ENV_CFG_TYPE: settings.embodiment,
+        sdk.Deploy.ACTION_TYPE: settings.action_type,
+        "num_envs": settings.num_envs,
     }
 
 

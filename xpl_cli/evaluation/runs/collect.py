@@ -108,9 +108,8 @@ def collect(request: Request, progress: Progress) -> dict[str, Any]:
     place = environments.find(request.environment)
     planned = plan.make(adapter, place, adapter.config(asked.overrides), wishes).plan
     lane_orders, server_orders = evaluate.orders(asked, place, planned)
-    cameras = lane_orders.settings["cameras"]
-    wanted = request.size if request.size is not None else cameras or True
-    lane_orders = replace(lane_orders, settings={**lane_orders.settings, "cameras": wanted}, demos=request.demos)
+    wanted = request.size if request.size is not None else lane_orders.settings.cameras or True
+    lane_orders = replace(lane_orders, settings=replace(lane_orders.settings, cameras=wanted), demos=request.demos)
     _return_surplus(folder)
     began = time.monotonic()
     with records.Writer(run, planned) as writer:

@@ -204,7 +204,7 @@ def orders(request: Request, folder: Path, planned: Plan) -> tuple[Orders, Serve
         environment=str(folder),
         environment_digest=planned.environment.digest,
         config=config,
-        settings={key: value for key, value in settings.items() if key not in ("task", "setting")},
+        settings=settings,
         horizon=planned.control.horizon,
         eval_env=request.eval_env,
         num_envs=how.num_envs,

@@ -13,13 +13,13 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from xpl import _spec as sdk
 from xpl import get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
-from xpl_cli.evaluation.lanes.orders import Access, Orders
+from xpl_cli.evaluation.lanes.orders import Access, Orders, Settings
 from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
 from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
 from xpl_cli.evaluation.records.fingerprints import package_digest
@@ -133,16 +133,16 @@ def evaluate(request: Request, progress: Progress) -> Evaluation:
     )
     setting = request.setting or facts.settings[0]
     first = int(config[sdk.Deploy.SEED])
-    tasks = tasks or [settings["task"]]
+    tasks = tasks or [cast("str", settings.task)]  # None in the offline environment, and in its report
     sink = Unwritten(_plan(request, settings, tasks, range(first, first + request.episodes), facts))
     schedule = Schedule(sink.run, 0, lambda _outcomes: False, traced=False)
     with contextlib.closing(_backend(request, str(folder), config, settings, progress)) as backend:
-        backend.prepare(settings["task"], setting)
+        backend.prepare(tasks[0], setting)
         runner.play(sink, backend, schedule, _View(sink.run, request.episodes * len(tasks), progress))
     played = Played(
         policy=request.package.name,
         environment=request.environment,
-        task=settings["task"] if len(tasks) == 1 else request.task,
+        task=settings.task if len(tasks) == 1 else request.task,
         setting=setting,
         embodiment=sink.run.plan.embodiment,
         action_type=sink.run.plan.action_type,
@@ -190,23 +190,21 @@ def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[st
     return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
 
 
-def _plan(
-    request: Request, settings: Mapping[str, Any], tasks: Sequence[str], seeds: range, facts: EnvManifest
-) -> Plan:
+def _plan(request: Request, settings: Settings, tasks: Sequence[str], seeds: range, facts: EnvManifest) -> Plan:
     """Return what a schedule and a runner read of a plan; nobody writes it down, and so it has no digests."""
     setting = request.setting or facts.settings[0]
     return Plan(
         policy=PlannedPolicy(request.package.name, spec.VERSION, "", {}),
         environment=PlannedEnvironment(facts.name, spec.VERSION, ""),
-        embodiment=settings["embodiment"],
-        action_type=settings[sdk.Deploy.ACTION_TYPE],
+        embodiment=settings.embodiment,
+        action_type=settings.action_type,
         control=Control(request.horizon, ATTEMPTS),
         cells=[PlannedCell(task, setting, None, seeds, frozen=False) for task in tasks],
     )
 
 
 def _backend(
-    request: Request, folder: str, config: Mapping[str, Any], settings: Mapping[str, Any], progress: Progress
+    request: Request, folder: str, config: Mapping[str, Any], settings: Settings, progress: Progress
 ) -> HereBackend:
     policy = str(request.package.path)
     bounds = Bounds.here(request.package.path.parent, isolate=request.isolate)
@@ -217,7 +215,7 @@ def _backend(
         environment=folder,
         environment_digest=package_digest(Path(folder)) if is_told else "",
         config=config,
-        settings={key: value for key, value in settings.items() if key not in ("task", "setting")},
+        settings=settings,
         horizon=request.horizon,
         eval_env=request.eval_env,
         num_envs=request.num_envs,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl import get_embodiment, robots
 from xpl_cli.basics.errors import NotFoundError, UserError
+from xpl_cli.evaluation.lanes.orders import Settings
 from xpl_cli.packages import environments
 from xpl_cli.standard import spec
 
@@ -79,8 +80,8 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
     task: str | None = None,
     setting: str | None = None,
     num_envs: int = 1,
-) -> dict[str, Any]:
-    """Return the configuration of the environment for an adapter.
+) -> Settings:
+    """Return the settings of the environment for an adapter.
 
     Args:
         package: the adapter.
@@ -110,15 +111,15 @@ def environment_settings(  # noqa: PLR0913 - by keyword, how one scene differs f
         raise NotFoundError(f"{environment} has no setting {setting!r}; it has {', '.join(offered)}")
     inputs = package.manifest.inputs
     wanted = None if inputs is None else inputs.read
-    return {
-        "task": task,
-        "embodiment": robot,
-        sdk.Deploy.ACTION_TYPE: config[sdk.Deploy.ACTION_TYPE],
-        "num_envs": num_envs,
-        "cameras": _cameras(package.manifest, wanted, manifest.cameras),
-        sdk.Obs.PRIVILEGED: wanted is not None and sdk.Obs.PRIVILEGED in wanted,
-        **({} if setting is None else {"setting": setting}),
-    }
+    return Settings(
+        task=task,
+        embodiment=robot,
+        action_type=config[sdk.Deploy.ACTION_TYPE],
+        num_envs=num_envs,
+        cameras=_cameras(package.manifest, wanted, manifest.cameras),
+        privileged=wanted is not None and sdk.Obs.PRIVILEGED in wanted,
+        setting=setting,
+    )
 
 
 def _cameras(policy: Manifest, wanted: Sequence[str] | None, offered: Mapping[str, Any]) -> bool | tuple[int, int]:
