@@ -170,6 +170,9 @@ def test_what_a_format_cannot_hold_is_said(tmp_path: Path, libero: Path, convert
             converted(source, tmp_path / "set", to)
     with pytest.raises(DataError, match="no mapping 'nobody'"):
         converted(libero, tmp_path / "set", "xpl", by="nobody")
+    (tmp_path / "mine.yml").write_text("robot: panda_libero\naction: { columns: [] }\n", encoding="utf-8")
+    with pytest.raises(DataError, match=r"mine\.yml:\d+:\d+"):
+        converted(libero, tmp_path / "set", "xpl", by=str(tmp_path / "mine.yml"))
     with pytest.raises(DataError, match="is there already"):
         converted(libero, source, "lerobot-v3.0")
     for to, images in (("lerobot-v3.0", "raw"), ("xpl", "video")):

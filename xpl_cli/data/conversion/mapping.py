@@ -1,7 +1,7 @@
 """What is which part of a set, and under which conventions: the words of a policy's `native:` block, with columns.
 
 An `input` of the block is the name of a column or camera. What only sets have stands beside it: which columns make the
-action, and by how many steps they come late. Source: spec/mappings/, and spec/v1/native.schema.json.
+action, and by how many steps they come late. Source: spec/mappings/, and spec/v1/mapping.schema.json.
 """
 
 from __future__ import annotations
@@ -28,18 +28,7 @@ from xpl_cli.data.sets.errors import DataError
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
 
-_KEYS: Final = {
-    "description": str,
-    "formats": list,
-    "robot": str,
-    sdk.Deploy.ACTION_TYPE: str,
-    "rate_hz": (int, float),
-    "action": dict,
-    "native": dict,
-    "sources": list,
-    "caveats": list,
-}
-_NEEDED: Final = ("robot", sdk.Deploy.ACTION_TYPE, "action", "native")
+_SCHEMA: Final = "mapping"
 _MOST: Final = 1 << 20
 _PLAIN_STEPS: Final = ("mirror", "rotate")
 
@@ -115,11 +104,10 @@ def load(name: str) -> Conventions:
 
 
 def _read(path: Path, name: str) -> dict[str, Any]:
-    from xpl_cli.standard import spec
-    from xpl_cli.standard.validate import validate
+    from xpl_cli.standard.validate import validate_yaml
 
     try:
-        document = spec.parse_yaml(files.content(path, _MOST))
+        content = files.content(path, _MOST)
     except FileNotFoundError:
         raise DataError(
             f"there is no mapping {name!r}: ready are {', '.join(names())}, and any file may be given",
@@ -127,28 +115,11 @@ def _read(path: Path, name: str) -> dict[str, Any]:
         ) from None
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise DataError(f"{path} is no YAML: {str(error)[:200]}", code=ExitCode.USAGE) from None
-    if not isinstance(document, dict):
-        raise DataError(f"{path} holds no map", code=ExitCode.USAGE)
-    faults = [f"it lacks {key}" for key in _NEEDED if key not in document]
-    faults += [f"{key} is none of {', '.join(_KEYS)}" for key in document if key not in _KEYS]
-    faults += [f"{key} is of another kind" for key, kind in _KEYS.items() if not _is_kind(document, key, kind)]
-    if not faults:
-        columns = document["action"].get("columns")
-        if not isinstance(columns, list) or not columns or not set(document["action"]) <= {"columns", "shift"}:
-            faults.append("action has columns, a list, and perhaps shift")
-        faults += [
-            f"native.{'.'.join(map(str, problem.path))}: {problem.message}"
-            for problem in validate(document["native"], "native")
-        ]
-    if faults:
-        raise DataError(f"{path}: {faults[0]}", hint="`xpl spec show native` has the words", code=ExitCode.USAGE)
-    return document
-
-
-def _is_kind(document: Mapping[str, Any], key: str, kind: Any) -> bool:
-    return key not in document or isinstance(document[key], kind)
+    document, problems = validate_yaml(content, str(path), _SCHEMA)
+    if problems:
+        raise DataError(str(problems[0]), hint=f"`xpl spec show {_SCHEMA}` has the keys", code=ExitCode.USAGE)
+    mapping: dict[str, Any] = document
+    return mapping
 
 
 def _path(name: str) -> Path:
