@@ -14,6 +14,7 @@ from unittest import mock
 from xpl import get_embodiment
 from xpl.action import ActionError
 from xpl.client import PolicyServerError
+from xpl.episodes import EpisodeCounter
 from xpl.observation import ObservationError
 from xpl.wire import packed
 from xpl.worker import variants
@@ -56,7 +57,7 @@ class Local:
     def connected(self, _url: str) -> Any:
         """Return what answers, as if nothing had been asked before."""
         self.model.reset()
-        self.model._episodes.clear()
+        self.model._episodes = EpisodeCounter()
         return self.session()
 
     def reset(self) -> Any:
