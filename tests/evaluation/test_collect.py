@@ -96,20 +96,9 @@ def test_a_set_is_the_first_of_the_plan_and_says_what_it_left_out(tmp_path: Path
     line = planned(cells=[PlannedCell("lift", "clean", None, range(5), frozen=False)])
     request = collect.Request("E", orders.Demos(str(tmp_path), orders.SUCCESS), episodes=2)
     told = collect._summary(records.Run(tmp_path / "run", line, finals=lines), request, "P", 1.0)
-    assert told["tasks"] == [
-        {
-            "task": "lift",
-            "setting": "clean",
-            "episodes": 2,
-            "wanted": 2,
-            "tried": 4,
-            "discarded": 1,
-            "spoilt": 1,
-            "steps": 14,
-        }
-    ]
-    assert (told["bytes"], [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (10, 0)
-    assert "1 of 4 tries discarded, 1 spoilt" in collect.text(told)
+    assert told.tasks == [collect.TaskSet("lift", "clean", 2, wanted=2, tried=4, discarded=1, spoilt=1, steps=14)]
+    assert (told.bytes, [path.name for path in tmp_path.glob("*.hdf5")].count("episode_0000004.hdf5")) == (10, 0)
+    assert "1 of 4 tries discarded, 1 spoilt" in told.text()
     collect._return_surplus(tmp_path)
     assert (tmp_path / "episode_0000004.hdf5").is_file()
     (tmp_path / "episode_0000000.hdf5").unlink()

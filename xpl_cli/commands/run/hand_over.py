@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from xpl import _spec as sdk
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.run.serve import POLICY, POLICY_ENV, SETTINGS
 
@@ -93,21 +92,18 @@ def play(*, as_json: bool, **what: Any) -> None:
         as_json: whether the answer is a JSON object.
         what: as `xpl_cli.evaluation.hand_over.play.Request` takes it.
     """
+    from dataclasses import asdict
+
     from xpl_cli.basics import console
     from xpl_cli.evaluation.hand_over import play as engine
     from xpl_cli.standard import spec as standard
 
     told = engine.hand_over(engine.Request(**what))
-    recorded = what["out"] is not None and told["episodes"] is not None
+    recorded = what["out"] is not None and told.episodes is not None
     if as_json:
-        console.answer(_ANSWER, told, [shlex.join(["xpl", "report", str(what["out"])])] if recorded else [])
+        console.answer(_ANSWER, asdict(told), [shlex.join(["xpl", "report", str(what["out"])])] if recorded else [])
         return
-    if told["stand_in"]:
-        console.data(
-            f"{told['policy']} ran to the end of a rehearsal of {told[sdk.Deploy.BENCH_NAME]}, which tells no numbers"
-        )
-    else:
-        console.data(_sentence(told))
+    console.data(told.text())
     console.data(standard.data("package")["eval_finish_line"])
 
 
@@ -152,10 +148,3 @@ def tried(
     if facts.stand_in is not None:
         console.note(f"{name}: {facts.stand_in}")
     return name, False
-
-
-def _sentence(told: Mapping[str, Any]) -> str:
-    where = f"{told['policy']} on {told[sdk.Deploy.BENCH_NAME]}/{told['task']}"
-    if told["episodes"] is None:
-        return f"{where}: success rate {told['success_rate']:.3g}"
-    return f"{where}: {told['successes']} of {told['episodes']} succeeded, mean score {told['mean_score'] or 0:.2f}"

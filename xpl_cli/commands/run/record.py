@@ -56,6 +56,8 @@ def record(
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Record demonstrations as trajectories (HDF5). They are played on seeds that no evaluation uses."""
+    from dataclasses import asdict
+
     from xpl.trajectory import FORMS
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode
@@ -94,11 +96,11 @@ def record(
     with desk(env), progress() as say:
         told = collect.collect(request, say)
     if as_json:
-        first = f"{told['folder']}/episode_0000000.hdf5"
-        console.answer("xpl.demonstrations/1", told, [shlex.join(["xpl", "spec", "validate", first])])
+        first = f"{told.folder}/episode_0000000.hdf5"
+        console.answer("xpl.demonstrations/1", asdict(told), [shlex.join(["xpl", "spec", "validate", first])])
     else:
-        console.data(collect.text(told))
-    if any(one["episodes"] < one["wanted"] for one in told["tasks"]):
+        console.data(told.text())
+    if not told.is_complete:
         raise typer.Exit(ExitCode.FINDINGS)
 
 

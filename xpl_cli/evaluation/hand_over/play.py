@@ -11,7 +11,7 @@ import os
 import re
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -24,6 +24,7 @@ from xpl_cli.basics import atomic, files
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.environments.play import chosen
 from xpl_cli.evaluation.hand_over import process, record, results
+from xpl_cli.evaluation.hand_over.answer import Answer
 from xpl_cli.evaluation.hand_over.launcher import RATE, Launcher, filled
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.model import now
@@ -157,8 +158,8 @@ def plan(request: Request) -> Plan:
     return Plan(folder, facts, launcher, config, values, workspace)
 
 
-def hand_over(request: Request) -> dict[str, Any]:
-    """Play a request and return the answer `xpl.env-hand-over/1`.
+def hand_over(request: Request) -> Answer:
+    """Play a request and return what came of it.
 
     Raises:
         UserError: as for `plan`; the policy cannot be served, the launcher failed, or its result cannot be relied on.
@@ -184,31 +185,23 @@ def hand_over(request: Request) -> dict[str, Any]:
     if code != 0:
         again = "; what it had played it may go on from with --resume" if request.out is not None else ""
         raise UserError(f"the launcher ended with exit code {code}{again}", code=ExitCode.NOT_RUN)
-    answer = {
-        "environment": planned.facts.name,
-        sdk.Deploy.BENCH_NAME: planned.launcher.bench_name,
-        "policy": request.package.name,
-        "task": planned.config[sdk.Deploy.TASK_NAME],
-        "embodiment": get_embodiment(str(planned.config[sdk.Deploy.ENV_CFG_TYPE])).name,
-        sdk.Deploy.ACTION_TYPE: planned.config[sdk.Deploy.ACTION_TYPE],
-        "run_id": planned.values["run_id"],
-        "stand_in": planned.workspace is None,
-        "command": words,
-        "seconds": round(seconds, 3),
-    }
+    answer = Answer(
+        environment=planned.facts.name,
+        bench_name=planned.launcher.bench_name,
+        policy=request.package.name,
+        task=planned.config[sdk.Deploy.TASK_NAME],
+        embodiment=get_embodiment(str(planned.config[sdk.Deploy.ENV_CFG_TYPE])).name,
+        action_type=planned.config[sdk.Deploy.ACTION_TYPE],
+        run_id=planned.values["run_id"],
+        stand_in=planned.workspace is None,
+        command=words,
+        seconds=round(seconds, 3),
+    )
     if planned.workspace is None:
-        return {
-            **answer,
-            sdk.Payload.RESULT: None,
-            "episodes": None,
-            "successes": None,
-            "success_rate": None,
-            "mean_score": None,
-        }
+        return answer
     path = _found(planned, before)
     if planned.launcher.entry.result.form == RATE:
-        told = {"episodes": None, "successes": None, "success_rate": results.rate(path), "mean_score": None}
-        return {**answer, sdk.Payload.RESULT: str(path), **told}
+        return replace(answer, result=str(path), success_rate=results.rate(path))
     layouts = results.layouts(path)
     if request.out is not None:
         launcher = {
@@ -220,15 +213,7 @@ def hand_over(request: Request) -> dict[str, Any]:
             request.package, planned.config, planned.folder, planned.facts, started, seconds, launcher
         )
         record.write(request.out, played, layouts)
-    won, count = sum(layout.success for layout in layouts), len(layouts)
-    return {
-        **answer,
-        sdk.Payload.RESULT: str(path),
-        "episodes": count,
-        "successes": won,
-        "success_rate": won / count if count else None,
-        "mean_score": sum(layout.score for layout in layouts) / count if count else None,
-    }
+    return answer.with_layouts(path, layouts)
 
 
 def _run_id(request: Request) -> str:

@@ -89,8 +89,72 @@ class Request:
     isolate: bool = False
 
 
-def collect(request: Request, progress: Progress) -> dict[str, Any]:
-    """Record until the set is complete, and return what it holds (`xpl.demonstrations/1`).
+@dataclass(frozen=True)
+class TaskSet:
+    """What a set holds of one task in one setting.
+
+    Attributes:
+        task, setting: of the environment.
+        episodes, wanted: how many are kept, and were to be.
+        tried: how many were played for them.
+        discarded, spoilt: of these, how many were not to be kept, and how many the infrastructure spoilt.
+        steps: of the kept ones.
+    """
+
+    task: str
+    setting: str
+    episodes: int
+    wanted: int
+    tried: int
+    discarded: int
+    spoilt: int
+    steps: int
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """What a set holds (`xpl.demonstrations/1`).
+
+    Attributes:
+        folder: of the set.
+        environment, embodiment, action_type, policy: what was played, and by whom.
+        keep: one of `orders.KEEP`.
+        tasks: task by task.
+        episodes, steps: of all tasks.
+        bytes: of all files.
+        seconds: how long recording took.
+    """
+
+    folder: str
+    environment: str
+    embodiment: str
+    action_type: str
+    policy: str
+    keep: str
+    tasks: Sequence[TaskSet]
+    episodes: int
+    steps: int
+    bytes: int
+    seconds: float
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there are as many episodes as were wanted."""
+        return all(task.episodes >= task.wanted for task in self.tasks)
+
+    def text(self) -> str:
+        """Return what the set holds, for people."""
+        lines = []
+        for task in self.tasks:
+            rest = [f"{task.discarded} of {task.tried} tries discarded"] if task.discarded else []
+            rest += [f"{task.spoilt} spoilt by the infrastructure"] if task.spoilt else []
+            short = f" of {task.wanted} wanted" if task.episodes < task.wanted else ""
+            lines.append(", ".join([f"{task.task}: {task.episodes} episodes{short}", f"{task.steps} steps", *rest]))
+        return "\n".join([*lines, f"{self.folder}: {self.episodes} episodes, {self.bytes / 1e6:.1f} MB"])
+
+
+def collect(request: Request, progress: Progress) -> Demonstrations:
+    """Record until the set is complete, and return what it holds.
 
     Raises:
         UserError: nobody can play, the request cannot be met, the set is another one or there although nobody said
@@ -215,7 +279,7 @@ def _return_surplus(folder: Path) -> None:
         path.replace(folder / path.name)
 
 
-def _summary(run: Run, request: Request, player: str, seconds: float) -> dict[str, Any]:
+def _summary(run: Run, request: Request, player: str, seconds: float) -> Demonstrations:
     """Put aside what is too much, and return what the set holds."""
     folder = Path(request.demos.folder)
     tasks, files = [], []
@@ -233,49 +297,34 @@ def _summary(run: Run, request: Request, player: str, seconds: float) -> dict[st
         spoilt = sum(line.failure == INFRASTRUCTURE for line in tried)
         files += [folder / recorder.file_of(line.index) for line in mine]
         tasks.append(
-            {
-                "task": cell.task,
-                "setting": cell.setting,
-                "episodes": len(mine),
-                "wanted": request.episodes,
-                "tried": len(tried),
-                "discarded": len(tried) - len(mine) - spoilt,
-                "spoilt": spoilt,
-                "steps": sum(line.steps or 0 for line in mine),
-            }
+            TaskSet(
+                task=cell.task,
+                setting=cell.setting,
+                episodes=len(mine),
+                wanted=request.episodes,
+                tried=len(tried),
+                discarded=len(tried) - len(mine) - spoilt,
+                spoilt=spoilt,
+                steps=sum(line.steps or 0 for line in mine),
+            )
         )
     there = [path for path in files if path.is_file()]
     if len(there) < len(files):
         lost = next(path for path in files if path not in there)
         raise UserError(f"{lost} was recorded and is not there any more", code=ExitCode.NOT_RUN)
-    return {
-        "folder": str(folder),
-        "environment": run.plan.environment.name,
-        "embodiment": run.plan.embodiment,
-        sdk.Deploy.ACTION_TYPE: run.plan.action_type,
-        "policy": player,
-        "keep": request.demos.keep,
-        "tasks": tasks,
-        "episodes": sum(task["episodes"] for task in tasks),
-        "steps": sum(task["steps"] for task in tasks),
-        "bytes": sum(path.stat().st_size for path in there),
-        "seconds": round(seconds, 1),
-    }
-
-
-def text(told: dict[str, Any]) -> str:
-    """Return what a set holds, for people."""
-    lines = []
-    for task in told["tasks"]:
-        rest = [f"{task['discarded']} of {task['tried']} tries discarded"] if task["discarded"] else []
-        rest += [f"{task['spoilt']} spoilt by the infrastructure"] if task["spoilt"] else []
-        short = f" of {task['wanted']} wanted" if task["episodes"] < task["wanted"] else ""
-        lines.append(
-            ", ".join([f"{task['task']}: {task['episodes']} episodes{short}", f"{task['steps']} steps", *rest])
-        )
-    size = told["bytes"] / 1e6
-    lines.append(f"{told['folder']}: {told['episodes']} episodes, {size:.1f} MB")
-    return "\n".join(lines)
+    return Demonstrations(
+        folder=str(folder),
+        environment=run.plan.environment.name,
+        embodiment=run.plan.embodiment,
+        action_type=run.plan.action_type,
+        policy=player,
+        keep=request.demos.keep,
+        tasks=tasks,
+        episodes=sum(task.episodes for task in tasks),
+        steps=sum(task.steps for task in tasks),
+        bytes=sum(path.stat().st_size for path in there),
+        seconds=round(seconds, 1),
+    )
 
 
 class _View:
