@@ -13,13 +13,8 @@ from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, RESETTING, 
 from xpl_cli.audit.static.edits import replaced, written
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, constant, last, names, parameters, self_attribute
+from xpl_cli.audit.static.syntax import called, constant, last, names, self_attribute
 
-_MATTERS: Final = re.compile(
-    r"(.*_)?(step|idx|index|temperature|guidance|cfg_scale|text_cfg_scale|eta|threshold|noise(_level|_scale|_std)?|offset"
-    r"|dropout|ensembl\w*|exp_weight|gpu_id|rank|delay|momentum|alpha|checkpoint_num|ckpt_step)"
-)
-"""Settings for which 0 means something else than the default."""
 _VECTORS: Final = re.compile(r"(.*_)?(actions?|states?|qpos|pose|joints?|gripper|proprio|delta)")
 _NUMBERS: Final = frozenset(("int", "float"))
 _ALL: Final = frozenset(("all", "any", "nonzero", "count_nonzero"))
@@ -30,13 +25,12 @@ def zero_as_missing(source: Source) -> Iterator[Finding]:
     """A value that is exactly zero is taken for one that is not there.
 
     ## What it does
-    Finds numbers of the configuration that `or` replaces where 0 has a meaning of its own (a step, an index, a scale, a
-    threshold), environment indices in truth tests, and actions or states of which entries other than zero are selected
-    by `all(x != 0)` and its like.
+    Finds settings that `deploy.yml` sets to 0 and that `or` replaces by another number, and actions or states of which
+    entries other than zero are selected by `all(x != 0)` and its like.
 
     ## Why it matters
-    A gripper that is fully closed is exactly 0, and so is the first step, the first environment, the first GPU. Rows
-    with such an entry drop out of an average; `temperature: 0` runs with 1.
+    A gripper that is fully closed is exactly 0, and so is the first step and the first GPU. Rows with such an entry
+    drop out of an average; `temperature: 0` runs with 1.
 
     ## Example
     `populated = torch.all(actions != 0, axis=1)`: one closed gripper removes the prediction from the ensemble.
@@ -48,6 +42,15 @@ def zero_as_missing(source: Source) -> Iterator[Finding]:
     `x if x is not None else default` differs from `x or default` for 0, false and empty texts, which is the point.
     """
     adapter = Adapter.of(source)
+    yield from _replaced(source, adapter)
+    parts = [part.reach(*part.methods.keys() - LOADING) for part in adapter.components.values()]
+    reached = [*adapter.reach(*OBSERVING, *ACTING, *RESETTING), *(function for part in parts for function in part)]
+    for function in {id(function.node): function for function in reached}.values():
+        yield from _selected(source, function)
+
+
+def _replaced(source: Source, adapter: Adapter) -> Iterator[Finding]:
+    """Yield settings that are 0 and run with another number."""
     for setting in adapter.settings:
         read, function = setting.read, setting.function
         test = function.up.get(read.node)
@@ -55,8 +58,8 @@ def zero_as_missing(source: Source) -> Iterator[Finding]:
             test = function.up.get(test)
         if not isinstance(test, ast.BoolOp) or not isinstance(test.op, ast.Or) or read.key == sdk.Deploy.SEED:
             continue
-        default = constant(test.values[-1])
-        if type(default) in {int, float} and default != 0 and _MATTERS.fullmatch(read.key) and len(test.values) == 2:
+        value, default = source.deploy.get(read.key), constant(test.values[-1])
+        if type(value) in {int, float} and value == 0 and type(default) in {int, float} and default != 0:
             first = written(source, function.file, test.values[0])
             instead = f"{default} if {first} is None else {first}"
             is_converted = isinstance(test.values[0], ast.Call) and called(test.values[0]) in _NUMBERS
@@ -68,37 +71,6 @@ def zero_as_missing(source: Source) -> Iterator[Finding]:
                 got=ast.unparse(test),
                 fix=Fix("unsafe_edit" if edits else "advice", instead, edits),
             )
-    reached = adapter.reach(*OBSERVING, *ACTING, *RESETTING)
-    for function in reached + [entry for entry in _components(source) if entry not in reached]:
-        yield from _environments(source, function)
-        yield from _selected(source, function)
-
-
-def _components(source: Source) -> list[Function]:
-    """Return what the objects do that the adapter's constructor makes of classes of its own."""
-    parts = Adapter.of(source).components.values()
-    return [function for part in parts for name, function in part.methods.items() if name not in LOADING]
-
-
-def _environments(source: Source, function: Function) -> Iterator[Finding]:
-    """Yield truth tests of an environment's index."""
-    given = [name for name in parameters(function.node) if name in {sdk.Obs.ENV_IDX, "env_id", "env_index"}]
-    tests: list[ast.If | ast.IfExp | ast.BoolOp] = [*function.of(ast.If), *function.of(ast.IfExp)]
-    tests += function.of(ast.BoolOp)
-    for node in tests if given else ():
-        for test in node.values[:-1] if isinstance(node, ast.BoolOp) else [node.test]:
-            inner = test.operand if isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not) else test
-            if isinstance(inner, ast.Name) and inner.id in given:
-                word = "is None" if inner is not test else "is not None"
-                text = f"{inner.id} {word}"
-                edits = () if isinstance(node, ast.BoolOp) else (replaced(source, function.file, test, text),)
-                yield Finding(
-                    f"environment 0 counts as not given in {function.name}: it is answered as if nobody had named it",
-                    **source.at(function.file, test),
-                    expected=text,
-                    got=ast.unparse(test),
-                    fix=Fix("unsafe_edit" if edits else "advice", text, edits),
-                )
 
 
 def _selected(source: Source, function: Function) -> Iterator[Finding]:
