@@ -22,10 +22,10 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     """The adapter answers with one type of action, whichever was asked for.
 
     ## What it does
-    Looks at how `action_type` decides: a comparison that only reports it, by `print`, a logger or a function that only
-    reports, and adapters that write the keys of one type into their actions and never use `action_type`, though they
-    may keep it. Adapters that hand the configuration on as a whole, or that raise, are left alone; so are those of the
-    SDK whose manifest declares one type, since the base class refuses the other.
+    Looks at how `action_type` decides: a comparison that only reports it, by `print` or a logger, and adapters that
+    write the keys of one type into their actions and never use `action_type`, though they may keep it. Adapters that
+    hand the configuration on as a whole, or that raise, are left alone; so are those of the SDK whose manifest declares
+    one type, since the base class refuses the other.
 
     ## Why it matters
     A run that is labelled `ee` was a run with joint commands, or an environment that expects a pose gets none. A
@@ -46,7 +46,7 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     functions = adapter.reach(*adapter.methods)
     for function in functions:
         for node in function.of(ast.If):
-            if _only_reports(adapter, function, node) and _compares(node.test, _named(function)):
+            if not node.orelse and all(map(only_reports, node.body)) and _compares(node.test, _named(function)):
                 yield Finding(
                     f"an {_KEY} that the adapter cannot serve is only warned about: "
                     "the run is labelled with one type of action and made with the other",
@@ -90,13 +90,6 @@ def _compares(test: ast.expr, named: set[str]) -> bool:
             _KEY in (last(dotted(part)), *texts(part)) or getattr(part, "id", "") in named for part in ast.walk(node)
         )
         for node in ast.walk(test)
-    )
-
-
-def _only_reports(adapter: Adapter, function: Function, node: ast.If) -> bool:
-    """Tell whether a branch prints or logs, also by a function of the adapter's own, and then goes on."""
-    return not node.orelse and all(
-        only_reports(entry, lambda call: adapter.callee(function, call)) for entry in node.body
     )
 
 

@@ -10,8 +10,6 @@ from xpl_cli.audit.static.function import GROWING
 from xpl_cli.audit.static.syntax import called, dotted, enclosing, last, self_attribute, texts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from xpl_cli.audit.static.function import Function, Kind, Write
 
 _SHRINKING: Final = frozenset(("clear", "pop", "popleft", "popitem", "remove", "discard"))
@@ -121,27 +119,11 @@ def is_reported(node: ast.AST, function: Function) -> bool:
     return False
 
 
-def only_reports(statement: ast.stmt, callee: Callable[[ast.Call], Function | None] | None = None) -> bool:
-    """Tell whether a statement prints or logs and does nothing else.
-
-    Args:
-        statement: what to look at.
-        callee: finds functions of the boundary, whose bodies then count; by name alone where it is missing.
-    """
+def only_reports(statement: ast.stmt) -> bool:
+    """Tell whether a statement prints or logs, going by the name of what it calls, and does nothing else."""
     if isinstance(statement, ast.Pass):
         return True
     if not isinstance(statement, ast.Expr) or isinstance(statement.value, ast.Constant):
         return isinstance(statement, ast.Expr)
-    call = statement.value
-    own = callee(call) if callee is not None and isinstance(call, ast.Call) else None
-    if own is not None:
-        return all(only_reports(entry) or _is_plain(entry) for entry in own.node.body)
-    name = called(call)
+    name = called(statement.value)
     return bool(_REPORTS.search(last(name))) or (last(name) == "error" and "log" in name.lower())
-
-
-def _is_plain(statement: ast.stmt) -> bool:
-    """Tell whether a statement of a reporting function only makes the text or ends the function."""
-    if isinstance(statement, ast.Return):
-        return statement.value is None
-    return isinstance(statement, ast.Assign) and all(isinstance(target, ast.Name) for target in statement.targets)
