@@ -5,10 +5,10 @@ scaffolded adapter or, for rules about environments, environment; an optional `o
 
     scaffold: {embodiment: franka_single, action_type: ee}   # its options; `false`: start from nothing; by default it
                                                              # has no native block, so that methods can convert
+    like: ../../good/by-hand                                 # another subject, whose files come first
     remove: [install.sh]                                     # files of the scaffold that are left out
     edit: {deploy.yml: {"eval_batch: true": "eval_batch: 1"}} # text replaced in a file of the scaffold
     append: {deploy.yml: "horizon: null"}                    # text added at the end of a file
-    like: ../../good/by-hand                                 # another subject, whose files come before its own
     methods: "def reset(self): pass"                         # methods added to the model class, or to the episode's
     demonstrations: 6                                        # episodes of a scripted expert, which the package names
     message: answers for environment 3                       # what a finding on a bad subject has to say
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.registry import Rule
 
 OVERLAY = "overlay.yml"
+_IGNORED = shutil.ignore_patterns(OVERLAY, "__pycache__")
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,8 @@ def build(subject: Subject, target: Path) -> Path:
         given = sorted(subject.scaffold.items())
         options = tuple((name, tuple(value) if isinstance(value, list) else value) for name, value in given)
         scaffold.write(_rendered(subject.target, options, target.name), target)
+    if subject.like is not None:
+        shutil.copytree(subject.folder / subject.like, target, dirs_exist_ok=True, ignore=_IGNORED)
     for name in subject.remove:
         (target / name).unlink()
     for name, replacements in subject.edit.items():
@@ -99,13 +102,11 @@ def build(subject: Subject, target: Path) -> Path:
         with (target / name).open("a", encoding="utf-8") as stream:
             stream.write(f"\n{added}")
     if subject.methods:
-        # The class is the last thing in that file of the scaffold.
+        # The class is the last thing in that file.
         file = sdk.File.MODEL_PY if subject.target == package.POLICY else "episode.py"
         with (target / file).open("a", encoding="utf-8") as stream:
             stream.write("\n" + textwrap.indent(subject.methods, "    "))
-    ignored = shutil.ignore_patterns(OVERLAY, "__pycache__")
-    for folder in (*([] if subject.like is None else [subject.folder / subject.like]), subject.folder):
-        shutil.copytree(folder, target, dirs_exist_ok=True, ignore=ignored)
+    shutil.copytree(subject.folder, target, dirs_exist_ok=True, ignore=_IGNORED)
     if subject.demonstrations and subject.scaffold:
         from xpl_cli.audit.offline.demonstrations import scripted
 

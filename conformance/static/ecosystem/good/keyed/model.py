@@ -1,9 +1,10 @@
+"""A model as adapters of the ecosystem write it, without `xpl`; subjects like it say what differs in theirs."""
+
 import numpy as np
 
 
 class Model:
     def __init__(self, config):
-        self.tokens = read_tokens(config["task_name"])
         self.policy = build(config["ckpt_name"])
         self.latest = {}
 
@@ -24,5 +25,4 @@ class Model:
         self.latest = {}
 
     def act(self, obs):
-        state = obs["state"]["left_arm_joint_state"]
-        return self.policy.predict(state, lang_tokens=self.tokens)
+        return self.policy(obs)

@@ -1,3 +1,6 @@
+"""The same, but for observations that are kept in a list; how a batch is answered is each subject's own."""
+
+
 class Model:
     def __init__(self, config):
         self.observed = []
@@ -16,12 +19,3 @@ class Model:
 
     def act(self, obs):
         return [obs["state"]]
-
-    def get_action_batch(self, env_idx_list=None):
-        if env_idx_list is None:
-            if not self.order:
-                raise RuntimeError("observe first")
-            env_idx_list = self.order
-        if not env_idx_list:
-            return []
-        return [self.act(self.by_env[env]) for env in env_idx_list]
