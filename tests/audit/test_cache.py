@@ -133,6 +133,17 @@ def test_a_changed_rule_runs_again_and_others_do_not(room: Room, adapter: Path, 
     assert again(adapter, tmp_path, trace) == ["passes", "finds", "asks"]
 
 
+def test_a_rule_that_is_gone_leaves_nothing(room: Room, adapter: Path, tmp_path: Path, trace: Path) -> None:
+    """As soon as something else is noted."""
+    gone = room.rule("second", ran("second", trace), code="XPL104")
+    again(adapter, tmp_path, trace)
+    gone.unlink()
+    room.rule("passes", ran("passes", trace) + "# more", code="XPL101")
+    again(adapter, tmp_path, trace)
+    (record,) = (tmp_path / "cache").iterdir()
+    assert list(json.loads(record.read_text())["passes"]) == ["XPL101"]
+
+
 def test_what_rules_are_built_on_is_part_of_their_version(
     room: Room, adapter: Path, tmp_path: Path, trace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

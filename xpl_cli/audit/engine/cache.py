@@ -25,6 +25,7 @@ import yaml
 from xpl.robots import HANDED_ON
 from xpl_cli import __version__
 from xpl_cli.audit.rules.model import NotRun, Outcome, Result
+from xpl_cli.audit.rules.registry import lookup
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.basics import content, user_cache
 from xpl_cli.basics.errors import UserError
@@ -121,6 +122,7 @@ class Shelf:
             others = Shelf(self.package, self.file)
             others._load()
             passes = {**others._passes, **self._passes} if others._files == self._files else self._passes
+            passes = {code: kept for code, kept in passes.items() if lookup(code) is not None}  # rules may be retired
             told = {"format": _FORMAT, "files": self._files, "record": self.record, "passes": passes}
             self.file.parent.mkdir(parents=True, exist_ok=True)
             write_file(self.file, json.dumps(told).encode(), mode=0o600)

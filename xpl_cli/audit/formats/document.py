@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli import __version__
 from xpl_cli.audit.formats.listing import Context, Listed, in_repository, joined, listed
@@ -21,7 +21,7 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
     return json.dumps(as_json(reports, context), indent=2, ensure_ascii=False)
 
 
-def as_json(reports: Sequence[TargetReport], context: Context) -> dict[str, Any]:
+def as_json(reports: Sequence[TargetReport], context: Context) -> dict[str, object]:
     """Return the report as the map that audit.schema.json describes."""
     totals = counted(result for report in reports for result in report.results)
     entries = listed(reports, context)  # in the order in which the document names findings
@@ -36,7 +36,7 @@ def as_json(reports: Sequence[TargetReport], context: Context) -> dict[str, Any]
     }
 
 
-def described(finding: Finding, result: Result, folder: str, fingerprint: str) -> dict[str, Any]:
+def described(finding: Finding, result: Result, folder: str, fingerprint: str) -> dict[str, object]:
     """Return a finding as a map.
 
     Args:
@@ -61,7 +61,7 @@ def described(finding: Finding, result: Result, folder: str, fingerprint: str) -
     }
 
 
-def _target(report: TargetReport, entries: Iterator[Listed], context: Context) -> dict[str, Any]:
+def _target(report: TargetReport, entries: Iterator[Listed], context: Context) -> dict[str, object]:
     folder = in_repository(context.here / report.path, context.here)
     return {
         "path": report.path,
@@ -72,7 +72,7 @@ def _target(report: TargetReport, entries: Iterator[Listed], context: Context) -
     }
 
 
-def _gate(gate: GateReport, entries: Iterator[Listed], folder: str) -> dict[str, Any]:
+def _gate(gate: GateReport, entries: Iterator[Listed], folder: str) -> dict[str, object]:
     return {
         "name": gate.name.value,
         "outcome": gate.outcome.value,
@@ -88,7 +88,7 @@ def _gate(gate: GateReport, entries: Iterator[Listed], folder: str) -> dict[str,
     }
 
 
-def _result(result: Result, entries: Iterator[Listed], folder: str) -> dict[str, Any]:
+def _result(result: Result, entries: Iterator[Listed], folder: str) -> dict[str, object]:
     return {
         "code": result.code,
         "slug": result.slug,
@@ -109,7 +109,7 @@ def _identity(finding: Finding, result: Result, folder: str) -> str:
     return finding.fingerprint(result.code, joined(folder, finding.path))
 
 
-def _fix(fix: Fix, folder: str) -> dict[str, Any]:
+def _fix(fix: Fix, folder: str) -> dict[str, object]:
     edits = [
         {
             "path": joined(folder, edit.path),

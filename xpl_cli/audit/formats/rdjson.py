@@ -6,7 +6,7 @@ Its columns count bytes of UTF-8, and the end of a range is the first column beh
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.listing import Context, Lines, Listed, listed, unproved
 from xpl_cli.audit.rules.model import Outcome
@@ -34,14 +34,14 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
     return json.dumps({"source": {"name": "xpl"}, "diagnostics": diagnostics}, indent=2, ensure_ascii=False)
 
 
-def _diagnostic(entry: Listed, lines: Lines) -> dict[str, Any]:
+def _diagnostic(entry: Listed, lines: Lines) -> dict[str, object]:
     finding = entry.finding
-    location: dict[str, Any] = {"path": entry.path}
+    location: dict[str, object] = {"path": entry.path}
     text = None if finding.path is None else lines.of(entry.disk, finding.path)
     if finding.line is not None:
         ends = (finding.line, finding.column), (finding.end_line, finding.end_column)
         location["range"] = _range(text, *ends)
-    diagnostic: dict[str, Any] = {
+    diagnostic: dict[str, object] = {
         "message": inert(entry.text),
         "location": location,
         "severity": "ERROR" if entry.fails else "WARNING",
@@ -57,7 +57,7 @@ _Place = tuple[int | None, int | None]
 """Line and column, both counted from 1, columns in characters."""
 
 
-def _range(text: list[str] | None, start: _Place, end: _Place) -> dict[str, Any]:
+def _range(text: list[str] | None, start: _Place, end: _Place) -> dict[str, object]:
     """Return a range. Both ends have columns or neither has: a range with one of them means something else."""
     ends = {name: place for name, place in (("start", start), ("end", end)) if place[0] is not None}
     columns = {name: byte_column(text, *place) for name, place in ends.items()}
@@ -73,7 +73,7 @@ def byte_column(text: list[str] | None, line: int | None, column: int | None) ->
     return len(text[line - 1][: column - 1].encode(errors="replace")) + 1
 
 
-def _suggestion(entry: Listed, text: list[str]) -> dict[str, Any] | None:
+def _suggestion(entry: Listed, text: list[str]) -> dict[str, object] | None:
     """Return the edits of a finding as one replacement, because a reviewer accepts one at a time."""
     edits = sorted(entry.finding.fix.edits if entry.finding.fix else (), key=lambda edit: (edit.line, edit.column))
     if not edits or any(edit.path != entry.finding.path or edit.end_line > len(text) for edit in edits):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote_from_bytes
 
 from xpl_cli import __version__
@@ -75,14 +75,14 @@ def render(reports: Sequence[TargetReport], context: Context) -> str:
     return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=False)
 
 
-def _rule(code: str, slug: str, context: Context) -> dict[str, Any]:
+def _rule(code: str, slug: str, context: Context) -> dict[str, object]:
     try:
         return _documented(context.rule(code))
     except (Exception, SystemExit):  # noqa: BLE001 - a rule that cannot be imported crashed; its notification says how
         return {"id": code, "name": slug, "shortDescription": {"text": slug}}
 
 
-def _documented(rule: Rule | type[Check]) -> dict[str, Any]:
+def _documented(rule: Rule | type[Check]) -> dict[str, object]:
     level = _LEVELS[rule.severity]
     proves = ""
     if rule.requirement:  # checks of demonstrations prove none
@@ -106,11 +106,11 @@ def _documented(rule: Rule | type[Check]) -> dict[str, Any]:
     }
 
 
-def _result(entry: Listed, places: dict[str, int], hashes: _Hashes) -> dict[str, Any]:
+def _result(entry: Listed, places: dict[str, int], hashes: _Hashes) -> dict[str, object]:
     finding = entry.finding
     # Code scanning tells alerts apart by this one key. Where it cannot be computed from a line, it is our own.
     line_hash = hashes.of(entry.disk, finding) or f"{entry.fingerprint}:1"
-    result: dict[str, Any] = {
+    result: dict[str, object] = {
         "ruleId": entry.result.code,
         "ruleIndex": places[entry.result.code],
         "level": "error" if entry.fails else "warning",
@@ -124,15 +124,15 @@ def _result(entry: Listed, places: dict[str, int], hashes: _Hashes) -> dict[str,
     return result
 
 
-def _physical(entry: Listed) -> dict[str, Any]:
+def _physical(entry: Listed) -> dict[str, object]:
     finding = entry.finding
-    location: dict[str, Any] = {"artifactLocation": artifact(entry.path)}
+    location: dict[str, object] = {"artifactLocation": artifact(entry.path)}
     if finding.line is not None:
         location["region"] = _region(finding)
     return location
 
 
-def _region(place: Finding | Edit) -> dict[str, Any]:
+def _region(place: Finding | Edit) -> dict[str, object]:
     keys = {"startLine": place.line, "startColumn": place.column}
     if place.end_line is not None:
         keys |= {"endLine": place.end_line, "endColumn": place.end_column}
@@ -145,7 +145,7 @@ def artifact(path: str) -> dict[str, str]:
     return {"uri": f"file://{uri}"} if path.startswith("/") else {"uri": uri, "uriBaseId": ROOT}
 
 
-def _changes(entry: Listed) -> list[dict[str, Any]]:
+def _changes(entry: Listed) -> list[dict[str, object]]:
     fix = entry.finding.fix
     by_file: dict[str, list[Edit]] = {}
     for edit in fix.edits if fix is not None else ():
@@ -161,7 +161,7 @@ def _changes(entry: Listed) -> list[dict[str, Any]]:
     ]
 
 
-def _notification(entry: Unproved, places: dict[str, int]) -> dict[str, Any]:
+def _notification(entry: Unproved, places: dict[str, int]) -> dict[str, object]:
     first = entry.results[0]
     return {
         "level": "error" if entry.outcome is Outcome.ERROR else "warning",
