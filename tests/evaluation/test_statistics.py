@@ -112,26 +112,6 @@ def test_the_exact_test_is_that_of_published_examples() -> None:
     assert mcnemar(Pairs(both=9, only_first=0, only_second=0, neither=11)) == 1.0
 
 
-@pytest.mark.parametrize("discordant", [1, 2, 9, 40, 501, statistics.MOST_COUNTED])
-def test_the_exact_test_is_that_of_the_library(discordant: int) -> None:
-    """It is counted out, so that no command has to import scipy for it."""
-    from scipy.stats import binomtest
-
-    for first in {0, 1, discordant // 3, discordant // 2, discordant}:
-        theirs = float(binomtest(first, discordant).pvalue)
-        found = mcnemar(Pairs(both=3, only_first=first, only_second=discordant - first, neither=4))
-        assert found == pytest.approx(theirs, rel=1e-9), first
-
-
-def test_more_cases_than_are_counted_are_left_to_the_library() -> None:
-    """And no step is seen where it takes over."""
-    counted, left = (
-        mcnemar(Pairs(0, count // 2 - 100, count - count // 2 + 100, 0))
-        for count in (statistics.MOST_COUNTED, statistics.MOST_COUNTED + 1)
-    )
-    assert counted == pytest.approx(left, rel=0.05)
-
-
 def test_pairing_narrows_the_interval_of_what_goes_together() -> None:
     """And exchanging the two subjects turns the difference round."""
     pairs = Pairs(both=25, only_first=2, only_second=6, neither=17)

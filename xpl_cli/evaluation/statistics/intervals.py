@@ -18,9 +18,6 @@ RESAMPLES: Final = 2000
 FEWEST_RESAMPLED: Final = 10
 """Fewer values than these say too little about their own spread to be resampled."""
 
-MOST_COUNTED: Final = 5000
-"""Of more cases than these the outcomes are not counted one by one, which takes milliseconds and no scipy."""
-
 MOST_CORRECTED: Final = 1000
 """More values than these need no correction for skewness, whose cost grows with their square."""
 
@@ -215,17 +212,10 @@ def mcnemar(pairs: Pairs) -> float:
     Source: Q. McNemar, Note on the Sampling Error of the Difference between Correlated Proportions or Percentages,
     Psychometrika 12 (1947); in its exact form it is a sign test.
     """
-    discordant = pairs.only_first + pairs.only_second
-    if discordant > MOST_COUNTED:
-        from scipy.stats import binomtest
+    from scipy.stats import binomtest
 
-        return float(binomtest(pairs.only_first, discordant).pvalue)
-    # Both tails of a fair coin, counted.
-    ways = outcomes = 1
-    for number in range(min(pairs.only_first, pairs.only_second)):
-        ways = ways * (discordant - number) // (number + 1)
-        outcomes += ways
-    return min(1.0, 2 * outcomes / (1 << discordant))
+    discordant = pairs.only_first + pairs.only_second
+    return float(binomtest(pairs.only_first, discordant).pvalue) if discordant else 1.0
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
