@@ -185,6 +185,5 @@ def test_a_manner_reads_what_it_wrote() -> None:
         config = how.written_in({"seed": 1})
         assert manner.of(planned(json.loads(json.dumps(config)))) == how
         assert manner.without(config) == {"seed": 1}
-        assert how.is_usual is (how.sentence == "")
     for odd in (1, {"num_envs": True}, {"num_envs": "4"}, {"num_envs": 0}, {"announced": []}, {"instruction": "?"}):
         assert manner.of(planned({"xpl.run": odd})) == Manner()

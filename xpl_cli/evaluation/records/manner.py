@@ -35,11 +35,6 @@ class Manner:
     instruction: str | None = None
 
     @property
-    def is_usual(self) -> bool:
-        """Whether anybody who has the policy's files can play it again, episode by episode."""
-        return self == Manner()
-
-    @property
     def sentence(self) -> str:
         """What is unusual about it, in words; "" for nothing."""
         told = [] if self.announced is None else ["by a policy server that somebody else runs, from files unknown here"]

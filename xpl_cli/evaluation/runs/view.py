@@ -6,7 +6,7 @@ import contextlib
 import sys
 import time
 from collections import Counter
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from xpl_cli.basics import console
 from xpl_cli.evaluation.statistics import wording
@@ -20,17 +20,11 @@ if TYPE_CHECKING:
 
     from xpl_cli.evaluation.records.model import Episode
     from xpl_cli.evaluation.records.records import Run
+    from xpl_cli.evaluation.runs.runner import View
 
 _HOUR_S = 3600.0
 _CELLS = 16
 """Most cells that a terminal shows at once; those that are being played are among them."""
-
-
-class View(Protocol):
-    """Shows what is recorded."""
-
-    def add(self, line: Episode, left: int) -> None:
-        """Show a line that was recorded, and how many episodes are not final yet."""
 
 
 @contextlib.contextmanager
