@@ -6,8 +6,9 @@ against those that there are, and its static gate, which runs nothing of an adap
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 from xpl_cli.audit.engine.circumstances import of_package
 from xpl_cli.audit.rules.gates import Gate
@@ -20,70 +21,80 @@ from xpl_cli.native import pairs
 from xpl_cli.packages.package import POLICY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
 _MUST = "must"
+_SERVED_BY_MODEL = (None, Profile.FULL)
+"""Profiles of gates that no stand-in answered in."""
 _SHOWN = 4
 
 
-def problems(target: Mapping[str, Any], adapter: Path) -> Iterator[str]:
-    """Yield why the report on an adapter does not show that it is green.
+@dataclass(frozen=True)
+class Audited:
+    """What the audit report of a bundle says of its adapter.
 
-    Args:
-        target: the report on it, an entry of `targets`.
-        adapter: folder of the adapter in the bundle.
+    Attributes:
+        report: what follows from what the rules found.
+        said: what the report says that this comes to: verdict, statement, proven, unproven, as far as it says so.
+        stood_in: by the name of each gate that ran without the real model, what stood in for it.
     """
-    report, verdict = _report(target), judgement(target, adapter)
-    missing = [gate.value for gate in Gate if gate not in {entry.name for entry in report.gates}]
-    if missing:
-        yield f"the audit ran without the gates {', '.join(missing)}"
-    if verdict.word in (Word.RED, Word.INCOMPLETE):
-        open_rules = [f"{result.code} {result.outcome.value}" for result in report.results if _is_against(result)]
-        yield f"the audit is not green: its rules make it {verdict.word} ({_listed(open_rules) or 'nothing passed'})"
-    yield from _overstated(target, verdict, adapter)
-    for gate in report.gates:
-        yield from _incomplete(gate)
-    yield from _unbound(report, target, adapter)
 
+    report: TargetReport
+    said: Mapping[str, Any]
+    stood_in: Mapping[str, str | None]
 
-def judgement(target: Mapping[str, Any], adapter: Path) -> Verdict:
-    """Return the verdict that follows from what rules found and from the adapter, whatever the report says.
+    @classmethod
+    def parse(cls, target: Mapping[str, Any]) -> Self:
+        """Return what an entry of `targets` in a valid report says."""
+        report = TargetReport(target["path"], target["name"], POLICY)
+        for told in target["gates"]:
+            gate = GateReport(Gate(told["name"]), digest=told.get("digest"), served=_served(told.get("profile")))
+            gate.results += [_result(one) for one in told["results"]]
+            report.gates.append(gate)
+        said = {key: target[key] for key in ("verdict", "statement", "proven", "unproven") if key in target}
+        unreal = [gate for gate in target["gates"] if gate.get("profile") not in _SERVED_BY_MODEL]
+        return cls(report, said, {gate["name"]: gate.get("stood_in") for gate in unreal})
 
-    Args:
-        target: the report on it, an entry of `targets`.
-        adapter: folder of the adapter in the bundle.
-    """
-    return judged(replace(_report(target), circumstances=of_package(Source(adapter), POLICY, str(target["path"]))))
+    def judgement(self, adapter: Path) -> Verdict:
+        """Return the verdict that follows from what rules found and from the adapter, whatever the report says.
 
+        Args:
+            adapter: folder of the adapter in the bundle.
+        """
+        return judged(replace(self.report, circumstances=of_package(Source(adapter), POLICY, self.report.path)))
 
-def _overstated(target: Mapping[str, Any], verdict: Verdict, adapter: Path) -> Iterator[str]:
-    """Yield where a report says something else than what follows."""
-    told, made = target["verdict"], verdict.as_json()
-    if "proven" not in target:  # by a version that knew three words only
-        word = verdict.word if verdict.word in (Word.RED, Word.INCOMPLETE) else Word.GREEN
-        if told != word:
-            yield f"the audit says that it is {told}, its rules make it {word}"
-        return
-    if told != verdict.word:
-        yield f"the audit says that it is {told}, its rules and the adapter make it {verdict.word}"
-    for claim in verdict.proven:
-        if claim.claim is PARITY and claim.numbers.get("pairs") != (count := pairs.read(adapter).count):
-            yield f"the audit compared {claim.numbers.get('pairs')} native pairs, and the adapter has {count}"
-    if target["proven"] != made["proven"]:
-        yield f"the audit says otherwise what is proven: its rules and the adapter make it {verdict}"
-    if not str(target.get("statement")).startswith(f"{verdict.word.upper()} "):
-        yield f"the audit says otherwise what it comes to: its rules and the adapter make it {verdict}"
+    def problems(self, adapter: Path) -> Iterator[str]:
+        """Yield why the report does not show that the adapter in a folder of the bundle is green."""
+        report, verdict = self.report, self.judgement(adapter)
+        missing = [gate.value for gate in Gate if gate not in {entry.name for entry in report.gates}]
+        if missing:
+            yield f"the audit ran without the gates {', '.join(missing)}"
+        if verdict.word in (Word.RED, Word.INCOMPLETE):
+            open_rules = [f"{result.code} {result.outcome.value}" for result in report.results if _is_against(result)]
+            found = _listed(open_rules) or "nothing passed"
+            yield f"the audit is not green: its rules make it {verdict.word} ({found})"
+        yield from self._overstated(verdict, adapter)
+        for gate in report.gates:
+            yield from _incomplete(gate)
+        yield from _unbound(report, adapter)
+        for name, stood_in in self.stood_in.items():
+            yield f"the audit's {name} gate ran without the real model: {stood_in}"
 
-
-def _report(target: Mapping[str, Any]) -> TargetReport:
-    """Return the report that follows from what the rules found."""
-    report = TargetReport(str(target["path"]), str(target["name"]), POLICY)
-    for told in target["gates"]:
-        gate = GateReport(Gate(told["name"]), digest=told.get("digest"), served=_served(told))
-        gate.results += [_result(one) for one in told["results"]]
-        report.gates.append(gate)
-    return report
+    def _overstated(self, verdict: Verdict, adapter: Path) -> Iterator[str]:
+        """Yield where the report says something else than what follows."""
+        made = verdict.as_json()
+        if self.said["verdict"] != verdict.word:
+            yield (
+                f"the audit says that it is {self.said['verdict']}, its rules and the adapter make it {verdict.word}"
+            )
+        for claim in verdict.proven:
+            if claim.claim is PARITY and claim.numbers.get("pairs") != (count := pairs.read(adapter).count):
+                yield f"the audit compared {claim.numbers.get('pairs')} native pairs, and the adapter has {count}"
+        if self.said.get("proven") != made["proven"]:
+            yield f"the audit says otherwise what is proven: its rules and the adapter make it {verdict}"
+        if not str(self.said.get("statement")).startswith(f"{verdict.word.upper()} "):
+            yield f"the audit says otherwise what it comes to: its rules and the adapter make it {verdict}"
 
 
 def _result(told: Mapping[str, Any]) -> Result:
@@ -105,11 +116,9 @@ def _result(told: Mapping[str, Any]) -> Result:
     )
 
 
-def _served(told: Mapping[str, Any]) -> Choice | None:
+def _served(profile: str | None) -> Choice | None:
     """Return what a gate says that it served."""
-    if told.get("profile") is None:
-        return None
-    return Choice(Profile(told["profile"]))
+    return None if profile is None else Choice(Profile(profile))
 
 
 def _incomplete(gate: GateReport) -> Iterator[str]:
@@ -124,7 +133,7 @@ def _incomplete(gate: GateReport) -> Iterator[str]:
         yield f"the audit's {gate.name} gate has two results of {_listed(twice)}"
 
 
-def _unbound(report: TargetReport, target: Mapping[str, Any], adapter: Path) -> Iterator[str]:
+def _unbound(report: TargetReport, adapter: Path) -> Iterator[str]:
     """Yield where the static gate says something else of the adapter in the bundle."""
     from xpl_cli.audit.engine.engine import audit
     from xpl_cli.audit.rules.options import Options
@@ -134,7 +143,7 @@ def _unbound(report: TargetReport, target: Mapping[str, Any], adapter: Path) -> 
         return
     installed = tuple(entry.code for entry in entries() if entry.source is not None)
     options = Options(gates=(Gate.STATIC,), ignore=installed)
-    (here,) = audit(adapter, POLICY, options, shown=str(target["path"])).gates
+    (here,) = audit(adapter, POLICY, options, shown=report.path).gates
     if here.outcome != told.outcome:
         yield f"the audit's static gate ended with {told.outcome}; of the adapter in the bundle it says {here.outcome}"
     elif here.digest != told.digest:

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import NotFoundError, UserError
 from xpl_cli.environments import check
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments, package, robots
-from xpl_cli.submission import audited, bundle, claims, consistency
+from xpl_cli.submission import bundle, claims, consistency
+from xpl_cli.submission.audited import Audited
 from xpl_cli.submission.bundle import Checkpoints
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from xpl_cli.submission.bundle import Bundle
 
 _Look = Callable[["Bundle", list["Run"]], Iterator[str]]
-_SERVED_BY_MODEL = (None, "full")
-"""Profiles of gates that no stand-in answered in."""
 
 
 @dataclass(frozen=True)
@@ -68,15 +67,15 @@ def inspect(found: Bundle, progress: Progress) -> tuple[tuple[Check, ...], list[
 
 def verdict(found: Bundle, checks: Sequence[Check]) -> Verdict | None:
     """Return what the audit of a bundle comes to; None where it is of something else, or its files are not in order."""
-    target = {} if checks[0].problems else _target(found)
-    return audited.judgement(target, found.adapter) if target else None
+    told = None if checks[0].problems else _audited(found)
+    return None if told is None else told.judgement(found.adapter)
 
 
-def _target(found: Bundle) -> dict[str, Any]:
-    """Return what the audit report says of the adapter of the bundle; nothing if it is of another one."""
+def _audited(found: Bundle) -> Audited | None:
+    """Return what the audit report says of the adapter of the bundle; None if it is of another one."""
     policy, report = found.manifest.policy, found.read(bundle.AUDIT)
-    target: dict[str, Any] = report["targets"][0] if len(report["targets"]) == 1 else {}
-    return target if (target.get("name"), report["spec"]) == (policy.name, policy.spec) else {}
+    told = [(target["name"], report["spec"]) for target in report["targets"]]
+    return Audited.parse(report["targets"][0]) if told == [(policy.name, policy.spec)] else None
 
 
 def _shown(problem: str, found: Bundle) -> str:
@@ -133,17 +132,14 @@ def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
 
 def _audit(found: Bundle, _: Sequence[Run]) -> Iterator[str]:
     """Yield why the audit report does not speak for the adapter."""
-    policy, target = found.manifest.policy, _target(found)
-    if not target:
+    policy, told = found.manifest.policy, _audited(found)
+    if told is None:
         yield f"the audit is not of {policy.name} by {policy.spec}"
         return
-    yield from audited.problems(target, found.adapter)
+    yield from told.problems(found.adapter)
     claim = found.manifest.audit
-    if claim is not None and any(claim[key] != target.get(key) for key in claim):
+    if claim is not None and any(claim[key] != told.said.get(key) for key in claim):
         yield f"{bundle.MANIFEST} says otherwise what is proven than {bundle.AUDIT}"
-    for gate in target["gates"]:
-        if gate["profile"] not in _SERVED_BY_MODEL:
-            yield f"the audit's {gate['name']} gate ran without the real model: {gate['stood_in']}"
 
 
 def _plan(_: Bundle, runs: Sequence[Run]) -> Iterator[str]:
