@@ -227,7 +227,7 @@ def _check(content: bytes) -> None:
     """
     from xpl_cli.standard.validate import validate_yaml
 
-    _, problems = validate_yaml(content, _MANIFEST, _SCHEMA, None)
+    _, problems = validate_yaml(content, _MANIFEST, _SCHEMA)
     for problem in problems:
         if problem.missing is None:
             place = ".".join(map(str, problem.path)) or "the manifest"

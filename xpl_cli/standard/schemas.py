@@ -35,11 +35,6 @@ def path(name: str) -> str:
     return f"{FOLDER}/{name}.schema.json"
 
 
-def modeline(name: str) -> str:
-    """Return the first line of a manifest, by which editors find its schema."""
-    return f"# yaml-language-server: $schema={path(name)}\n"
-
-
 def render(name: str) -> bytes:
     """Return a schema of the standard as a file for editors."""
     return f"{json.dumps(bundle(name), indent=2)}\n".encode()

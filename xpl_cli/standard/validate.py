@@ -235,7 +235,7 @@ def _dtype_fits(array: np.ndarray, instance: Any, dtype: str) -> bool:
 # -- YAML files --------------------------------------------------------------------------------------------------------
 
 
-def validate_yaml_file(path: Path, schema_name: str, bindings: Mapping[str, int] | None = None) -> list[Problem]:
+def validate_yaml_file(path: Path, schema_name: str) -> list[Problem]:
     """Return the problems of a YAML file with their lines and columns: syntax, repeated keys, and the schema's.
 
     Raises:
@@ -243,19 +243,16 @@ def validate_yaml_file(path: Path, schema_name: str, bindings: Mapping[str, int]
     """
     with path.open("rb") as stream:
         content = stream.read(text.MOST_BYTES + 1)
-    return validate_yaml(content, str(path), schema_name, bindings)[1]
+    return validate_yaml(content, str(path), schema_name)[1]
 
 
-def validate_yaml(
-    content: bytes, file: str, schema_name: str, bindings: Mapping[str, int] | None = None
-) -> tuple[Any, list[Problem]]:
+def validate_yaml(content: bytes, file: str, schema_name: str) -> tuple[Any, list[Problem]]:
     """Return what a YAML document holds and its problems; what does not parse holds None.
 
     Args:
         content: the document.
         file: how problems name the file that it was read from.
         schema_name: its schema.
-        bindings: sizes of symbols that are known beforehand.
     """
     page = page_of(schema_name)
     try:
@@ -267,7 +264,7 @@ def validate_yaml(
         message = "the file is empty: expected a map"
         return None, [Problem((), message, "a map", "nothing", file=file, line=1, column=1, page=page)]
     data, root = document.data, document.root
-    problems = validate(data, schema_name, bindings)
+    problems = validate(data, schema_name)
     found = [*_repeated_keys(root), *((problem, mark_of(root, problem.path)) for problem in problems)]
     placed = [
         replace(problem, file=file, line=mark.line + 1, column=mark.column + 1, page=page_of(schema_name, problem))

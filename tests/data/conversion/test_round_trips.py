@@ -11,8 +11,8 @@ from xpl import trajectory
 from xpl_cli.basics.errors import UnknownNameError
 from xpl_cli.data.formats import open_set, pictures
 from xpl_cli.data.formats.lerobot import layout
-from xpl_cli.data.sets import summary
 from xpl_cli.data.sets.errors import DataError
+from xpl_cli.data.sets.summary import Summary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -209,7 +209,7 @@ def test_what_a_simulator_told_is_one_vector_of_lerobot_and_what_it_was_after_it
     column = there.columns["observation.environment_state"]
     assert (column.shape, column.names) == ((8,), (*(f"cube.pose_{index}" for index in range(7)), "height"))
     assert there.columns["additional_info.steps.privileged.held"].dtype == "bool"
-    told = summary.document(open_set(tmp_path / "there"))["privileged"]
+    told = Summary.of(open_set(tmp_path / "there")).as_json()["privileged"]
     assert told == {"recorded": ["cube/pose", "height", "held"], "left_out": {"task": "is no array of numbers"}}
     converted(tmp_path / "there", tmp_path / "back", "xpl")
     made.same(open_set(tmp_path / "xpl")[0], open_set(tmp_path / "back")[0])

@@ -19,10 +19,10 @@ def list_(
     """List a set's episodes, and the columns and cameras that they have."""
     from xpl_cli.basics import console
     from xpl_cli.data.formats import open_set
-    from xpl_cli.data.sets import summary
+    from xpl_cli.data.sets.summary import Summary
 
-    document = summary.document(open_set(demonstrations))
+    found = Summary.of(open_set(demonstrations))
     if as_json:
-        console.answer("xpl.data-list/1", document, [])
+        console.answer("xpl.data-list/1", found.as_json(), [])
     else:
-        console.data(summary.text(document))
+        console.data(found.text)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def probe(
     demonstrations: Path = SET,
     episodes: int = typer.Option(24, min=1, metavar="N", help="Episodes that are read, evenly spread."),
-    robot: str | None = typer.Option(None, metavar="NAME", help="The robot, where you know it (`xpl spec list`)."),
+    robot: str | None = typer.Option(None, metavar="NAME", help="The robot, where you know it (`xpl spec show`)."),
     explain: Path | None = typer.Option(None, metavar="FILE.html", help="Write a page with the lines that show it."),
     write: Path | None = typer.Option(None, metavar="DRAFT.yml", help="Write a draft of `native` and of the robot."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),

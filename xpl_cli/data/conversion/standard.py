@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Demonstrations, Episode
 
 NAME = "xpl"
-_COLOR = spec.TRAJECTORY_CAMERA[spec.Camera.COLOR]
 Rows = dict[str, "NDArray[Any]"]
 
 

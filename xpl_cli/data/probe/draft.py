@@ -21,7 +21,7 @@ _HEAD = """\
 # several steps at once, `delta_state` is `cumulative`, unless training counted all of a chunk from its first state.
 """
 _ROBOT = """\
-# `embodiment` is the robot: a name that `xpl spec list` knows, or what embodiments/NAME.yml has to say.
+# `embodiment` is the robot: a name that `xpl spec show` knows, or what embodiments/NAME.yml has to say.
 """
 
 

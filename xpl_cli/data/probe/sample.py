@@ -99,12 +99,10 @@ class Sample:
     Attributes:
         series: its columns of numbers.
         episodes: the episodes.
-        whole: whether these are all of the set.
     """
 
     series: tuple[Series, ...]
     episodes: tuple[Episode, ...]
-    whole: bool
 
     def of(self, role: str) -> list[Series]:
         """Return the columns of a role."""
@@ -168,4 +166,4 @@ def take(demonstrations: Demonstrations, most: int, told: Callable[[str], None] 
         for name, values in rows.items()
         if len(values) == len(episodes) and len({entry.shape[1] for entry in values}) == 1
     ]
-    return Sample(tuple(series), tuple(episodes), len(episodes) == len(demonstrations))
+    return Sample(tuple(series), tuple(episodes))

@@ -74,9 +74,7 @@ def follow(
     return next(one for one in found if one.error <= 1.02 * least + 1e-9)
 
 
-def reached(
-    states: Sequence[np.ndarray], commands: Sequence[np.ndarray], minus: Minus = numbers
-) -> tuple[float, float]:
+def reached(states: Sequence[np.ndarray], commands: Sequence[np.ndarray]) -> tuple[float, float]:
     """Return after how many steps commands are reached, and how far off they still are then, a share of the motion.
 
     Both are means: the first is where a parabola through the least error and its neighbours has its bottom.
@@ -84,9 +82,9 @@ def reached(
     errors = []
     longest = min(_LONGEST, min(len(rows) for rows in states) // 2)
     for lag in range(longest):
-        off = [minus(c[: len(c) - lag], s[lag:]) for s, c in zip(states, commands, strict=True)]
+        off = [c[: len(c) - lag] - s[lag:] for s, c in zip(states, commands, strict=True)]
         errors.append(float(np.mean(np.concatenate(off) ** 2)))
-    about = [minus(rows, np.broadcast_to(rows[len(rows) // 2], rows.shape)) for rows in states]
+    about = [rows - rows[len(rows) // 2] for rows in states]
     span = float(np.mean(np.concatenate(about) ** 2)) or 1.0
     best = int(np.argmin(errors))
     share = float(np.sqrt(errors[best] / span))

@@ -2,86 +2,126 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from xpl import _spec as sdk
 from xpl.trajectory.truth import LEFT_OUT, RECORDED
 
 if TYPE_CHECKING:
-    from xpl_cli.data.sets.interface import Demonstrations, Episode
+    from xpl_cli.data.sets.interface import Camera, Column, Demonstrations, Episode
 
 _MOST_SHOWN: Final = 20
 
 
-def document(demonstrations: Demonstrations) -> dict[str, Any]:
-    """Return the set's facts, and those of each episode; columns and cameras are those of the first."""
-    episodes = [demonstrations[index] for index in range(len(demonstrations))]
-    columns: dict[str, Any] = {}
-    cameras: dict[str, Any] = {}
-    if episodes:
-        for name, column in episodes[0].columns.items():
-            columns[name] = {"shape": list(column.shape), "dtype": column.dtype, "names": list(column.names)}
-        for name, camera in episodes[0].cameras.items():
-            cameras[name] = {
-                "height": camera.height,
-                "width": camera.width,
-                "kind": camera.kind,
-                "encoding": camera.encoding,
-            }
-    return {
-        "path": demonstrations.path,
-        "format": demonstrations.format,
-        "rate_hz": demonstrations.rate_hz,
-        "robot": demonstrations.robot,
-        "columns": columns,
-        "cameras": cameras,
-        sdk.Obs.PRIVILEGED: _truth(episodes[0]) if episodes else None,
-        "episodes": [
-            {"key": episode.key, "steps": episode.length, sdk.Obs.INSTRUCTIONS: list(episode.instructions)}
-            for episode in episodes
-        ],
-    }
+@dataclass(frozen=True)
+class Truth:
+    """Which of a simulator's facts an episode says that it holds, and why others were left out."""
+
+    recorded: list[str]
+    left_out: dict[str, str]
+
+    @classmethod
+    def of(cls, episode: Episode) -> Self | None:
+        """Return what an episode says; None where it says nothing."""
+        told = episode.extras.get(sdk.Obs.PRIVILEGED)
+        if not isinstance(told, Mapping) or not isinstance(told.get(RECORDED), list):
+            return None
+        left_out = told.get(LEFT_OUT)
+        return cls(list(map(str, told[RECORDED])), dict(left_out) if isinstance(left_out, Mapping) else {})
 
 
-def text(told: Mapping[str, Any]) -> str:
-    """Return the same for people."""
-    episodes = told["episodes"]
-    steps = [episode["steps"] for episode in episodes]
-    rate = f"{told['rate_hz']:g} Hz" if told["rate_hz"] else "rate unknown"
-    lines = [f"{told['path']}: {told['format']}, {told['robot'] or 'robot unknown'}, {rate}"]
-    if episodes:
-        lines.append(f"{len(episodes)} episodes, {sum(steps)} steps ({min(steps)} to {max(steps)} each)")
-    for word, entries in (("column", told["columns"]), ("camera", told["cameras"])):
-        width = max(map(len, entries), default=0)
-        for name, entry in entries.items():
-            shape = " x ".join(map(str, entry["shape"])) or "number" if word == "column" else ""
-            what = f"{shape} {entry['dtype']}" if word == "column" else _camera(entry)
-            names = f"  {' '.join(entry['names'])}" if entry.get("names") else ""
-            lines.append(f"  {word}  {name.ljust(width)}  {what}{names}")
-    truth = told[sdk.Obs.PRIVILEGED]
-    if truth is not None:
-        without = f", without {', '.join(truth[LEFT_OUT])}" if truth[LEFT_OUT] else ""
-        lines.append(f"  holds what a simulator tells privileged policies: {', '.join(truth[RECORDED])}{without}")
-    sentences: dict[str, int] = {}
-    for episode in episodes:
-        for sentence in episode[sdk.Obs.INSTRUCTIONS] or ["(told nothing)"]:
-            sentences[sentence] = sentences.get(sentence, 0) + 1
-    most = sorted(sentences.items(), key=lambda item: -item[1])
-    lines += [f"  {count:5d} x {sentence}" for sentence, count in most[:_MOST_SHOWN]]
-    if len(most) > _MOST_SHOWN:
-        lines.append(f"  and {len(most) - _MOST_SHOWN} other sentences")
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class Listed:
+    """One episode."""
+
+    key: str
+    steps: int
+    instructions: tuple[str, ...]
 
 
-def _truth(episode: Episode) -> dict[str, Any] | None:
-    """Return which of the simulator's facts an episode says that it holds, and which were left out; None for none."""
-    told = episode.extras.get(sdk.Obs.PRIVILEGED)
-    if not isinstance(told, Mapping) or not isinstance(told.get(RECORDED), list):
-        return None
-    left_out = told.get(LEFT_OUT)
-    return {RECORDED: list(map(str, told[RECORDED])), LEFT_OUT: dict(left_out) if isinstance(left_out, Mapping) else {}}
+@dataclass(frozen=True)
+class Summary:
+    """A set's facts, and those of each episode; columns, cameras and truth are those of the first."""
+
+    path: str
+    format: str
+    rate_hz: float | None
+    robot: str | None
+    columns: Mapping[str, Column]
+    cameras: Mapping[str, Camera]
+    privileged: Truth | None
+    episodes: tuple[Listed, ...]
+
+    @classmethod
+    def of(cls, demonstrations: Demonstrations) -> Self:
+        """Return the summary of a set."""
+        episodes = [demonstrations[index] for index in range(len(demonstrations))]
+        return cls(
+            demonstrations.path,
+            demonstrations.format,
+            demonstrations.rate_hz,
+            demonstrations.robot,
+            episodes[0].columns if episodes else {},
+            episodes[0].cameras if episodes else {},
+            Truth.of(episodes[0]) if episodes else None,
+            tuple(Listed(episode.key, episode.length, episode.instructions) for episode in episodes),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it for programs."""
+        columns = {
+            name: {"shape": list(column.shape), "dtype": column.dtype, "names": list(column.names)}
+            for name, column in self.columns.items()
+        }
+        keys = ("height", "width", "kind", "encoding")
+        cameras = {name: {key: getattr(camera, key) for key in keys} for name, camera in self.cameras.items()}
+        return {
+            "path": self.path,
+            "format": self.format,
+            "rate_hz": self.rate_hz,
+            "robot": self.robot,
+            "columns": columns,
+            "cameras": cameras,
+            sdk.Obs.PRIVILEGED: None if self.privileged is None else asdict(self.privileged),
+            "episodes": [{**asdict(one), sdk.Obs.INSTRUCTIONS: list(one.instructions)} for one in self.episodes],
+        }
+
+    @property
+    def text(self) -> str:
+        """The same for people."""
+        rate = f"{self.rate_hz:g} Hz" if self.rate_hz else "rate unknown"
+        lines = [f"{self.path}: {self.format}, {self.robot or 'robot unknown'}, {rate}"]
+        if self.episodes:
+            steps = [episode.steps for episode in self.episodes]
+            lines.append(f"{len(steps)} episodes, {sum(steps)} steps ({min(steps)} to {max(steps)} each)")
+        lines += _rows("column", {name: _column(column) for name, column in self.columns.items()})
+        lines += _rows("camera", {name: _camera(camera) for name, camera in self.cameras.items()})
+        if self.privileged is not None:
+            left_out = ", ".join(self.privileged.left_out)
+            without = f", without {left_out}" if left_out else ""
+            recorded = ", ".join(self.privileged.recorded)
+            lines.append(f"  holds what a simulator tells privileged policies: {recorded}{without}")
+        sentences = Counter(
+            sentence for episode in self.episodes for sentence in episode.instructions or ["(told nothing)"]
+        )
+        lines += [f"  {count:5d} x {sentence}" for sentence, count in sentences.most_common(_MOST_SHOWN)]
+        if len(sentences) > _MOST_SHOWN:
+            lines.append(f"  and {len(sentences) - _MOST_SHOWN} other sentences")
+        return "\n".join(lines)
 
 
-def _camera(entry: Mapping[str, Any]) -> str:
-    return f"{entry['height']} x {entry['width']} {entry['kind']} {entry['encoding']}"
+def _rows(word: str, entries: Mapping[str, str]) -> list[str]:
+    width = max(map(len, entries), default=0)
+    return [f"  {word}  {name.ljust(width)}  {what}" for name, what in entries.items()]
+
+
+def _column(column: Column) -> str:
+    shape = " x ".join(map(str, column.shape)) or "number"
+    return f"{shape} {column.dtype}" + (f"  {' '.join(column.names)}" if column.names else "")
+
+
+def _camera(camera: Camera) -> str:
+    return f"{camera.height} x {camera.width} {camera.kind} {camera.encoding}"
