@@ -7,13 +7,13 @@ for change in alternatives(manifest["native"], embodiment, "joint", [package]):
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from xpl.convert import NativeError, compile_interface
-from xpl_cli.native.alternatives.block.edits import Candidate, edited
+from xpl_cli.native.alternatives.block.edits import Block, Candidate, edited
 from xpl_cli.native.alternatives.block.images import images
 from xpl_cli.native.alternatives.block.joints import arms, grippers, joints, order
 from xpl_cli.native.alternatives.block.numbers import numbers
@@ -46,7 +46,7 @@ class Alternative:
 
 
 def alternatives(  # noqa: PLR0913, PLR0917 - what is known of the adapter
-    native: Mapping[str, Any],
+    native: Block,
     embodiment: Embodiment,
     action_type: str,
     folders: Sequence[Path] = (),
@@ -86,7 +86,7 @@ def alternatives(  # noqa: PLR0913, PLR0917 - what is known of the adapter
 
 
 def _candidates(
-    block: Mapping[str, Any], embodiment: Embodiment, folders: Sequence[Path], templates: Sequence[str]
+    block: Block, embodiment: Embodiment, folders: Sequence[Path], templates: Sequence[str]
 ) -> Iterator[Candidate]:
     yield from images(block, embodiment.cameras)
     yield from grippers(block, embodiment)
@@ -100,7 +100,7 @@ def _candidates(
     yield from order(block)
 
 
-def _same(block: Mapping[str, Any]) -> str:
+def _same(block: Block) -> str:
     return json.dumps(block, sort_keys=True)
 
 
@@ -108,7 +108,7 @@ def _widths(interface: Interface) -> list[int]:
     return [interface.action.vector.padded, *(vector.padded for vector in interface.states.values())]
 
 
-def _is_valid(block: Mapping[str, Any]) -> bool:
+def _is_valid(block: Block) -> bool:
     return bool(_validator().is_valid(block))
 
 

@@ -9,6 +9,8 @@ from typing import Any
 
 Place = tuple[str | int, ...]
 """Keys and positions that lead to a value of the block."""
+Block = Mapping[str, Any]
+"""A native block as it is written, or an entry of it."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Site:
     kind: str = field(default="", compare=False)
 
 
-def edited(block: Mapping[str, Any], edits: Mapping[Place, Any]) -> dict[str, Any]:
+def edited(block: Block, edits: Mapping[Place, Any]) -> dict[str, Any]:
     """Return a copy of the block with values replaced or taken out."""
     result: dict[str, Any] = copy.deepcopy(dict(block))
     for place, value in edits.items():
@@ -65,7 +67,7 @@ def edited(block: Mapping[str, Any], edits: Mapping[Place, Any]) -> dict[str, An
     return result
 
 
-def parts(block: Mapping[str, Any], *kinds: str) -> list[Site]:
+def parts(block: Block, *kinds: str) -> list[Site]:
     """Return the parts of all vectors that are of these kinds, the state's first."""
     found = []
     for place, group, vector in vectors(block):
@@ -77,7 +79,7 @@ def parts(block: Mapping[str, Any], *kinds: str) -> list[Site]:
     return found
 
 
-def vectors(block: Mapping[str, Any]) -> Iterator[tuple[Place, str, Mapping[str, Any]]]:
+def vectors(block: Block) -> Iterator[tuple[Place, str, Block]]:
     """Yield place, group and entry of each vector."""
     for index, entry in enumerate(block.get("state") or ()):
         yield ("state", index), "state", entry
@@ -108,7 +110,7 @@ def scopes(sites: Sequence[Site]) -> Iterator[tuple[int, str, list[Site]]]:
             yield later, f" ({told})" if told else "", chosen
 
 
-Change = Callable[[Any], Mapping[str, Any] | None]
+Change = Callable[[Any], Block | None]
 """Returns by key what becomes of an entry (`GONE` takes it out), or None where the change has no meaning."""
 
 
@@ -137,7 +139,7 @@ def everywhere(  # noqa: PLR0913 - one candidate in six words
 def word(key: str, value: Any, default: Any = None) -> Change:
     """Return the change that says another word under a key, where it is not said already; a default is not written."""
 
-    def change(entry: Any) -> Mapping[str, Any] | None:
+    def change(entry: Any) -> Block | None:
         if entry.get(key, default) == value:
             return None
         return {key: GONE if value == default else value}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from xpl.convert.images import shape_after
-from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Place, Site, everywhere, word
+from xpl_cli.native.alternatives.block.edits import GONE, Block, Candidate, Change, Place, Site, everywhere, word
 from xpl_cli.native.alternatives.forms import MEANS, RANGES
 
 _NOMINAL = (480, 640)
@@ -16,7 +16,7 @@ _FILTERS = ("bilinear", "area", "bicubic", "lanczos", "nearest")
 _FRACTIONS = (0.9, 0.95, 0.9486832980505138, 0.875)
 
 
-def images(block: Mapping[str, Any], embodiment_cameras: Sequence[str]) -> Iterator[Candidate]:
+def images(block: Block, embodiment_cameras: Sequence[str]) -> Iterator[Candidate]:
     """Yield changes of the image inputs."""
     entries = block.get("images") or []
     sites = [Site(("images", index), entry, "", entry["input"]) for index, entry in enumerate(entries)]
@@ -42,16 +42,16 @@ def _numbers(sites: Sequence[Site]) -> Iterator[Candidate]:
     yield from everywhere(sites, 2, "mean and std in the other order of channels", "image_range", _mean_reversed)
 
 
-def _as_float(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _as_float(entry: Block) -> dict[str, Any]:
     return {} if entry["dtype"] == "float32" else {"dtype": "float32"}
 
 
-def _as_bytes(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _as_bytes(entry: Block) -> Block | None:
     return None if entry["dtype"] == "uint8" else {"dtype": "uint8", "range": GONE, "mean": GONE, "std": GONE}
 
 
-def _ranged(span: Sequence[float]) -> Any:
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _ranged(span: Sequence[float]) -> Change:
+    def change(entry: Block) -> Block | None:
         if entry["dtype"] == "float32" and list(entry.get("range", [0, 1])) == span:
             return None
         return {"range": GONE if span == [0, 1] else span, **_as_float(entry)}
@@ -59,12 +59,12 @@ def _ranged(span: Sequence[float]) -> Any:
     return change
 
 
-def _without_mean(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _without_mean(entry: Block) -> Block | None:
     return {"mean": GONE, "std": GONE} if {"mean", "std"} & set(entry) else None
 
 
-def _with_mean(mean: Sequence[float], std: Sequence[float]) -> Any:
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _with_mean(mean: Sequence[float], std: Sequence[float]) -> Change:
+    def change(entry: Block) -> Block | None:
         if (entry.get("mean"), entry.get("std")) == (mean, std):
             return None
         return {"mean": mean, "std": std, "range": GONE, **_as_float(entry)}
@@ -72,7 +72,7 @@ def _with_mean(mean: Sequence[float], std: Sequence[float]) -> Any:
     return change
 
 
-def _mean_reversed(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _mean_reversed(entry: Block) -> Block | None:
     turned = {key: entry[key][::-1] for key in ("mean", "std") if key in entry}
     return turned if any(entry[key] != values for key, values in turned.items()) else None
 
@@ -80,7 +80,7 @@ def _mean_reversed(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
 # -- cameras -----------------------------------------------------------------------------------------------------------
 
 
-def _cameras(entries: Sequence[Mapping[str, Any]], known: Sequence[str]) -> Iterator[Candidate]:
+def _cameras(entries: Sequence[Block], known: Sequence[str]) -> Iterator[Candidate]:
     used = list(dict.fromkeys(camera for entry in entries for camera in entry["cameras"]))
     wrists = [camera for camera in used if "wrist" in camera]
     pairs = sorted(itertools.combinations(used, 2), key=lambda pair: not set(pair) <= set(wrists))
@@ -97,7 +97,7 @@ def _cameras(entries: Sequence[Mapping[str, Any]], known: Sequence[str]) -> Iter
         yield from _other_cameras(index, entry, known)
 
 
-def _other_cameras(index: int, entry: Mapping[str, Any], known: Sequence[str]) -> Iterator[Candidate]:
+def _other_cameras(index: int, entry: Block, known: Sequence[str]) -> Iterator[Candidate]:
     cameras, place = list(entry["cameras"]), ("images", index, "cameras")
     if len(cameras) > 2:
         for order in itertools.islice(itertools.permutations(cameras), 1, 25):
@@ -163,7 +163,7 @@ def _sizes(sites: Sequence[Site]) -> Iterator[Candidate]:
     yield from everywhere(sites, 3, "steps in the other order", "image_size", _stepped(lambda steps: steps[::-1]))
 
 
-def _exchanged(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _exchanged(entry: Block) -> Block | None:
     """Exchange height and width of the size that the model reads."""
     steps = [
         {kind: {**how, "to": how["to"][::-1]} if isinstance(how, Mapping) and "to" in how else how}
@@ -186,12 +186,14 @@ def _resampling(sites: Sequence[Site]) -> Iterator[Candidate]:
 
 
 Steps = list[dict[str, Any]]
+StepsChange = Callable[[Steps], Steps | None]
+"""Returns what becomes of the steps of an image, or None where the change has no meaning."""
 
 
-def _stepped(change: Any) -> Any:
+def _stepped(change: StepsChange) -> Change:
     """Return the change of an image input that `change` makes of its steps, if its size stays."""
 
-    def of(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    def of(entry: Block) -> Block | None:
         steps: Steps = list(entry.get("steps", ()))
         changed = change(steps)
         if changed is None or changed == steps or _size(steps) != _size(changed):
@@ -212,27 +214,27 @@ def _size(steps: Steps) -> tuple[int, int] | None:
     return shape
 
 
-def _appended(step: dict[str, Any]) -> Any:
+def _appended(step: dict[str, Any]) -> StepsChange:
     return lambda steps: None if any(step.keys() == one.keys() for one in steps) else [*steps, step]
 
 
-def _prepended(step: dict[str, Any]) -> Any:
+def _prepended(step: dict[str, Any]) -> StepsChange:
     return lambda steps: None if not steps or any(step.keys() == one.keys() for one in steps) else [step, *steps]
 
 
-def _lacking(kind: str) -> Any:
+def _lacking(kind: str) -> StepsChange:
     return lambda steps: [step for step in steps if kind not in step]
 
 
-def _said(kind: str, how: Any) -> Any:
+def _said(kind: str, how: Any) -> StepsChange:
     return lambda steps: [{kind: how} if kind in step else step for step in steps]
 
 
-def _replaced(kind: str, by: dict[str, Any]) -> Any:
+def _replaced(kind: str, by: dict[str, Any]) -> StepsChange:
     return lambda steps: [by if kind in step else step for step in steps]
 
 
-def _converted(one: str, other: str, more: Mapping[str, Any] | None = None) -> Any:
+def _converted(one: str, other: str, more: Block | None = None) -> StepsChange:
     kept = {"to", "filter", "antialias", "as"}
 
     def change(steps: Steps) -> Steps:
@@ -246,7 +248,7 @@ def _converted(one: str, other: str, more: Mapping[str, Any] | None = None) -> A
     return change
 
 
-def _inside(kind: str, key: str, value: Any, default: Any) -> Any:
+def _inside(kind: str, key: str, value: Any, default: Any) -> StepsChange:
     """Return the change that says a word in each step of a kind, or in each that resamples."""
 
     def change(steps: Steps) -> Steps:
@@ -264,7 +266,7 @@ def _inside(kind: str, key: str, value: Any, default: Any) -> Any:
     return change
 
 
-def _filtered(kind: str, antialias: bool | None) -> Any:  # noqa: FBT001 - a word of the block
+def _filtered(kind: str, antialias: bool | None) -> StepsChange:  # noqa: FBT001 - a word of the block
     def change(steps: Steps) -> Steps:
         more: dict[str, Any] = {} if antialias is None else {"antialias": antialias}
         return [

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl_cli.native.alternatives.block.edits import GONE, Candidate, edited, everywhere, parts, word
+from xpl_cli.native.alternatives.block.edits import (
+    GONE,
+    Block,
+    Candidate,
+    Change,
+    Place,
+    Site,
+    edited,
+    everywhere,
+    parts,
+    word,
+)
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
@@ -26,7 +37,11 @@ _GRIPPERS: tuple[tuple[int, float, float], ...] = (
 """Rank, closed and open of grippers that were met."""
 
 
-def joints(block: Mapping[str, Any], embodiment: Embodiment) -> Iterator[Candidate]:
+Parts = list[dict[str, Any]]
+"""The parts of a vector, in its order."""
+
+
+def joints(block: Block, embodiment: Embodiment) -> Iterator[Candidate]:
     """Yield changes of joint angles: unit, order, signs, offsets."""
     sites = parts(block, "joints", "hand")
     for unit in ("deg", "rad"):
@@ -34,11 +49,10 @@ def joints(block: Mapping[str, Any], embodiment: Embodiment) -> Iterator[Candida
     sites = parts(block, "joints")
     known = embodiment.arms[0].joint_names
     if known is not None:
-        yield from everywhere(sites, 0, "names: the robot's order", "joint_order", _named(lambda _: list(known)))
+        yield from everywhere(sites, 0, "names: the robot's order", "joint_order", _without("names"))
         orders = _orders(embodiment.arms[0].dof)
         for rank, told, order in orders:
-            change = _named(lambda names, order=order: [names[index] for index in order], list(known))
-            yield from everywhere(sites, rank, f"names: {told}", "joint_order", change)
+            yield from everywhere(sites, rank, f"names: {told}", "joint_order", _named(order, list(known)))
     yield from everywhere(sites, 1, "sign: none", "joint_order", _without("sign"))
     yield from everywhere(sites, 1, "offset: none", "joint_order", _without("offset"))
     yield from everywhere(sites, 2, "offset: the other way round", "joint_order", _negated("offset"))
@@ -69,27 +83,26 @@ def _orders(count: int) -> list[tuple[int, str, list[int]]]:
     return found
 
 
-def _named(change: Any, known: list[str] | None = None) -> Any:
-    def of(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
-        names = entry.get("names")
-        if known is None:
-            return None if names is None else {"names": GONE}
+def _named(order: Sequence[int], known: list[str]) -> Change:
+    """Return the change of names, or of those that are known where none are said, to another order."""
 
-        changed = change(names or known)
+    def of(entry: Block) -> Block:
+        names = entry.get("names") or known
+        changed = [names[index] for index in order]
         return {"names": GONE if changed == known else changed}
 
     return of
 
 
-def _without(key: str) -> Any:
+def _without(key: str) -> Change:
     return lambda entry: {key: GONE} if key in entry else None
 
 
-def _negated(key: str) -> Any:
+def _negated(key: str) -> Change:
     return lambda entry: {key: [-value for value in entry[key]]} if key in entry else None
 
 
-def _alike(block: Mapping[str, Any]) -> Iterator[Candidate]:
+def _alike(block: Block) -> Iterator[Candidate]:
     """Yield parts of the state that say what the action's of the same arm say, and the other way round."""
     for kind, words in (
         ("joints", {"names": "joint_order", "sign": "joint_order", "offset": "joint_order", "unit": "angle_unit"}),
@@ -110,8 +123,8 @@ def _alike(block: Mapping[str, Any]) -> Iterator[Candidate]:
                     yield Candidate(1, f"{kind}: {key} of the {group} as of the {other}", convention, edits)
 
 
-def _flipped(places: Sequence[int], count: int) -> Any:
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+def _flipped(places: Sequence[int], count: int) -> Change:
+    def change(entry: Block) -> Block:
         signs = entry.get("sign", [1] * count)
         changed = [-value if position in places else value for position, value in enumerate(signs)]
         return {"sign": GONE if set(changed) == {1} else changed}
@@ -119,7 +132,7 @@ def _flipped(places: Sequence[int], count: int) -> Any:
     return change
 
 
-def grippers(block: Mapping[str, Any], embodiment: Embodiment) -> Iterator[Candidate]:
+def grippers(block: Block, embodiment: Embodiment) -> Iterator[Candidate]:
     """Yield changes of grippers: direction, scale, unit, threshold, reference, and whose they are."""
     sites = parts(block, "gripper")
     stroke = embodiment.arms[0].stroke
@@ -146,12 +159,12 @@ def grippers(block: Mapping[str, Any], embodiment: Embodiment) -> Iterator[Candi
         yield from everywhere(acts, rank, told, "action_reference", word("reference", reference, "absolute"))
 
 
-def _exchanged(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+def _exchanged(entry: Block) -> Block:
     return {"closed": entry["open"], "open": entry["closed"]}
 
 
-def _ended(closed: float, opened: float) -> Any:
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _ended(closed: float, opened: float) -> Change:
+    def change(entry: Block) -> Block | None:
         if isinstance(entry["closed"], list) or isinstance(entry["open"], list):
             return None  # another number of fingers is another width
         same = (entry["closed"], entry["open"]) == (closed, opened)
@@ -160,8 +173,8 @@ def _ended(closed: float, opened: float) -> Any:
     return change
 
 
-def _scaled(factor: float) -> Any:
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _scaled(factor: float) -> Change:
+    def change(entry: Block) -> Block | None:
         if isinstance(entry["closed"], list) or isinstance(entry["open"], list):
             if not (isinstance(entry["closed"], list) and isinstance(entry["open"], list)):
                 return None
@@ -172,20 +185,20 @@ def _scaled(factor: float) -> Any:
     return change
 
 
-def _fingers(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _fingers(entry: Block) -> Block | None:
     if not isinstance(entry["open"], list) or not isinstance(entry["closed"], list):
         return None
     return {"closed": entry["closed"][::-1], "open": entry["open"][::-1]}
 
 
-def _middle(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _middle(entry: Block) -> Block | None:
     closed, opened = entry["closed"], entry["open"]
     if isinstance(closed, list) or isinstance(opened, list):
         return None
     return word("threshold", (closed + opened) / 2)(entry)
 
 
-def arms(block: Mapping[str, Any]) -> Iterator[Candidate]:
+def arms(block: Block) -> Iterator[Candidate]:
     """Yield blocks in which what is of one arm is the other's: parts of all kinds, or of one."""
     for kinds, told, rank in (
         (("joints", "hand", "gripper", "position", "rotation"), "arms", 0),
@@ -201,18 +214,18 @@ def arms(block: Mapping[str, Any]) -> Iterator[Candidate]:
             if len({site.name for site in chosen}) == 2:
                 words = f"{told}: left and right exchanged" + (f" ({group})" if group else "")
                 convention = "gripper" if told == "grippers" else "joint_order"
-                edits: dict[Any, Any] = _sides(chosen)
+                edits: dict[Place, Any] = _sides(chosen)
                 yield Candidate(rank, words, convention, edits)
                 if told == "arms" and not group and (cameras := _wrists(block)):
                     yield Candidate(rank, f"{words}, wrist cameras too", convention, {**edits, **cameras})
 
 
-def _sides(sites: Sequence[Any]) -> dict[Any, Any]:
+def _sides(sites: Sequence[Site]) -> dict[Place, Any]:
     other = {"left": "right", "right": "left"}
     return {(*site.place, "arm"): other[site.entry["arm"]] for site in sites}
 
 
-def _wrists(block: Mapping[str, Any]) -> dict[Any, Any]:
+def _wrists(block: Block) -> dict[Place, Any]:
     left, right = sdk.CAMERAS[2][-2:]
     other = {left: right, right: left}
     return {
@@ -222,7 +235,7 @@ def _wrists(block: Mapping[str, Any]) -> dict[Any, Any]:
     }
 
 
-def order(block: Mapping[str, Any]) -> Iterator[Candidate]:
+def order(block: Block) -> Iterator[Candidate]:
     """Yield blocks whose vectors have their parts in another order."""
     state = [("state", index, "parts") for index in range(len(block.get("state") or ()))]
     action = ("action", "parts")
@@ -247,43 +260,43 @@ def order(block: Mapping[str, Any]) -> Iterator[Candidate]:
                 yield Candidate(3, words, "joint_order", {place: changed})
 
 
-def _at(block: Mapping[str, Any], place: Sequence[Any]) -> list[dict[str, Any]]:
+def _at(block: Block, place: Place) -> Parts:
     spot: Any = block
     for key in place:
         spot = spot[key]
-    found: list[dict[str, Any]] = spot
+    found: Parts = spot
     return found
 
 
 def _reordered(
-    block: Mapping[str, Any], places: Sequence[Any], rank: int, words: str, change: Any
+    block: Block, places: Sequence[Place], rank: int, words: str, change: Callable[[Parts], Parts]
 ) -> Iterator[Candidate]:
     edits = {place: change(list(_at(block, place))) for place in places}
     if edits and edited(block, edits) != block:
         yield Candidate(rank, words, "joint_order", edits)
 
 
-def _kind(part: Mapping[str, Any]) -> str:
+def _kind(part: Block) -> str:
     return next(iter(part))
 
 
-def _arm(part: Mapping[str, Any]) -> str:
+def _arm(part: Block) -> str:
     return str(next(iter(part.values())).get("arm", ""))
 
 
-def _by_kind(listed: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _by_kind(listed: Parts) -> Parts:
     return sorted(listed, key=lambda part: _kind(part) in ("gripper", "hand"))
 
 
-def _grippers_first(listed: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _grippers_first(listed: Parts) -> Parts:
     return sorted(listed, key=lambda part: _kind(part) not in ("gripper", "hand"))
 
 
-def _by_arm(listed: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _by_arm(listed: Parts) -> Parts:
     seen = list(dict.fromkeys(map(_arm, listed)))
     return sorted(_by_kind(listed), key=lambda part: seen.index(_arm(part)))
 
 
-def _called(part: Mapping[str, Any]) -> str:
+def _called(part: Block) -> str:
     arm = _arm(part)
     return _kind(part) + (f" {arm}" if arm not in ("", "single") else "")

@@ -5,7 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Site, everywhere, vectors, word
+from xpl_cli.native.alternatives.block.edits import (
+    GONE,
+    Block,
+    Candidate,
+    Change,
+    Place,
+    Site,
+    everywhere,
+    vectors,
+    word,
+)
 from xpl_cli.native.alternatives.block.statistics import entries
 
 if TYPE_CHECKING:
@@ -20,7 +30,7 @@ _NAMES: dict[str, tuple[dict[str, str], ...]] = {
 _OFFERED = ("file", "key", "values")
 
 
-def numbers(block: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[Candidate]:
+def numbers(block: Block, folders: Sequence[Path]) -> Iterator[Candidate]:
     """Yield changes of how vectors are normalised."""
     sites = [
         Site((*place, "normalize"), entry["normalize"], group, str(entry.get("input", "")))
@@ -50,7 +60,7 @@ def numbers(block: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[Candi
     yield from _keys(sites, folders)
 
 
-def _none(block: Mapping[str, Any]) -> Iterator[Candidate]:
+def _none(block: Block) -> Iterator[Candidate]:
     sites = [
         Site(place, entry, group, str(entry.get("input", "")))
         for place, group, entry in vectors(block)
@@ -59,7 +69,7 @@ def _none(block: Mapping[str, Any]) -> Iterator[Candidate]:
     yield from everywhere(sites, 0, "normalize: none", "normalization", lambda _: {"normalize": GONE})
 
 
-def _others(block: Mapping[str, Any], sites: Sequence[Site]) -> Iterator[Candidate]:
+def _others(block: Block, sites: Sequence[Site]) -> Iterator[Candidate]:
     """Yield vectors normalised by another vector's numbers."""
     for site in sites:
         for other in sites:
@@ -90,16 +100,16 @@ def _called(site: Site) -> str:
     return site.group + (f" {site.name}" if site.name and site.name != site.group else "")
 
 
-def _bare(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _bare(entry: Block) -> dict[str, Any]:
     return {key: value for key, value in entry.items() if key not in _OFFERED}
 
 
-def _offer(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _offer(entry: Block) -> dict[str, Any]:
     return {key: value for key, value in entry.items() if key in _OFFERED}
 
 
-def _ruled(rule: str, names: Mapping[str, str]) -> Any:
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _ruled(rule: str, names: Mapping[str, str]) -> Change:
+    def change(entry: Block) -> Block | None:
         offered = entry.get("values")
         if offered is not None:
             fits = not names and set(_NEEDS[rule]) <= set(offered)
@@ -113,14 +123,14 @@ def _ruled(rule: str, names: Mapping[str, str]) -> Any:
     return change
 
 
-def _said(key: str, value: Any, default: Any) -> Any:
+def _said(key: str, value: Any, default: Any) -> Change:
     return word(key, value, default)
 
 
-def _powered(by: float) -> Any:
+def _powered(by: float) -> Change:
     """Return the change of standard deviations that are variances, or are taken for them."""
 
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    def change(entry: Block) -> Block | None:
         offered = entry.get("values") or {}
         if "std" not in offered:
             return None
@@ -129,15 +139,15 @@ def _powered(by: float) -> Any:
     return change
 
 
-def _without(key: str) -> Any:
+def _without(key: str) -> Change:
     return lambda entry: {key: GONE} if key in entry else None
 
 
-def _inverted(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _inverted(entry: Block) -> Block | None:
     return {"only": [not one for one in entry["only"]]} if "only" in entry else None
 
 
-def _masks(block: Mapping[str, Any], sites: Sequence[Site]) -> Iterator[Candidate]:
+def _masks(block: Block, sites: Sequence[Site]) -> Iterator[Candidate]:
     """Yield normalisation of all but grippers, as OpenVLA masks them."""
     for site in sites:
         listed = _at(block, site.place[:-1])["parts"]
@@ -147,7 +157,7 @@ def _masks(block: Mapping[str, Any], sites: Sequence[Site]) -> Iterator[Candidat
             yield Candidate(2, told, "normalization", {(*site.place, "only"): mask})
 
 
-def _arms(parts: Sequence[Mapping[str, Any]]) -> list[bool] | None:
+def _arms(parts: Sequence[Block]) -> list[bool] | None:
     """Return which numbers of a vector are no gripper's; None if the width of a part is not known."""
     mask: list[bool] = []
     for part in parts:
@@ -159,13 +169,13 @@ def _arms(parts: Sequence[Mapping[str, Any]]) -> list[bool] | None:
     return mask
 
 
-def _width(kind: str, how: Mapping[str, Any]) -> int | None:
+def _width(kind: str, how: Block) -> int | None:
     if kind == "gripper":
         return len(how["closed"]) if isinstance(how["closed"], list) else 1
     return None
 
 
-def _at(block: Mapping[str, Any], place: Sequence[Any]) -> Any:
+def _at(block: Block, place: Place) -> Any:
     spot: Any = block
     for key in place:
         spot = spot[key]

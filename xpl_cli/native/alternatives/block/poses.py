@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
-from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Site, everywhere, parts, word
+from xpl_cli.native.alternatives.block.edits import GONE, Block, Candidate, Change, Site, everywhere, parts, word
 
 _WIDTHS = (
     ("quaternion_wxyz", "quaternion_xyzw"),
@@ -18,7 +17,7 @@ _LIKELY = ("xyz", "XYZ", "zyx", "ZYX")
 _EULER = (*_LIKELY, *("".join(order) for letters in ("xyz", "XYZ") for order in itertools.permutations(letters)))
 
 
-def poses(block: Mapping[str, Any]) -> Iterator[Candidate]:
+def poses(block: Block) -> Iterator[Candidate]:
     """Yield changes of poses: form and sign of rotations, point, frame, unit, and where a change is applied."""
     yield from _forms(parts(block, "rotation"))
     both = parts(block, "position", "rotation")
@@ -49,10 +48,10 @@ def _forms(turns: Sequence[Site]) -> Iterator[Candidate]:
         yield from everywhere(turns, 1, f"sign: {sign}", "rotation", _signed(sign))
 
 
-def _formed(form: str, among: tuple[str, ...]) -> Any:
+def _formed(form: str, among: tuple[str, ...]) -> Change:
     """Return the change to a form, of a rotation in another of these forms, or in any if there are none."""
 
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    def change(entry: Block) -> Block | None:
         if entry["form"] == form or (among and entry["form"] not in among):
             return None
         signed = {} if form.startswith("quaternion") else {"sign": GONE}
@@ -61,8 +60,8 @@ def _formed(form: str, among: tuple[str, ...]) -> Any:
     return change
 
 
-def _euler(order: str) -> Any:
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _euler(order: str) -> Change:
+    def change(entry: Block) -> Block | None:
         if entry["form"] not in ("euler", "axis_angle") or entry.get("euler") == order:
             return None
         return {"form": "euler", "euler": order, "sign": GONE}
@@ -70,8 +69,8 @@ def _euler(order: str) -> Any:
     return change
 
 
-def _signed(sign: str) -> Any:
-    def change(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _signed(sign: str) -> Change:
+    def change(entry: Block) -> Block | None:
         return word("sign", sign, "any")(entry) if entry["form"].startswith("quaternion") else None
 
     return change

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 from xpl import _spec as sdk
-from xpl_cli.native.alternatives.block.edits import GONE, Candidate, Site, everywhere, parts, word
+from xpl_cli.native.alternatives.block.edits import GONE, Block, Candidate, Change, Site, everywhere, parts, word
 
 TEMPLATES = (
     "{instruction}",
@@ -21,7 +20,7 @@ TEMPLATES = (
 """Prompts that were met."""
 
 
-def references(block: Mapping[str, Any]) -> Iterator[Candidate]:
+def references(block: Block) -> Iterator[Candidate]:
     """Yield other things that commands are counted from, for all parts and for each."""
     whole = [Site(("action",), block["action"])]
     for reference in ("absolute", "delta_state", "cumulative", "delta_command"):
@@ -38,7 +37,7 @@ def references(block: Mapping[str, Any]) -> Iterator[Candidate]:
         yield from everywhere(whole, 1, f"first: {first}", "chunk", word("first", first, 0))
 
 
-def histories(block: Mapping[str, Any]) -> Iterator[Candidate]:
+def histories(block: Block) -> Iterator[Candidate]:
     """Yield other histories."""
     history = block.get("history")
     if not history:
@@ -58,7 +57,7 @@ def histories(block: Mapping[str, Any]) -> Iterator[Candidate]:
             yield from everywhere(site, 3, f"history: length: {value}", "history", word("length", value))
 
 
-def instructions(block: Mapping[str, Any], templates: Sequence[str] = ()) -> Iterator[Candidate]:
+def instructions(block: Block, templates: Sequence[str] = ()) -> Iterator[Candidate]:
     """Yield other ways to write the instruction; `templates` besides those that are known."""
     how = block.get(sdk.Obs.INSTRUCTION)
     if not how:
@@ -82,5 +81,5 @@ def instructions(block: Mapping[str, Any], templates: Sequence[str] = ()) -> Ite
         )
 
 
-def _without(key: str) -> Any:
+def _without(key: str) -> Change:
     return lambda entry: {key: GONE} if key in entry else None
