@@ -15,8 +15,8 @@ from xpl import trajectory
 from xpl_cli import __version__
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments.play import chosen
+from xpl_cli.evaluation.lanes.around import Around
 from xpl_cli.evaluation.lanes.orders import ALL, KEEP, Demos
-from xpl_cli.evaluation.lanes.watch import Listener
 from xpl_cli.evaluation.records.model import now
 
 if TYPE_CHECKING:
@@ -57,57 +57,19 @@ def recorded(task_env: Any, orders: Orders, jobs: Sequence[Job], frequency: floa
         recorder.close()
 
 
-class Recorder:
+class Recorder(Around):
     """A task environment whose episodes are kept; see `recorded`."""
 
     def __init__(self, task_env: Any, orders: Orders, jobs: Sequence[Job], frequency: float) -> None:
         assert orders.demos is not None  # noqa: S101 - for the type checker: `recorded` looks
-        self._env, self._orders, self._demos, self._jobs = task_env, orders, orders.demos, list(jobs)
+        super().__init__(task_env)
+        self._orders, self._demos, self._jobs = orders, orders.demos, list(jobs)
         self._frequency = frequency
         self._hides = orders.demos.privileged and not orders.settings.privileged
         self._seen: dict[int, Any] = {}
-        self._asked = False
+        self._is_asked = False
         self._failed: Exception | None = None
         self._writers: dict[int, trajectory.Writer] = {}
-
-    def __getattr__(self, name: str) -> Any:
-        """Return what the environment offers besides the surface."""
-        return getattr(self._env, name)
-
-    def listen(self, client: Any) -> Any:
-        """Return the client, listened to, by whoever guards the environment too."""
-        inner = getattr(self._env, "listen", None)
-        return Listener(client if inner is None else inner(client), self._note)
-
-    def get_obs(self) -> Any:
-        """Return the observation of the environment."""
-        obs = self._env.get_obs()
-        self._seen[0] = obs
-        return self._shown(obs)
-
-    def get_obs_batch(
-        self,
-        env_idx_list: Sequence[int] | None = None,
-        last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
-    ) -> Any:
-        """Return the observations of some environments, of all running ones by default."""
-        wanted = list(self._env.get_running_env_idx_list() if env_idx_list is None else env_idx_list)
-        observations = self._env.get_obs_batch(env_idx_list, last_frame)
-        self._seen.update(zip(wanted, observations, strict=False))
-        return list(map(self._shown, observations))
-
-    def take_action(self, action: Any) -> Any:
-        """Execute an action step."""
-        self._add(0, action)
-        self._asked = False
-        return self._env.take_action(action)
-
-    def take_action_batch(self, actions: Sequence[Any], env_idx_list: Sequence[int]) -> Any:
-        """Execute an action step of each environment in the list."""
-        for env, action in zip(env_idx_list, actions, strict=False):
-            self._add(env, action)
-        self._asked = False
-        return self._env.take_action_batch(actions, env_idx_list)
 
     def keep(self, endings: Sequence[Ending]) -> None:
         """Put the files of the episodes that are to be kept in place.
@@ -136,12 +98,18 @@ class Recorder:
             writer.discard()
         self._writers = {}
 
-    def _shown(self, obs: Any) -> Any:
+    def _shown(self, env: int, obs: Any) -> Any:
         """Return an observation as the policy gets it: what only the file is told is not in it."""
+        self._seen[env] = obs
         return {key: value for key, value in obs.items() if key != sdk.Obs.PRIVILEGED} if self._hides else obs
 
-    def _note(self, _seconds: float) -> None:
-        self._asked = True
+    def _before(self, actions: Sequence[Any], envs: Sequence[int]) -> None:
+        for env, action in zip(envs, actions, strict=False):
+            self._add(env, action)
+        self._is_asked = False
+
+    def _asked(self, seconds: float) -> None:  # noqa: ARG002 - a file tells when, not how long
+        self._is_asked = True
 
     def _add(self, env: int, action: Any) -> None:
         """Add a step. What goes wrong is raised at the end: a loop would take it for a fault of the policy."""
@@ -154,7 +122,7 @@ class Recorder:
             if env not in self._writers:
                 self._writers[env] = self._writer(self._jobs[env])
             shown = obs if self._demos.depth else _without_depth(obs)
-            self._writers[env].add(shown, action, asked=self._asked)
+            self._writers[env].add(shown, action, asked=self._is_asked)
         except (trajectory.TrajectoryError, ImportError) as error:
             self._failed = error
 

@@ -12,6 +12,7 @@ from xpl import _spec as sdk
 from xpl.observation import get_instruction
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl_cli.basics.errors import UserError
+from xpl_cli.evaluation.lanes.around import Around
 from xpl_cli.evaluation.lanes.scene import SpoiltError, reset
 from xpl_cli.evaluation.records.manner import BLANK
 
@@ -63,35 +64,18 @@ def _said(env: Any, jobs: Sequence[Job], ahead: int, places: int) -> list[str]:
     return [get_instruction(obs) or "" for obs in seen]
 
 
-class Retold:
-    """A task environment that tells something else in each place; whatever else it offers is passed on.
+class Retold(Around):
+    """A task environment that tells something else in each place.
 
     Args:
-        env: the environment.
+        task_env: the environment.
         texts: what is told instead, by environment.
     """
 
-    def __init__(self, env: Any, texts: Sequence[str]) -> None:
-        self._env, self._texts = env, list(texts)
+    def __init__(self, task_env: Any, texts: Sequence[str]) -> None:
+        super().__init__(task_env)
+        self._texts = list(texts)
 
-    def __getattr__(self, name: str) -> Any:
-        """Return what the environment offers besides."""
-        return getattr(self._env, name)
-
-    def get_obs(self) -> Any:
-        """Return the observation of the environment."""
-        return self._other(self._env.get_obs(), 0)
-
-    def get_obs_batch(
-        self,
-        env_idx_list: Sequence[int] | None = None,
-        last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
-    ) -> Any:
-        """Return the observations of some environments, of all running ones by default."""
-        wanted = list(self._env.get_running_env_idx_list() if env_idx_list is None else env_idx_list)
-        seen = self._env.get_obs_batch(env_idx_list, last_frame)
-        return [self._other(obs, env) for env, obs in zip(wanted, seen, strict=True)]
-
-    def _other(self, obs: dict[str, Any], env: int) -> dict[str, Any]:
+    def _shown(self, env: int, obs: dict[str, Any]) -> dict[str, Any]:
         kept = {key: value for key, value in obs.items() if key not in (sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS)}
         return {**kept, sdk.Obs.INSTRUCTION: self._texts[env]}

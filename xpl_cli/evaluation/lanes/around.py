@@ -1,0 +1,100 @@
+"""A task environment before another one, which sees or changes what passes between that and an evaluation loop."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from xpl import _spec as sdk
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+_ASKS = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH, sdk.Method.INFER)
+
+
+class Around:
+    """A task environment that passes everything on; kinds of it override what they look at.
+
+    Args:
+        task_env: the environment.
+    """
+
+    def __init__(self, task_env: Any) -> None:
+        self._env = task_env
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the environment offers besides the surface."""
+        return getattr(self._env, name)
+
+    def get_obs(self) -> Any:
+        """Return the observation of the environment."""
+        return self._shown(0, self._env.get_obs())
+
+    def get_obs_batch(
+        self,
+        env_idx_list: Sequence[int] | None = None,
+        last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
+    ) -> Any:
+        """Return the observations of some environments, of all running ones by default."""
+        wanted = list(self._env.get_running_env_idx_list() if env_idx_list is None else env_idx_list)
+        observations = self._env.get_obs_batch(env_idx_list, last_frame)
+        return [self._shown(env, obs) for env, obs in zip(wanted, observations, strict=False)]
+
+    def take_action(self, action: Any) -> Any:
+        """Execute an action step."""
+        self._before([action], [0])
+        report = self._env.take_action(action)
+        self._after([action])
+        return report
+
+    def take_action_batch(self, actions: Sequence[Any], env_idx_list: Sequence[int]) -> Any:
+        """Execute an action step of each environment in the list."""
+        self._before(actions, env_idx_list)
+        reports = self._env.take_action_batch(actions, env_idx_list)
+        self._after(actions)
+        return reports
+
+    def listen(self, client: Any) -> Any:
+        """Return the client, listened to, by whoever guards the environment too."""
+        inner = getattr(self._env, "listen", None)
+        return Listener(client if inner is None else inner(client), self._asked)
+
+    def _shown(self, _env: int, obs: Any) -> Any:
+        """Return an observation of an environment as the loop gets it."""
+        return obs
+
+    def _before(self, actions: Sequence[Any], envs: Sequence[int]) -> None:
+        """See, or refuse, the actions that environments are about to execute."""
+
+    def _after(self, actions: Sequence[Any]) -> None:
+        """See the actions that were executed."""
+
+    def _asked(self, seconds: float) -> None:
+        """Hear that the policy was asked, and how long it took."""
+
+
+class Listener:
+    """A client whose answers with actions are timed; everything else passes."""
+
+    def __init__(self, client: Any, asked: Callable[[float], None]) -> None:
+        self._client = client
+        self._asked = asked
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._client, name)
+        return self._timed(found) if name in _ASKS else found
+
+    def call(self, func_name: str, *args: Any, **kwargs: Any) -> Any:
+        """Call an operation by name."""
+        call = self._timed(self._client.call) if func_name in _ASKS else self._client.call
+        return call(func_name, *args, **kwargs)
+
+    def _timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        def ask(*args: Any, **kwargs: Any) -> Any:
+            began = time.perf_counter()
+            answer = function(*args, **kwargs)
+            self._asked(time.perf_counter() - began)
+            return answer
+
+        return ask
