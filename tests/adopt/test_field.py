@@ -51,9 +51,9 @@ def test_a_policy_of_the_same_name_that_wraps_other_code_is_another() -> None:
 
 def test_a_chunk_is_taken_only_where_all_of_it_is_executed() -> None:
     """Otherwise an adapter may answer the whole chunk, or what is executed of it."""
-    told = {fact.key: fact.value for fact in field.facts(policies.find("Mem_0"))}
+    told = {key: told.value for key, told in field.facts(policies.find("Mem_0"))}
     assert told["temporal.chunk"] == 30
-    assert "temporal.chunk" not in {fact.key for fact in field.facts(policies.find("AHA_WAM"))}
+    assert "temporal.chunk" not in dict(field.facts(policies.find("AHA_WAM")))
 
 
 def test_a_package_from_a_checkpoint_gets_paper_and_code(tmp_path: Path) -> None:

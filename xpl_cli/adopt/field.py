@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.adopt.facts import Confidence, Evidence, Fact
+from xpl_cli.adopt.facts import Evidence, Told, likely
 from xpl_cli.standard import spec
 from xpl_cli.standard.zoo import policies
 
@@ -32,8 +32,8 @@ def called(name: str, repository: str | None = None) -> Policy | None:
     return None if code and repository and _place(code) != _place(repository) else found
 
 
-def facts(policy: Policy) -> Iterator[Fact]:
-    """Yield what is known of a policy by keys of the manifest, each with its source."""
+def facts(policy: Policy) -> Iterator[tuple[str, Told]]:
+    """Yield keys of the manifest with what is known of a policy, each with its source."""
     known = policy.facts
     families = spec.schema("policy")["properties"]["family"]["enum"]
     if known["family"].value in families:
@@ -49,9 +49,9 @@ def facts(policy: Policy) -> Iterator[Fact]:
         yield _fact(policy, "temporal.chunk", known["chunk"].value, "chunk")  # else an adapter may answer either
 
 
-def _fact(policy: Policy, key: str, value: Any, *sources: str) -> Fact:
+def _fact(policy: Policy, key: str, value: Any, *sources: str) -> tuple[str, Told]:
     where = (f"xpl zoo show {policy.name} ({name}: {policy.facts[name].source})" for name in sources)
-    return Fact(key, value, Confidence.LIKELY, tuple(Evidence("", None, place) for place in where))
+    return key, likely(value, *(Evidence("", None, place) for place in where))
 
 
 def _plain(name: str) -> str:

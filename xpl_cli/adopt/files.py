@@ -10,8 +10,7 @@ import yaml
 
 from xpl import _spec as sdk
 from xpl import robots
-from xpl_cli.adopt.checkpoints.told import Open, Tree, certain, likely
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Tree, certain, likely
 from xpl_cli.basics import files as bounded
 from xpl_cli.packages import documented
 from xpl_cli.standard import spec

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.adopt import field, files
 from xpl_cli.adopt.checkpoints import known, writing
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, findings, leaves, likely, plain
-from xpl_cli.adopt.facts import Evidence, Fact, Question
+from xpl_cli.adopt.facts import Evidence, Findings, Open, Told, Tree, certain, leaves, plain
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import UserError
 from xpl_cli.packages import manifests, package
@@ -49,16 +48,10 @@ class Adoption:
     state: str
     notes: Sequence[str] = ()
 
-    @property
-    def counts(self) -> dict[str, int]:
-        """How many facts there are of each confidence, and how many are unknown."""
-        found = Counter(str(entry.confidence) for entry in self.entries if isinstance(entry, Fact))
-        return {**found, "unknown": sum(not isinstance(entry, Fact) for entry in self.entries)}
-
-    @property
-    def entries(self) -> list[Fact | Question]:
-        """All facts, and all that is unknown."""
-        return [entry for key, tree in self.sections.items() for entry in findings(tree, key)]
+    @functools.cached_property
+    def findings(self) -> Findings:
+        """All that is known, and all that is not."""
+        return Findings.of(self.sections)
 
     def write(self) -> None:
         """Put the files there, each in one step.
@@ -150,8 +143,8 @@ def _sections(
         _complete(sections, {key: tree for key, tree in found.sections().items() if any(leaves(tree, key))})
         notes = tuple(found.trained.notes)
     policy = field.called(folder.name)
-    for fact in field.facts(policy) if policy is not None else ():
-        _put(sections, fact.key, likely(fact.value, *fact.evidence))
+    for key, told in field.facts(policy) if policy is not None else ():
+        _put(sections, key, told)
     for key, meaning in _required():
         _put(sections, key, Open(meaning))
     sections[_VERSION] = spec.VERSION

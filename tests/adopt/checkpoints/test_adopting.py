@@ -36,8 +36,8 @@ def test_the_native_block_and_what_is_unknown_come_from_the_checkpoint(adapter: 
     assert manifest["temporal"]["kind"] == "chunk"
     assert manifest["inputs"]["required"]
     assert manifest["native"]["state"][0]["input"] == "observation.state"
-    assert chosen.counts["unknown"] >= 8
-    assert any(entry.key == "native.state.0.parts.1.gripper.closed" for entry in chosen.entries)
+    assert len(chosen.findings.open) >= 8
+    assert "native.state.0.parts.1.gripper.closed" in chosen.findings.open
 
 
 def test_a_manifest_that_is_there_gets_the_block_and_keeps_the_rest(adapter: Path, tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ import pytest
 from tests.support.adapters import trained
 from xpl.embodiment import get_embodiment
 from xpl_cli.adopt.checkpoints import block, registry
-from xpl_cli.adopt.checkpoints.told import Told, leaves, plain
-from xpl_cli.adopt.facts import Confidence
+from xpl_cli.adopt.facts import Confidence, Told, leaves, plain
 from xpl_cli.basics.errors import UserError
 
 

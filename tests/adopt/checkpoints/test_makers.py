@@ -11,7 +11,7 @@ from tests.support.adapters import trained
 from xpl.convert import compile_interface
 from xpl.embodiment import get_embodiment
 from xpl_cli.adopt.checkpoints import block, registry
-from xpl_cli.adopt.checkpoints.told import Told, leaves, plain
+from xpl_cli.adopt.facts import Told, leaves, plain
 from xpl_cli.basics.errors import UserError
 
 TWO, ONE = "aloha_agilex", "franka_single"

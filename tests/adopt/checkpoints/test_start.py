@@ -51,11 +51,8 @@ def test_every_maker_s_checkpoint_makes_a_package_with_a_valid_manifest(tmp_path
     manifest, problems = validate_yaml(text, sdk.File.POLICY_YML, "policy")
     assert not problems, [problem.told for problem in problems]
     assert manifest["spec"] == "v1"
-    assert len([question for question in begun.questions if question.key.startswith("native.")]) == len(
-        gaps(manifest["native"])
-    )
-    assert all(fact.evidence for fact in begun.facts)
-    assert begun.counts["open"] == len(begun.questions)
+    assert len([key for key in begun.findings.open if key.startswith("native.")]) == len(gaps(manifest["native"]))
+    assert all(leaf.evidence for leaf in begun.findings.told.values())
     ast.parse(begun.files[sdk.File.MODEL_PY])
 
 

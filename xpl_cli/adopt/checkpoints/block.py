@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl_cli.adopt.checkpoints import cameras, layout
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely, plain
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, certain, likely, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.adopt.checkpoints.told import Open, Told, certain, likely
+from xpl_cli.adopt.facts import Open, Told, certain, likely
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -12,8 +12,7 @@ from xpl import _spec as sdk
 from xpl import robots
 from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl_cli.adopt.checkpoints import block, registry
-from xpl_cli.adopt.checkpoints.told import Told, Tree, certain, likely, plain
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Told, Tree, certain, likely, plain
 from xpl_cli.basics.errors import UserError, one_of
 
 if TYPE_CHECKING:

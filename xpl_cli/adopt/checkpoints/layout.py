@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, likely
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, assumed, likely
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl_cli.adopt.checkpoints import layout
 from xpl_cli.adopt.checkpoints.makers.lerobot.types import CODE
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, leaves, plain
-from xpl_cli.adopt.facts import Confidence
+from xpl_cli.adopt.facts import Confidence, Open, Told, Tree, leaves, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

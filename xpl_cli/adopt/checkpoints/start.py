@@ -11,8 +11,7 @@ from xpl import _spec as sdk
 from xpl_cli.adopt import field
 from xpl_cli.adopt.checkpoints import block, known, second, writing
 from xpl_cli.adopt.checkpoints.known import ENVIRONMENTS, Known
-from xpl_cli.adopt.checkpoints.told import findings, likely, plain
-from xpl_cli.adopt.facts import Fact, Question
+from xpl_cli.adopt.facts import Findings, plain
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import UserError
 from xpl_cli.native.names import CODE
@@ -21,7 +20,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from xpl_cli.adopt.checkpoints.told import Tree
+    from xpl_cli.adopt.facts import Tree
     from xpl_cli.scaffold.template import Files
 
 _ANY: Final = "any"
@@ -53,25 +52,15 @@ class Start:
         files: name to content.
         checkpoint: name that deploy.yml gives it.
         folder: where it lies.
-        facts: what is known, with its sources.
-        questions: what is open.
+        findings: what is known, with its sources, and what is open.
         notes: what could not be read or written, and why.
     """
 
     files: Files
     checkpoint: str
     folder: Path
-    facts: list[Fact]
-    questions: list[Question]
+    findings: Findings
     notes: list[str]
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """How many facts there are of each confidence, and how many are open."""
-        counted: dict[str, int] = {}
-        for fact in self.facts:
-            counted[str(fact.confidence)] = counted.get(str(fact.confidence), 0) + 1
-        return {**counted, "open": len(self.questions)}
 
     def link(self, target: Path) -> None:
         """Let the checkpoint's name in a package that was written lead to its folder; a name that is taken stays.
@@ -108,13 +97,11 @@ def begin(paths: Sequence[Path], wanted: Wanted) -> Start:
     files[sdk.File.POLICY_YML] = written.encode()
     files[sdk.File.DEPLOY_YML] = _naming(files[sdk.File.DEPLOY_YML].decode(), found.checkpoint).encode()
     files |= _code(wanted.name, found, notes)
-    entries = [entry for key, value in sections.items() for entry in findings(value, key)]
     return Start(
         files=dict(sorted(files.items())),
         checkpoint=found.checkpoint,
         folder=found.path,
-        facts=[entry for entry in entries if isinstance(entry, Fact)],
-        questions=[entry for entry in entries if isinstance(entry, Question)],
+        findings=Findings.of(sections),
         notes=notes,
     )
 
@@ -123,7 +110,7 @@ def _of_the_field(name: str, upstream: Mapping[str, Any] | None) -> dict[str, Tr
     """Return what the zoo knows of the policy that a package is called like, for what no checkpoint says."""
     policy = field.called(name, None if upstream is None else upstream.get("repository"))
     known = field.facts(policy) if policy is not None else ()
-    return {fact.key: likely(fact.value, *fact.evidence) for fact in known if "." not in fact.key}
+    return {key: told for key, told in known if "." not in key}
 
 
 def _rendered(name: str, found: Known) -> Files:

@@ -9,8 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl_cli.adopt.checkpoints.layout import Numbers
-    from xpl_cli.adopt.checkpoints.told import Open, Told, Tree
-    from xpl_cli.adopt.facts import Evidence
+    from xpl_cli.adopt.facts import Evidence, Open, Told, Tree
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, plain
+from xpl_cli.adopt.facts import Open, Told, Tree, plain
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _commented(line: str, indent: str, tree: Tree) -> Iterator[str]:
 
 def _comment(tree: Tree) -> str:
     if isinstance(tree, Told):
-        return _one_line(f"{tree.confidence}: {'; '.join(map(str, tree.evidence))}")
+        return _one_line(tree.comment)
     if not isinstance(tree, Open):
         return ""
     marked = [] if tree.stand_in is None else [f"{spec.data('package')['placeholder']}: {tree.reason}"]

@@ -136,10 +136,8 @@ def prove(
 
 def _said(sections: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield what the adapter's files say of some keys of a manifest, with where they say it."""
-    from xpl_cli.adopt.checkpoints.told import findings
-    from xpl_cli.adopt.facts import Fact
+    from xpl_cli.adopt.facts import Findings
 
     for key in _READ:
-        for entry in findings(sections.get(key), key):
-            if isinstance(entry, Fact):
-                yield key, {"value": entry.value, "source": entry.comment[:400]}
+        for leaf in Findings.of({key: sections.get(key)}).told.values():
+            yield key, {"value": leaf.value, "source": leaf.comment[:400]}

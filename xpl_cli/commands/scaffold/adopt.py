@@ -35,7 +35,6 @@ def adopt(
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Write the manifest that an adapter lacks. What its files do not state is unknown; nothing else is changed."""
-    from xpl_cli.adopt.facts import Fact, Question
     from xpl_cli.adopt.package import Trained, adoption
     from xpl_cli.basics import console
     from xpl_cli.commands.scaffold.from_checkpoint import choices
@@ -55,8 +54,8 @@ def adopt(
                 "path": str(path),
                 "state": chosen.state if not dry_run else "would be written",
                 "files": {name: content.decode() for name, content in chosen.files.items()},
-                "facts": [entry.as_json() for entry in chosen.entries if isinstance(entry, Fact)],
-                "unknown": [entry.as_json() for entry in chosen.entries if isinstance(entry, Question)],
+                "facts": chosen.findings.told_as_json(),
+                "unknown": chosen.findings.open_as_json(),
                 "notes": list(chosen.notes),
                 "audit": summary,
                 "next": following,
@@ -76,14 +75,14 @@ def adopt(
 
 
 def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
-    from xpl_cli.adopt.facts import Question
     from xpl_cli.basics import console
 
-    counts = ", ".join(f"{count} {name}" for name, count in chosen.counts.items())
+    found = chosen.findings
+    counted = {**found.counts, "unknown": len(found.open)}
+    counts = ", ".join(f"{count} {name}" for name, count in counted.items())
     console.data(f"{path}: {chosen.state} ({', '.join(chosen.files) or 'nothing to write'}): {counts}")
-    for entry in chosen.entries:
-        if isinstance(entry, Question):
-            console.data(f"  unknown  {entry.key}: {entry.text}")
+    for key, leaf in found.open.items():
+        console.data(f"  unknown  {key}: {leaf.text}")
     console.data(f"static audit: {summary['statement']}, {summary['counts']}")
     for line in summary["findings"]:
         console.data(f"  {line}")

@@ -102,10 +102,12 @@ def choices(gripper: str | None, cameras: Sequence[str], statistics: str | None,
 
 
 def _tell(begun: Start) -> list[str]:
-    counts = ", ".join(f"{count} {word}" for word, count in begun.counts.items())
+    found = begun.findings
+    counted = {**found.counts, "open": len(found.open)}
+    counts = ", ".join(f"{count} {word}" for word, count in counted.items())
     return [
         f"read from {begun.folder}: {counts}",
-        *(f"  open  {question.key}: {question.text}" for question in begun.questions),
+        *(f"  open  {key}: {leaf.text}" for key, leaf in found.open.items()),
     ]
 
 
@@ -113,8 +115,8 @@ def _facts(begun: Start) -> dict[str, Any]:
     return {
         "checkpoint": begun.checkpoint,
         "from": str(begun.folder),
-        "facts": [fact.as_json() for fact in begun.facts],
-        "open": [question.as_json() for question in begun.questions],
+        "facts": begun.findings.told_as_json(),
+        "open": begun.findings.open_as_json(),
         "notes": begun.notes,
     }
 

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl_cli.adopt.checkpoints import names
 from xpl_cli.adopt.checkpoints.layout import Numbers
 from xpl_cli.adopt.checkpoints.reading import Document
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
 from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.adopt.checkpoints import layout
 from xpl_cli.adopt.checkpoints.layout import Numbers
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
 from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, assumed, certain, likely
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment

@@ -10,9 +10,8 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import Numbers
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
 from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, certain, likely
 
 if TYPE_CHECKING:
     from xpl_cli.adopt.checkpoints.reading import Document, Folder

@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import Numbers, Range
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, certain, likely
 from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:

@@ -13,9 +13,8 @@ from xpl_cli.adopt.checkpoints.layout import Numbers, Range
 from xpl_cli.adopt.checkpoints.makers.lerobot import statistics
 from xpl_cli.adopt.checkpoints.makers.lerobot.types import CODE, LICENSE, REPOSITORY, TYPES, Type
 from xpl_cli.adopt.checkpoints.reading import Document
-from xpl_cli.adopt.checkpoints.told import Open, Told, Tree, assumed, certain, likely
 from xpl_cli.adopt.checkpoints.trained import Trained, Vector, View, upstream
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Told, Tree, assumed, certain, likely
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import Range
-from xpl_cli.adopt.checkpoints.told import Told, certain
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Told, certain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.adopt.checkpoints.layout import Range
-from xpl_cli.adopt.checkpoints.told import Open, Tree, certain
-from xpl_cli.adopt.facts import Evidence
+from xpl_cli.adopt.facts import Evidence, Open, Tree, certain
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
