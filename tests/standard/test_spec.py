@@ -63,7 +63,7 @@ ELSEWHERE = {
     ("xpl/wire/telling.py", 4096): "characters of a sentence",
     ("xpl/worker/encoded/pictures.py", 256): "values of a byte",
     ("xpl/worker/variants.py", 256): "mebibytes of what is kept",
-    ("xpl_cli/audit/static/around/vendored.py", 256): "kibibytes of a file",
+    ("xpl_cli/audit/static/vendored.py", 256): "kibibytes of a file",
     ("xpl_cli/isolation/family.py", 4096): "bytes of what the system tells of a process",
     ("xpl/trajectory/file.py", 256): "rows of a block",
     ("xpl/trajectory/file.py", 4096): "bytes of a row that is worth reading ahead",

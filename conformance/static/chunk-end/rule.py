@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Edit, Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
-from xpl_cli.audit.static.loops.functions import ENDS, EXECUTES, does, hands_on, loops
+from xpl_cli.audit.static.loops import ENDS, EXECUTES, does, hands_on, loops
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, dotted, enclosing, leaves, names, targets
 

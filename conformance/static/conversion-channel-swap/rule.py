@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.around import vendored
+from xpl_cli.audit.static import vendored
 from xpl_cli.audit.static.colour import swaps
 from xpl_cli.audit.static.source import Source
 

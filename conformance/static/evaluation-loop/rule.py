@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.loops.functions import loops, wanted
+from xpl_cli.audit.static.loops import loops, wanted
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import parameters
 from xpl_cli.standard import spec

@@ -10,9 +10,9 @@ from typing import Final
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.static.adapter import ACTING, LOADING, OBSERVING, Adapter
-from xpl_cli.audit.static.around.handed import escapes
 from xpl_cli.audit.static.episode import is_reported
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.handed import escapes
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, key_read, last, targets, texts
 

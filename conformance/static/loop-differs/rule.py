@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
-from xpl_cli.audit.static.loops.functions import EXECUTES, asked, does, loops
+from xpl_cli.audit.static.loops import EXECUTES, asked, does, loops
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import names, targets
 

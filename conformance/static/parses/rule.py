@@ -6,8 +6,7 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotRun, rule
-from xpl_cli.audit.static import shell
-from xpl_cli.audit.static.around import vendored
+from xpl_cli.audit.static import shell, vendored
 from xpl_cli.audit.static.limits import TooMuchError
 from xpl_cli.audit.static.source import Source
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.around import vendored
+from xpl_cli.audit.static import vendored
 from xpl_cli.audit.static.scripts.flow import is_tried
 from xpl_cli.audit.static.source import Source
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.around import vendored
+from xpl_cli.audit.static import vendored
 from xpl_cli.audit.static.manifests import key_line
 from xpl_cli.audit.static.scripts.flow import place, runs
 from xpl_cli.audit.static.shell import Command, Word

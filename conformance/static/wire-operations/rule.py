@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import RESET
-from xpl_cli.audit.static.loops.functions import asked, hands_on, loops
+from xpl_cli.audit.static.loops import asked, hands_on, loops
 from xpl_cli.audit.static.source import Source
 
 _CARRIED = frozenset((sdk.Payload.FUNC_NAME, sdk.Payload.OBS))

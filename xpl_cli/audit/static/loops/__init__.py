@@ -1,1 +1,0 @@
-"""Evaluation loops, followed on their syntax trees beside the reference."""
