@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
-from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import Edit, Finding, Fix
 from xpl_cli.standard import spec
 
@@ -31,7 +30,7 @@ def schema_findings(source: Source, name: str, schema: str, consequence: str) ->
 
     for problem in validate_yaml_file(source.path / name, schema):
         yield Finding(
-            f"{consequence.format(path_text(problem.path) or name)}: {problem.told}",
+            f"{consequence.format(path_text(problem.path) or name)}: {problem.told.partition(': expected ')[0]}",
             path=name,
             line=problem.line,
             column=problem.column,
@@ -90,54 +89,6 @@ def deleted(source: Source, name: str, keys: Collection[str]) -> Iterator[Edit]:
         else:  # the last line of a file that does not end in a line break
             end = value.end_mark
             yield Edit(name, given.start_mark.line + 1, 1, end.line + 1, end.column + 1, "")
-
-
-def required_input(source: Source, entry: str) -> Fix:
-    """Return the fix that lists an input of policy.yml as required, and as nothing else.
-
-    A camera gets an entry where the manifest has those: any image will do, until its author says otherwise.
-    """
-    import yaml
-
-    name, group = sdk.File.POLICY_YML, "required"
-    text = f"inputs.{group}: [..., {entry}]"
-    edits = []
-    for _, inputs in _pairs(source.yaml_root(name), "inputs"):
-        for kind, value in inputs.value if isinstance(inputs, yaml.MappingNode) else ():
-            listed = [str(item.value) for item in value.value] if isinstance(value, yaml.SequenceNode) else []
-            wanted = [item for item in listed if item != entry] + [entry] * (kind.value == group)
-            if wanted == listed:
-                continue
-            if not value.flow_style or value.start_mark.line != value.end_mark.line:
-                return Fix("advice", text)
-            start, end = value.start_mark, value.end_mark
-            new = f"[{', '.join(wanted)}]"
-            edits.append(Edit(name, start.line + 1, start.column + 1, end.line + 1, end.column + 1, new))
-    sized = _sized(source, entry) if edits else ()
-    return Fix("safe_edit" if edits else "advice", text, (*edits, *sized))
-
-
-def _sized(source: Source, entry: str) -> Iterator[Edit]:
-    """Yield the edit that declares a camera, if the input is one and the manifest has a map for them."""
-    import yaml
-
-    name, (group, _, camera) = sdk.File.POLICY_YML, entry.partition(".")
-    for _, cameras in _pairs(source.yaml_root(name), "cameras"):
-        if group != sdk.Obs.VISION or not isinstance(cameras, yaml.MappingNode):
-            continue
-        known = [key.value for key, _ in cameras.value]
-        if camera in known:
-            continue
-        new = f"{camera}: {{width: null, height: null}}"
-        if not cameras.flow_style:
-            place = cameras.value[0][0].start_mark
-            yield Edit(name, place.line + 1, 1, place.line + 1, 1, f"{' ' * place.column}{new}\n")
-        elif known:
-            place = cameras.value[-1][1].end_mark
-            yield Edit(name, place.line + 1, place.column + 1, place.line + 1, place.column + 1, f", {new}")
-        else:
-            place = cameras.end_mark
-            yield Edit(name, place.line + 1, place.column, place.line + 1, place.column, new)
 
 
 def _pairs(root: yaml.Node | None, *keys: str) -> list[tuple[yaml.Node, yaml.Node]]:
