@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from itertools import accumulate
 
@@ -21,7 +21,6 @@ _FEWEST_CUTS = 3
 _COORDINATES = 6
 _FIX = Fix("advice", "ask self.embodiment, or use xpl.action.pack and unpack, which do")
 
-_OLD = re.compile(r"legacy|compat|deprecated|(?:^|_)old(?:_|$)", re.IGNORECASE)
 _ROBOT = re.compile(r"robot|embodiment|env_cfg", re.IGNORECASE)
 
 
@@ -49,10 +48,9 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     """The adapter cuts vectors by the dimensions of one robot.
 
     ## What it does
-    Looks for joint and gripper values that are cut at constants, for packed vectors that are taken apart by three or
-    more constant slices which are the layout of a robot, for constant masks as long as a robot's action, and for
-    constant tables of arm dimensions. What runs only for a robot that the code asks for by its name, or is kept for
-    old checkpoints, is left alone.
+    Looks for joint and gripper values that are cut at constants, and for packed vectors that are taken apart by three
+    or more constant slices which are the layout of a robot. What runs only for a robot that the code asks for by its
+    name is left alone.
 
     ## Why it matters
     On a robot with seven joints the seventh is dropped, or taken for the gripper. Shapes still fit, so that the arm
@@ -69,27 +67,18 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     """
     seen: set[tuple[str, int]] = set()
     for function in Adapter.of(source).reach(*Adapter.of(source).methods):
-        for node, message in (*_cut_values(function), *_layout(function), *_tables(function)):
+        for node, message in (*_cut_values(function), *_layout(function)):
             place = (function.file, id(function.node))
             if place not in seen and not _is_guarded(node, function):
                 seen.add(place)
                 yield _finding(source, function.file, node, message)
-    for node in source.tree(Adapter.of(source).file).body:
-        if isinstance(node, (ast.Assign, ast.AnnAssign)):
-            for inner, message in _masks(ast.walk(node)):
-                yield _finding(source, Adapter.of(source).file, inner, message)
 
 
 def _is_guarded(node: ast.AST, function: Function) -> bool:
-    """Tell whether code runs for one robot only, that it asks for by name, or for what was trained long ago."""
-    if _OLD.search(function.name):
-        return True
+    """Tell whether code runs for one robot only, that it asks for by name."""
     inner = node
     for outer in enclosing(node, function.up):
-        if isinstance(outer, (ast.If, ast.IfExp)) and inner is not outer.test:
-            words = {last(dotted(child)) for child in ast.walk(outer.test)} | texts(outer.test)
-            if any(_OLD.search(word) for word in words if word):
-                return True
+        if isinstance(outer, (ast.If, ast.IfExp)):
             body = outer.body if isinstance(outer.body, list) else [outer.body]
             if inner in body and _names_robot(outer.test):
                 return True
@@ -182,32 +171,3 @@ def _layout(function: Function) -> Iterator[tuple[ast.AST, str]]:
                         f"vectors are taken apart as those of {name}: another robot's joints end up in each other",
                     )
                     break
-
-
-def _masks(nodes: Iterable[ast.AST]) -> Iterator[tuple[ast.AST, str]]:
-    """Yield constant lists of flags that are as long as an action of a robot."""
-    lengths = {length: name for name, _, length in reversed(_layouts())}
-    for node in nodes:
-        if not isinstance(node, (ast.List, ast.Tuple)) or len(node.elts) not in lengths:
-            continue
-        if all(isinstance(constant(entry), bool) for entry in node.elts):
-            yield node, f"the mask is that of {lengths[len(node.elts)]}: on another robot it covers other values"
-
-
-def _tables(function: Function) -> Iterator[tuple[ast.AST, str]]:
-    """Yield constant tables of arm dimensions."""
-    yield from _masks(function.of(ast.List, ast.Tuple))
-    for node in function.of(ast.Dict):
-        if len(node.keys) > 1:
-            names = {constant(key) for key in node.keys if key is not None}
-            if (
-                names
-                and all(isinstance(name, str) and name.endswith("_dim") for name in names)
-                and all(
-                    isinstance(value, (ast.List, ast.Tuple))
-                    and value.elts
-                    and all(isinstance(constant(entry), int) for entry in value.elts)
-                    for value in node.values
-                )
-            ):
-                yield node, "arm dimensions are assumed: on another robot vectors are cut at the wrong places"

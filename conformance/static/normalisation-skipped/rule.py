@@ -18,10 +18,10 @@ _NORMALISES = re.compile(r"normali[sz]|denorm|(^|_)(un)?norm(_|$)|unscale|rescal
 
 @rule(code="XPL148", requirement="XPL-ACT-12")
 def normalisation_skipped(source: Source) -> Iterator[Finding]:
-    """Without statistics, or with those of another width, values pass unnormalised.
+    """Without statistics values pass unnormalised.
 
     ## What it does
-    Looks for functions that normalise, and return what they got where statistics are missing or have another length,
+    Looks for functions that normalise, and return what they got where statistics are missing,
     and for branches that normalise only where statistics are there, with nothing for the other case. Construction that
     raises where they are missing settles the matter.
 
@@ -33,7 +33,7 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
     `if self.stats is not None: action = action * self.stats["std"] + self.stats["mean"]`.
 
     ## Use instead
-    Load statistics in `load` without a condition, and raise where a key is missing or a length differs.
+    Load statistics in `load` without a condition, and raise where a key is missing.
 
     ## Fix safety
     No automatic fix: a policy that was trained without normalisation says so in its configuration.
@@ -52,7 +52,7 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
                 f"where {statistics} {why}, {function.name} passes values on unnormalised: "
                 "numbers between -1 and 1 are taken for radians, or radians for them",
                 **source.start(function.file, node),
-                expected="an error where statistics are missing or do not fit",
+                expected="an error where statistics are missing",
                 got=ast.unparse(node).split("\n")[0],
                 fix=Fix("advice", f"raise where {statistics} {why}; a policy without normalisation declares it"),
             )
@@ -95,7 +95,7 @@ def _is_empty(value: ast.expr) -> bool:
 
 
 def _missing(test: ast.expr) -> Iterator[tuple[str, str]]:
-    """Yield the statistics that a test finds missing or unfit, and in which way."""
+    """Yield the statistics that a test finds missing, as a whole or an entry of them."""
     if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.Or):
         for value in test.values:
             yield from _missing(value)
@@ -107,16 +107,6 @@ def _missing(test: ast.expr) -> Iterator[tuple[str, str]]:
             yield dotted(left), "is missing"
         elif isinstance(test.ops[0], ast.NotIn) and _is_statistics(right):
             yield dotted(right), f"lacks {ast.unparse(left)}"
-        elif isinstance(test.ops[0], ast.NotEq):
-            sides = [
-                name
-                for side in (left, right)
-                if "shape" in ast.unparse(side) or called(side) == "len"
-                for name in (dotted(node) for node in ast.walk(side) if isinstance(node, (ast.Name, ast.Attribute)))
-                if _STATISTICS.search(last(name.removesuffix(".shape")))
-            ]
-            if sides:
-                yield sides[0].removesuffix(".shape"), "has another length"
 
 
 def _is_statistics(node: ast.expr) -> bool:

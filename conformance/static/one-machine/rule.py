@@ -14,8 +14,7 @@ from xpl_cli.audit.static.shell import Command, Script, Word
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import assigned, called, constant, last, targets
 
-_DEVICES: Final = re.compile(r"CUDA_VISIBLE_DEVICES=[\"']?(\d[\d,]*)[\"']?")
-_PORT: Final = re.compile(r"(--?(?:[a-z]+[_-])*port|(?:[A-Za-z]+_)*(?:port|PORT))(?:=[\"']?(\d{4,5})[\"']?)?")
+_FIXED: Final = re.compile(r"(CUDA_VISIBLE_DEVICES|(?:[A-Za-z]+_)*(?:port|PORT))=[\"']?(\d[\d,]*)[\"']?")
 _PLACES: Final = re.compile(
     r"(?<![\w.$}/\\])/(?:mnt|data\d*|root|nfs\w*|nas\w*|ssd\w*|hdd\w*|disk\w*|cpfs\w*|workspace|share[d]?|storage|scratch"
     r"|project[s]?|raid|lustre|gpfs|fsx|efs|work|media|home2?|Users|Volumes)/[^\s\"'`<>$,;:)\]}]+"
@@ -30,7 +29,7 @@ def one_machine(source: Source) -> Iterator[Finding]:
     """A script or deploy.yml fixes a GPU, a port or a folder that is right on one machine only.
 
     ## What it does
-    Looks in the scripts for `CUDA_VISIBLE_DEVICES` with a number, for ports of servers as numbers, and in scripts and
+    Looks in the scripts for variables that give `CUDA_VISIBLE_DEVICES` or a port as a number, in scripts and
     `deploy.yml` for absolute paths of data disks, and in model.py and deploy.py for folders beyond the checkout that
     are put on the path of imports. Defaults that a variable of the environment overrides
     (`${MASTER_PORT:-29500}`) are left alone for devices and ports.
@@ -50,8 +49,7 @@ def one_machine(source: Source) -> Iterator[Finding]:
     """
     for name, script in scripts(source):
         for command in script:
-            yield from _devices(name, command)
-            yield from _ports(name, command)
+            yield from _fixed(name, command)
         yield from _folders(source, name, script)
     if source.has(sdk.File.DEPLOY_YML):
         lines = source.text(sdk.File.DEPLOY_YML).split("\n")
@@ -64,35 +62,16 @@ def one_machine(source: Source) -> Iterator[Finding]:
             yield from _roots(source, name)
 
 
-def _devices(name: str, command: Command) -> Iterator[Finding]:
+def _fixed(name: str, command: Command) -> Iterator[Finding]:
+    """Yield variables that give a GPU or a port as a number."""
     for word in command.words:
-        found = _DEVICES.fullmatch(word.raw) if word.raw.startswith("CUDA_") else None
+        found = _FIXED.fullmatch(word.raw)
         if found:
             yield _finding(
                 place(name, word),
-                f"whatever GPU the launcher chose, GPU {found.group(1)} is used: two runs meet on it",
-                "CUDA_VISIBLE_DEVICES from the script's argument",
+                f"{found.group(1)} is {found.group(2)}, whatever the launcher chose: two runs meet on it",
+                f"{found.group(1)} from the script's argument or the environment",
                 word.raw,
-            )
-
-
-def _ports(name: str, command: Command) -> Iterator[Finding]:
-    """Yield ports that are given as numbers, to a variable or to an option."""
-    words = command.words
-    for word, following in zip(words, (*words[1:], None), strict=True):
-        if "ort" not in word.raw and "ORT" not in word.raw:
-            continue
-        found = _PORT.fullmatch(word.raw)
-        if not found:
-            continue
-        is_option = found.group(1).startswith("-")
-        number = found.group(2) or (following.text if is_option and following is not None else "")
-        if re.fullmatch(r"\d{4,5}", number):
-            yield _finding(
-                place(name, word),
-                f"port {number} is taken while another run uses it: the second one fails, or talks to the first",
-                "a free port, or the script's argument",
-                f"{word.raw} {number}" if not found.group(2) else word.raw,
             )
 
 

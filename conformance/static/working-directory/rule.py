@@ -11,7 +11,7 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.adapter import LOADING, Adapter
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, constant, dotted, last, names, parameters, targets
+from xpl_cli.audit.static.syntax import called, constant, last, names, parameters, targets
 
 _RUNNERS = frozenset(("python", "python3", "bash", "sh", "source", ".", "torchrun"))
 
@@ -24,9 +24,8 @@ def working_directory(source: Source) -> Iterator[Finding]:
     """A path depends on the folder from which the server or the script was started.
 
     ## What it does
-    Looks for relative paths of the configuration that are made absolute by the working directory, for constant relative
-    paths that are opened, for folders that are made there, and for scripts that call a file of the adapter by a
-    relative path without going to its folder first.
+    Looks for relative paths of the configuration that are made absolute by the working directory, for folders that are
+    made there, and for scripts that call a file of the adapter by a relative path without going to its folder first.
 
     ## Why it matters
     The server is started by launchers, from their folder. The same deploy.yml then finds the weights on one machine and
@@ -51,8 +50,6 @@ def working_directory(source: Source) -> Iterator[Finding]:
         if resolved:
             paths = " and ".join(dict.fromkeys(path for _, path in resolved))
             yield _finding(source, function, resolved[0][0], f"{paths} of the configuration")
-        for node, path in _opened(function):
-            yield _finding(source, function, node, repr(path))
     yield from _scratch(source, adapter)
     for script in (sdk.File.PROCESS_DATA_SH, sdk.File.TRAIN_SH, sdk.File.EVAL_SH, sdk.File.SETUP_EVAL_POLICY_SERVER_SH):
         if source.has(script):
@@ -120,17 +117,6 @@ def _resolved(function: Function, given: set[str], adapter: Adapter) -> Iterator
                 yield node, reads[id(child)]
             elif isinstance(child, ast.Name) and child.id in given:
                 yield node, child.id
-
-
-def _opened(function: Function) -> Iterator[tuple[ast.AST, str]]:
-    """Yield constant relative paths that are opened."""
-    for node in function.nodes:
-        if isinstance(node, ast.Call) and node.args and dotted(node.func) in {"open", "torch.load", "np.load", "Path"}:
-            path = constant(node.args[0])
-            relative = isinstance(path, str) and re.match(r"(?!/)\.{0,2}/?[\w-]+[/.]", path)
-            # A Path may still be joined to something; one that says "here" is not.
-            if relative and isinstance(path, str) and (dotted(node.func) != "Path" or path.startswith("./")):
-                yield node, path
 
 
 def _scratch(source: Source, adapter: Adapter) -> Iterator[Finding]:
