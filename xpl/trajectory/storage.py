@@ -18,6 +18,8 @@ import numpy as np
 from xpl.trajectory.errors import TrajectoryError
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from xpl.trajectory.names import Place
     from xpl.trajectory.nodes import Dataset, File, Group
 
@@ -40,7 +42,7 @@ LIST = "list"
 """Attribute of a JSON text that stands for a list of texts, where its name does not tell."""
 
 
-def hdf5() -> Any:
+def hdf5() -> ModuleType:
     """Return h5py.
 
     Raises:
@@ -52,7 +54,8 @@ def hdf5() -> Any:
         raise ImportError(
             f"trajectories are HDF5 files, and {sys.executable} has no h5py to read and write them: `pip install h5py`"
         ) from None
-    return h5py
+    library: ModuleType = h5py
+    return library
 
 
 def opened(path: str) -> File:

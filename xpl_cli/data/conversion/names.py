@@ -147,7 +147,7 @@ class Renamed(DelegatingEpisode):
         """What else is said of it, without what every format says in its own way."""
         return {name: value for name, value in self._inner.extras.items() if name not in _OWN}
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         rows = self._inner.read(self._how.columns[column], start, stop)
         return rows.reshape(len(rows)) if column in self._how.numbers else rows

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -111,7 +111,7 @@ class _Packed(DelegatingEpisode):
         used = {part for parts in self._layout.values() for part, _ in parts}
         return {**made, **{name: column for name, column in has.items() if name not in used}}
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         if column not in self._layout:
             return self._inner.read(column, start, stop)
@@ -149,7 +149,7 @@ class _Unpacked(DelegatingEpisode):
         has = self._inner.cameras
         return {old: has[name] for old, name in self._old.items() if name in has}
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         if column in self._parts:
             name, first, last = self._parts[column]

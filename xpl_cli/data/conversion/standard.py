@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Demonstrations, Episode
 
 NAME = "xpl"
-Rows = dict[str, "NDArray[Any]"]
+Rows = dict[str, np.ndarray]
 
 
 class _MappedSet(DelegatingSet):
@@ -79,7 +79,7 @@ class _MappedEpisode(DelegatingEpisode):
         kept = {name: column for name, column in self._inner.columns.items() if name not in self._used}
         return {**made, **kept}
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         if column in self._rows:
             return self._rows[column][start:stop]

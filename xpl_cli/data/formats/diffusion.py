@@ -78,10 +78,10 @@ class DiffusionSet(Demonstrations):
         start = self._ends[place - 1] if place else 0
         return DiffusionEpisode(self, place, (start, self._ends[place]))
 
-    def rows(self, name: str, start: int, stop: int) -> NDArray[Any]:
+    def rows(self, name: str, start: int, stop: int) -> np.ndarray:
         """Return rows of an array, counted over the set."""
         with _opened(self._path) as store:
-            found: NDArray[Any] = np.asarray(store["data"][name][start:stop])
+            found: np.ndarray = np.asarray(store["data"][name][start:stop])
         if len(found) != stop - start:
             raise DataError(f"{self._path}: {name} has {len(found)} of the rows {start} to {stop}")
         return found
@@ -102,7 +102,7 @@ class DiffusionEpisode(OutlinedEpisode):
         cameras = {name: one for name, one in contents if isinstance(one, Camera)}
         return Outline(self._stop - self._start, (), columns, cameras)
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         if column not in self.columns:
             raise KeyError(column)

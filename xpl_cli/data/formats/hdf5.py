@@ -129,7 +129,7 @@ class Hdf5Episode(OutlinedEpisode):
         super().__init__(key)
         self._path, self._group, self._steps, self._told = path, group, steps, instructions
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         known = self.columns[column]
         with opened(self._path) as file:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from typing import Any, Final
+from types import ModuleType
+from typing import Final
 
 from xpl_cli.basics.extras import how_to_install
 from xpl_cli.data.sets.errors import DataError
@@ -11,32 +12,32 @@ from xpl_cli.data.sets.errors import DataError
 _EXTRA: Final = "data"
 
 
-def h5py() -> Any:
+def h5py() -> ModuleType:
     """Return the module `h5py`."""
     return _imported("h5py", "HDF5 files")
 
 
-def parquet() -> Any:
+def parquet() -> ModuleType:
     """Return the module `pyarrow.parquet`."""
     return _imported("pyarrow.parquet", "parquet files")
 
 
-def arrow() -> Any:
+def arrow() -> ModuleType:
     """Return the module `pyarrow`."""
     return _imported("pyarrow", "parquet files")
 
 
-def av() -> Any:
+def av() -> ModuleType:
     """Return the module `av`."""
     return _imported("av", "videos")
 
 
-def zarr() -> Any:
+def zarr() -> ModuleType:
     """Return the module `zarr`."""
     return _imported("zarr", "zarr stores")
 
 
-def _imported(name: str, what: str) -> Any:
+def _imported(name: str, what: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError as error:

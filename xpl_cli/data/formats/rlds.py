@@ -18,6 +18,8 @@ from xpl_cli.data.sets.interface import Camera, Column, Demonstrations
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from numpy.typing import NDArray
 
 NAME: Final = "rlds"
@@ -150,7 +152,7 @@ class RldsEpisode(OutlinedEpisode):
         super().__init__(f"episode_{index:06d}")
         self._owner, self._index = owner, index
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         known = self.columns[column]
         rows = [np.asarray(step[column]) for step in self._owner.steps(self._index)[start:stop]]
@@ -168,7 +170,7 @@ class RldsEpisode(OutlinedEpisode):
         return self._owner.outlines[self._index]
 
 
-def _images(features: Any, prefix: str, tfds: Any) -> Iterator[tuple[str, tuple[int | None, ...]]]:
+def _images(features: Any, prefix: str, tfds: ModuleType) -> Iterator[tuple[str, tuple[int | None, ...]]]:
     """Yield the colour images among features, by their paths, with the shapes that they say."""
     for name, feature in features.items():
         if isinstance(feature, tfds.features.FeaturesDict):
@@ -177,7 +179,7 @@ def _images(features: Any, prefix: str, tfds: Any) -> Iterator[tuple[str, tuple[
             yield prefix + name, feature.shape
 
 
-def _skipped(features: Any, tfds: Any) -> dict[str, Any]:
+def _skipped(features: Any, tfds: ModuleType) -> dict[str, Any]:
     """Return how to read features without decoding an image."""
     found: dict[str, Any] = {}
     for name, feature in features.items():

@@ -28,8 +28,6 @@ from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from xpl.trajectory import Trajectory
     from xpl_cli.data.formats.writing import Plan
     from xpl_cli.data.sets.interface import Episode
@@ -97,13 +95,13 @@ class _Episode(OutlinedEpisode):
         with self._open() as found:
             return len(found)
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         self.columns[column]  # whoever asks for another one gets KeyError
         with self._open() as found:
             return found.rows(column, start, stop)
 
-    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
         """Yield images of a camera; JPEGs are RGB by the standard's rule, with its mark or exchanged without."""
         self.cameras[camera]
         with self._kept.folder[self._place] as found, hdf5.told(found.path):
@@ -234,7 +232,7 @@ def _instruction(episode: Episode) -> dict[str, Any]:
     return {spec.Trajectory.INSTRUCTION: told[0]} if told else {}
 
 
-def _jpegs(frames: Iterable[NDArray[Any]], psnr_db: list[float]) -> Iterator[bytes]:
+def _jpegs(frames: Iterable[np.ndarray], psnr_db: list[float]) -> Iterator[bytes]:
     """Yield images as the standard's JPEGs; note how near those of a sample are."""
     for index, frame in enumerate(frames):
         data = images.encode_jpeg(frame)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from xpl_cli.data.sets.interface import Demonstrations, Episode
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    import numpy as np
 
     from xpl_cli.data.sets.interface import Camera, Column
 
@@ -110,11 +110,11 @@ class DelegatingEpisode(Episode):
         """What else is said of it."""
         return self._inner.extras
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         return self._inner.read(column, start, stop)
 
-    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
         """Yield images of a camera."""
         return self._inner.frames(camera, start, stop)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from xpl import _spec as sdk
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    import numpy as np
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Camera:
     width: int
     kind: str = sdk.Camera.COLOR
     encoding: str = "raw"
-    intrinsics: NDArray[Any] | None = field(default=None, compare=False)
-    extrinsics: NDArray[Any] | None = field(default=None, compare=False)
+    intrinsics: np.ndarray | None = field(default=None, compare=False)
+    extrinsics: np.ndarray | None = field(default=None, compare=False)
 
 
 class Episode(Protocol):
@@ -83,7 +83,7 @@ class Episode(Protocol):
         """What else the file says of this episode, plain data under the file's names."""
         return {}
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows `start` to `stop` of a column, (steps, *shape) of its dtype.
 
         Raises:
@@ -91,7 +91,7 @@ class Episode(Protocol):
             DataError: the file cannot be read there.
         """
 
-    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
+    def frames(self, camera: str, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
         """Yield images `start` to `stop` of a camera, decoded one after the other: uint8, or depth as it is stored.
 
         Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -141,7 +141,7 @@ def _strip(episode: Episode, name: str, count: int) -> Strip:
     return Strip(name, what, steps[: len(images)], tuple(images))
 
 
-def _grey(depth: NDArray[Any]) -> NDArray[np.uint8]:
+def _grey(depth: np.ndarray) -> NDArray[np.uint8]:
     """Return a depth image as grey levels, near is bright."""
     values = depth.astype(np.float64)
     known = values[np.isfinite(values)]

@@ -98,7 +98,7 @@ class LeRobotSet(Demonstrations):
         return {name: _column(name, feature) for name, feature in self.info.features.items() if not feature.is_camera}
 
     @functools.lru_cache(maxsize=8)  # noqa: B019 - a set lives as long as what reads it
-    def group(self, path: str, number: int, column: str) -> NDArray[Any]:
+    def group(self, path: str, number: int, column: str) -> np.ndarray:
         """Return a column of one group of rows: episodes share groups, which are unpacked as a whole."""
         with _opened(self.root / path) as file:
             self._require(file, column, path)
@@ -115,7 +115,7 @@ class LeRobotSet(Demonstrations):
         """Return the statistics of a feature by episode."""
         return layout.statistics(self.root, self.info.version, feature)
 
-    def rows(self, entry: layout.Entry, column: str, start: int, stop: int) -> NDArray[Any]:
+    def rows(self, entry: layout.Entry, column: str, start: int, stop: int) -> np.ndarray:
         """Return rows of an episode."""
         pieces = []
         for number, first, last in _groups(self._sizes(entry.data), entry.first + start, entry.first + stop):
@@ -153,11 +153,11 @@ class LeRobotSet(Demonstrations):
         if column not in file.schema_arrow.names:
             raise DataError(f"{self.root / path} has no column {column}, which {layout.INFO} lists")
 
-    def _empty(self, column: str) -> NDArray[Any]:
+    def _empty(self, column: str) -> np.ndarray:
         known = self.columns[column]
         return np.empty((0, *known.shape), known.dtype)
 
-    def _numbers(self, table: Any, column: str, path: str) -> NDArray[Any]:
+    def _numbers(self, table: Any, column: str, path: str) -> np.ndarray:
         """Return a column of a table as (rows, *shape)."""
         known = self.columns[column]
         values = table.column(0).combine_chunks()
@@ -174,7 +174,7 @@ class LeRobotSet(Demonstrations):
                 f"{self.root / path}: {column} holds {flat.size} {flat.dtype} in {table.num_rows} rows, "
                 f"and {layout.INFO} says {known.shape} {known.dtype}"
             )
-        rows: NDArray[Any] = flat.reshape(shape).astype(known.dtype, copy=False)
+        rows: np.ndarray = flat.reshape(shape).astype(known.dtype, copy=False)
         return rows
 
     def _image(self, value: Any, where: str) -> bytes:
@@ -237,7 +237,7 @@ class LeRobotEpisode(Episode):
         found = self._owner.statistics(camera).get(self.entry.index)
         return found if found and {"min", "max", "mean", "std", "count"} <= set(found) else None
 
-    def read(self, column: str, start: int = 0, stop: int | None = None) -> NDArray[Any]:
+    def read(self, column: str, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Return rows of a column."""
         if column not in self.columns:
             raise KeyError(column)

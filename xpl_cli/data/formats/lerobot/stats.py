@@ -22,7 +22,7 @@ Stats = Mapping[str, list[Any]]
 """By name: min, max, mean, std, quantiles, count; nested lists of numbers."""
 
 
-def of_numbers(rows: NDArray[Any]) -> Stats:
+def of_numbers(rows: np.ndarray) -> Stats:
     """Return statistics of rows (T, *shape), over all axes but the last."""
     flat = rows.reshape(len(rows), -1) if rows.ndim < 2 else rows.reshape(-1, rows.shape[-1])
     return {**_of(flat.astype(np.float64)), "count": [len(rows)]}
