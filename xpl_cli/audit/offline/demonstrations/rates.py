@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +12,10 @@ from xpl import _spec as sdk
 from xpl import rotation
 from xpl_cli.native.alternatives.signals import Signal
 
+if TYPE_CHECKING:
+    from xpl_cli.native.alternatives.signals.signal import Given, Step
+
 _TURN = slice(sdk.POSITION_DIM, sdk.POSE_DIM)
-Step = Mapping[str, Any]
 
 
 def rates() -> Iterator[Signal]:
@@ -27,12 +29,12 @@ def rates() -> Iterator[Signal]:
 
 
 def _commanded(
-    lasts: float, answers: Sequence[Sequence[Step]], _seen: Sequence[Any], _asked: Sequence[int]
-) -> list[list[Step | None]]:
+    lasts: float, answers: Sequence[Sequence[Given]], _seen: Sequence[object], _asked: Sequence[int]
+) -> list[list[Step]]:
     return [[_at(chunk, (place + 1) / lasts - 1) for place in range(len(chunk))] for chunk in answers]
 
 
-def _at(chunk: Sequence[Step], place: float) -> Step | None:
+def _at(chunk: Sequence[Given], place: float) -> Step:
     """Return the step between two of a chunk; None before the first and after the last one."""
     if not 0 <= place <= len(chunk) - 1:
         return None

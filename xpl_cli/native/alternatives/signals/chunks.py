@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
 
 from xpl import _spec as spec
 from xpl_cli.native.alternatives.signals import deltas
 from xpl_cli.native.alternatives.signals.deltas import is_arm, kept
-from xpl_cli.native.alternatives.signals.signal import Commanded, Obs, Signal, Step
+from xpl_cli.native.alternatives.signals.signal import Commanded, Given, Obs, Signal, Step
 
-Given = Mapping[str, Any]
 _Order = Callable[[Sequence[Given]], list[Step]]
 
 

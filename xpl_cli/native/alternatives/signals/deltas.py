@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl import rotation
+
+if TYPE_CHECKING:
+    from xpl_cli.native.alternatives.signals.signal import Given
 
 _PLACE, _TURN = slice(0, spec.POSITION_DIM), slice(spec.POSITION_DIM, spec.POSE_DIM)
 
@@ -19,21 +22,21 @@ APPLIED = (*MODES, "the turn alone in body", "the move alone in body")
 _MOVES_IN_BODY, _TURNS_IN_BODY = {"body", APPLIED[3]}, {"body", APPLIED[2]}
 
 
-def apart(step: Mapping[str, Any], base: Mapping[str, Any], mode: str) -> dict[str, Any]:
+def apart(step: Given, base: Given, mode: str) -> dict[str, np.ndarray]:
     """Return by key what leads from the fields of `base` to those of a step."""
     return {key: _apart(key, np.asarray(value, np.float64), _of(base, key), mode) for key, value in step.items()}
 
 
-def together(change: Mapping[str, Any], base: Mapping[str, Any], mode: str) -> dict[str, Any]:
+def together(change: Given, base: Given, mode: str) -> dict[str, np.ndarray]:
     """Return the step that a change of the fields of `base` leads to."""
     return {key: _together(key, np.asarray(value, np.float64), _of(base, key), mode) for key, value in change.items()}
 
 
-def _of(base: Mapping[str, Any], key: str) -> Any:
+def _of(base: Given, key: str) -> np.ndarray:
     return np.asarray(base[key], np.float64)
 
 
-def kept(step: Mapping[str, Any], chosen: Callable[[str], bool]) -> dict[str, Any]:
+def kept(step: Given, chosen: Callable[[str], bool]) -> dict[str, np.ndarray]:
     """Return the fields of a step that are chosen."""
     return {key: value for key, value in step.items() if chosen(key)}
 
@@ -48,9 +51,10 @@ def is_pose(key: str) -> bool:
     return key.endswith(spec.State.EE_POSE)
 
 
-def _apart(key: str, value: Any, base: Any, mode: str) -> Any:
+def _apart(key: str, value: np.ndarray, base: np.ndarray, mode: str) -> np.ndarray:
     if not is_pose(key):
-        return value - base
+        difference: np.ndarray = value - base
+        return difference
     place, back = value[_PLACE] - base[_PLACE], rotation.conjugate(base[_TURN])
     turn = value[_TURN]
     moved = rotation.rotate(back, place) if mode in _MOVES_IN_BODY else place
@@ -58,9 +62,10 @@ def _apart(key: str, value: Any, base: Any, mode: str) -> Any:
     return np.concatenate((moved, turned))
 
 
-def _together(key: str, change: Any, base: Any, mode: str) -> Any:
+def _together(key: str, change: np.ndarray, base: np.ndarray, mode: str) -> np.ndarray:
     if not is_pose(key):
-        return base + change
+        total: np.ndarray = base + change
+        return total
     start, place, turn = base[_TURN], change[_PLACE], change[_TURN]
     moved = rotation.rotate(start, place) if mode in _MOVES_IN_BODY else place
     turned = rotation.multiply(start, turn) if mode in _TURNS_IN_BODY else rotation.multiply(turn, start)

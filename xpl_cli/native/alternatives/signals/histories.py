@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
-from xpl_cli.native.alternatives.signals.signal import Obs, Shown, Signal
+from xpl_cli.native.alternatives.signals.signal import Episode, Obs, Shown, Signal
 from xpl_cli.native.alternatives.signals.ways import rebased
 
 _Order = Callable[[Sequence[Obs]], Sequence[Obs]]
@@ -43,7 +42,7 @@ def histories(length: int, action_type: str, stride: int = 1) -> Iterator[Signal
 
 
 def _shown(order: _Order) -> Shown:
-    def shown(observations: Sequence[Obs]) -> list[dict[str, Any]]:
+    def shown(observations: Sequence[Obs]) -> Episode:
         return [dict(obs) for obs in order(list(observations))]
 
     return shown

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.native.alternatives.signals import deltas
 from xpl_cli.native.alternatives.signals.deltas import is_arm, kept
-from xpl_cli.native.alternatives.signals.signal import Commanded, Obs, Signal, Step
+from xpl_cli.native.alternatives.signals.signal import Commanded, Given, Obs, Signal, Step, Steps
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
 
-Given = Mapping[str, Any]
 _Chosen = Callable[[str], bool]
-_Change = Callable[[list[dict[str, Any]], int, Sequence[Obs], Mapping[str, Any] | None], list[dict[str, Any]]]
+_Change = Callable[[Steps, int, Sequence[Obs], "_Command | None"], Steps]
 """Returns the fields of the steps of an answer, of the adapter's, the place of the question, what was observed, and the
 command before."""
+
+
+@dataclass(frozen=True)
+class _Command:
+    """The last command of an answer: as the adapter gave it, and as the change has it."""
+
+    given: Given
+    true: Given
 
 
 def references(embodiment: Embodiment, action_type: str, history: int, stride: int = 1) -> Iterator[Signal]:
@@ -82,20 +90,20 @@ def _is_of(prefix: str, key: str, *, arm: bool) -> bool:
 def _counted(change: _Change, chosen: _Chosen) -> Commanded:
     def commanded(answers: Sequence[Sequence[Given]], seen: Sequence[Obs], asked: Sequence[int]) -> list[list[Step]]:
         result: list[list[Step]] = []
-        last: dict[str, Mapping[str, Any]] | None = None
-        pending: dict[str, Mapping[str, Any]] | None = None
+        last: _Command | None = None
+        pending: _Command | None = None
         for index, (steps, place) in enumerate(zip(answers, asked, strict=True)):
             if index and asked[index - 1] != place:  # a question that is put again counts from the same command
                 last = pending
             moved = change([kept(step, chosen) for step in steps], place, seen, last)
             result.append([_whole(step, new) for step, new in zip(steps, moved, strict=True)])
-            pending = {"given": kept(steps[-1], chosen), "true": moved[-1]}
+            pending = _Command(kept(steps[-1], chosen), moved[-1])
         return result
 
     return commanded
 
 
-def _whole(step: Given, new: Mapping[str, Any]) -> dict[str, Any]:
+def _whole(step: Given, new: Given) -> dict[str, np.ndarray]:
     """Return a step with its new fields; what a clipped opening of a gripper would be is not known."""
     result = {**step, **new}
     for key in new:
@@ -107,8 +115,8 @@ def _whole(step: Given, new: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _state(seen: Sequence[Obs], place: int) -> Mapping[str, Any]:
-    state: Mapping[str, Any] = seen[place][spec.Obs.STATE]
+def _state(seen: Sequence[Obs], place: int) -> Given:
+    state: Given = seen[place][spec.Obs.STATE]
     return state
 
 
@@ -121,17 +129,15 @@ def _taken_off(mode: str) -> _Change:
 
 
 def _cumulated(mode: str) -> _Change:
-    def change(
-        steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], _last: Mapping[str, Any] | None
-    ) -> list[dict[str, Any]]:
+    def change(steps: Steps, place: int, seen: Sequence[Obs], _last: _Command | None) -> Steps:
         state = _state(seen, place)
         return _summed((deltas.apart(step, state, mode) for step in steps), state, mode)
 
     return change
 
 
-def _summed(changes: Any, base: Mapping[str, Any], mode: str) -> list[dict[str, Any]]:
-    result: list[dict[str, Any]] = []
+def _summed(changes: Iterable[Given], base: Given, mode: str) -> Steps:
+    result: Steps = []
     for change in changes:
         base = deltas.together(change, base, mode)
         result.append(dict(base))
@@ -139,9 +145,7 @@ def _summed(changes: Any, base: Mapping[str, Any], mode: str) -> list[dict[str, 
 
 
 def _differenced(mode: str) -> _Change:
-    def change(
-        steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], _last: Mapping[str, Any] | None
-    ) -> list[dict[str, Any]]:
+    def change(steps: Steps, place: int, seen: Sequence[Obs], _last: _Command | None) -> Steps:
         state = _state(seen, place)
         bases = [state, *steps[:-1]]
         changes = (deltas.apart(step, base, mode) for step, base in zip(steps, bases, strict=True))
@@ -153,9 +157,7 @@ def _differenced(mode: str) -> _Change:
 def _from_older(age: int, mode: str) -> _Change:
     """Count from the newest observation what was counted from an older one."""
 
-    def change(
-        steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], _last: Mapping[str, Any] | None
-    ) -> list[dict[str, Any]]:
+    def change(steps: Steps, place: int, seen: Sequence[Obs], _last: _Command | None) -> Steps:
         true, other = _state(seen, place), _state(seen, max(0, place - age))
         return [deltas.together(deltas.apart(step, other, mode), true, mode) for step in steps]
 
@@ -165,9 +167,7 @@ def _from_older(age: int, mode: str) -> _Change:
 def _from_arm(one: str, other: str, mode: str) -> _Change:
     """Count from an arm's own state what was counted from the other's."""
 
-    def change(
-        steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], _last: Mapping[str, Any] | None
-    ) -> list[dict[str, Any]]:
+    def change(steps: Steps, place: int, seen: Sequence[Obs], _last: _Command | None) -> Steps:
         true = _state(seen, place)
         taken = {key: true[other + key.removeprefix(one)] for key in true if key.startswith(one)}
         return [deltas.together(deltas.apart(step, taken, mode), true, mode) for step in steps]
@@ -175,9 +175,7 @@ def _from_arm(one: str, other: str, mode: str) -> _Change:
     return change
 
 
-def _across(
-    steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], _last: Mapping[str, Any] | None
-) -> list[dict[str, Any]]:
+def _across(steps: Steps, place: int, seen: Sequence[Obs], _last: _Command | None) -> Steps:
     """Add up over the steps what was added up over the numbers of each."""
     state = _state(seen, place)
     apart = [deltas.apart(step, state, deltas.MODES[0]) for step in steps]
@@ -188,9 +186,7 @@ def _across(
 def _applied(done: str, wanted: str) -> _Change:
     """Apply a change of pose in another frame than the adapter did."""
 
-    def change(
-        steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], _last: Mapping[str, Any] | None
-    ) -> list[dict[str, Any]]:
+    def change(steps: Steps, place: int, seen: Sequence[Obs], _last: _Command | None) -> Steps:
         state = _state(seen, place)
         return [deltas.together(deltas.apart(step, state, done), state, wanted) for step in steps]
 
@@ -200,14 +196,12 @@ def _applied(done: str, wanted: str) -> _Change:
 def _commands(mode: str, *, to_command: bool) -> _Change:
     """Count from the command before what was counted from the state at the call, or the other way round."""
 
-    def change(
-        steps: list[dict[str, Any]], place: int, seen: Sequence[Obs], last: Mapping[str, Any] | None
-    ) -> list[dict[str, Any]]:
+    def change(steps: Steps, place: int, seen: Sequence[Obs], last: _Command | None) -> Steps:
         state = _state(seen, place)
         if to_command:
-            start = state if last is None else last["true"]
+            start = state if last is None else last.true
             return _summed((deltas.apart(step, state, mode) for step in steps), start, mode)
-        bases = [state if last is None else last["given"], *steps[:-1]]
+        bases = [state if last is None else last.given, *steps[:-1]]
         changes = (deltas.apart(step, base, mode) for step, base in zip(steps, bases, strict=True))
         return [deltas.together(one, state, mode) for one in changes]
 

@@ -6,12 +6,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 Obs = Mapping[str, Any]
-Step = Mapping[str, Any] | None
+Given = Mapping[str, np.ndarray]
+"""An action step, or what was observed of the robot: numbers by key."""
+Steps = list[dict[str, np.ndarray]]
+Step = Given | None
 """An action step; None where a change cannot tell what it would be."""
-Shown = Callable[[Sequence[Obs]], list[dict[str, Any]]]
+Episode = list[dict[str, Any]]
+"""Observations that are shown, oldest first."""
+Shown = Callable[[Sequence[Obs]], Episode]
 """Returns what is shown instead of the observations of an episode, oldest first."""
-Commanded = Callable[[Sequence[Sequence[Mapping[str, Any]]], Sequence[Obs], Sequence[int]], list[list[Step]]]
+Commanded = Callable[[Sequence[Sequence[Given]], Sequence[Obs], Sequence[int]], list[list[Step]]]
 """Returns what the answers of an episode become, of its true observations and the places of the questions in them."""
 
 

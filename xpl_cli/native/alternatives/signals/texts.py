@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from xpl import _spec as spec
-from xpl_cli.native.alternatives.signals.signal import Obs, Shown, Signal
+from xpl_cli.native.alternatives.signals.signal import Episode, Obs, Shown, Signal
 
 _CHANGES: tuple[tuple[int, str, Callable[[str], str]], ...] = (
     (0, "case: lower", str.lower),
@@ -39,7 +39,7 @@ def _always(text: str) -> Callable[[str], str]:
 
 
 def _said(change: Callable[[str], str]) -> Shown:
-    def shown(observations: Sequence[Obs]) -> list[dict[str, Any]]:
+    def shown(observations: Sequence[Obs]) -> Episode:
         return [_with(obs, change) for obs in observations]
 
     return shown
@@ -55,7 +55,7 @@ def _with(obs: Obs, change: Callable[[str], str]) -> dict[str, Any]:
     return result
 
 
-def _first(observations: Sequence[Obs]) -> list[dict[str, Any]]:
+def _first(observations: Sequence[Obs]) -> Episode:
     said = {
         key: observations[0][key] for key in (spec.Obs.INSTRUCTION, spec.Obs.INSTRUCTIONS) if key in observations[0]
     }

@@ -11,7 +11,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl_cli.native.alternatives.signals import deltas
 from xpl_cli.native.alternatives.signals.fields import Change, Turn, same
-from xpl_cli.native.alternatives.signals.signal import Commanded, Obs, Shown, Signal, Step
+from xpl_cli.native.alternatives.signals.signal import Commanded, Episode, Given, Obs, Shown, Signal, Step
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
@@ -65,7 +65,7 @@ def rebased(shown: Shown, action_type: str) -> Iterator[Commanded]:
 
 def _from_shown(shown: Shown, mode: str) -> Commanded:
     def commanded(
-        answers: Sequence[Sequence[Mapping[str, Any]]], observations: Sequence[Obs], asked: Sequence[int]
+        answers: Sequence[Sequence[Given]], observations: Sequence[Obs], asked: Sequence[int]
     ) -> list[list[Step]]:
         result: list[list[Step]] = []
         for steps, place in zip(answers, asked, strict=True):
@@ -106,7 +106,7 @@ def _some(key: str, width: int) -> Any:
 
 
 def _shown(turn: Turn, more: More | None) -> Shown:
-    def shown(observations: Sequence[Obs]) -> list[dict[str, Any]]:
+    def shown(observations: Sequence[Obs]) -> Episode:
         changed = [{**obs, spec.Obs.STATE: turn(obs.get(spec.Obs.STATE) or {})} for obs in observations]
         return [dict(obs if more is None else more(obs)) for obs in changed]
 
@@ -115,7 +115,7 @@ def _shown(turn: Turn, more: More | None) -> Shown:
 
 def _each(turn: Turn) -> Commanded:
     def commanded(
-        answers: Sequence[Sequence[Mapping[str, Any]]], _observations: Sequence[Obs], _asked: Sequence[int]
+        answers: Sequence[Sequence[Given]], _observations: Sequence[Obs], _asked: Sequence[int]
     ) -> list[list[Step]]:
         return [[turn(step) for step in steps] for steps in answers]
 
@@ -126,7 +126,7 @@ def _delta(there: Turn, turn: Turn, mode: str) -> Commanded:
     """Return what commands become whose difference to the state that was shown is changed, and counts from the true."""
 
     def commanded(
-        answers: Sequence[Sequence[Mapping[str, Any]]], observations: Sequence[Obs], asked: Sequence[int]
+        answers: Sequence[Sequence[Given]], observations: Sequence[Obs], asked: Sequence[int]
     ) -> list[list[Step]]:
         result: list[list[Step]] = []
         for steps, place in zip(answers, asked, strict=True):
