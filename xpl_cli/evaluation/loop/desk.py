@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Any
 from xpl import _spec as sdk
 from xpl.action import ActionError
 from xpl.client.errors import ClientError, PolicyServerError
-from xpl.loop.stand_ins import CLIENT, CLIENT_OPERATIONS, ENV_OPERATIONS, TASK_ENV
+from xpl.loop.stand_ins import CLIENT, TASK_ENV
 from xpl.process import link
 from xpl.simulator.process import EnvLostError, EnvRaisedError
 from xpl.wire import packed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from xpl.loop.shown import Shown
     from xpl.wire.arrays import Data
+    from xpl_cli.evaluation.loop.messages import Question
 
 _AFTER_THE_END = 100
 """Operations after the end, none of which notices it, after which a loop is taken to go on for ever."""
@@ -35,10 +36,6 @@ class LoopError(Exception):
 
 class EndlessError(LoopError):
     """A loop goes on for ever."""
-
-
-class OutOfStepError(LoopError):
-    """What arrived from the loop's process is no question."""
 
 
 class Desk:
@@ -67,33 +64,32 @@ class Desk:
         """Indices of the environments whose episode goes on."""
         return [int(index) for index in self._env.get_running_env_idx_list()]
 
-    def answer(self, head: Mapping[str, Any], buffers: Sequence[Data]) -> list[Data] | None:
+    def answer(self, question: Question) -> list[Data] | None:
         """Return the pieces of the answer to a question; None where it goes ahead, and is not waited for.
 
         Raises:
             EndlessError: there were too many of them without a control step.
-            OutOfStepError: it is none.
             EnvLostError, EnvRaisedError, ClientError: environment or policy failed, and the loop need not know.
         """
-        whom, operation, arguments, options = self._question(head, buffers)
-        self._count(operation)
-        value = None if self.is_untold else self._done(whom, operation, arguments, options)
-        if head.get("ahead"):
+        self._count(question.operation)
+        value = None if self.is_untold else self._done(question)
+        if question.ahead:
             return None
         is_refused, self.is_untold = self.is_untold, False
         if is_refused and self.refused is not None:
             return self._pieces(_told(self.refused), ok=False)
-        if whom == TASK_ENV:
+        if question.whom == TASK_ENV:
             self._shown.add(value)
         return self._pieces(value, ok=True)
 
-    def _done(self, whom: str, operation: str, arguments: list[Any], options: dict[str, Any]) -> Any:
+    def _done(self, question: Question) -> Any:
         """Run an operation and return what it returns; what refuses it is kept for the loop."""
+        operation = question.operation
         try:
-            if whom == TASK_ENV:
-                value = _checked(self._env, operation, arguments, options)
+            if question.whom == TASK_ENV:
+                value = _checked(self._env, operation, question.arguments, question.options)
                 return [_without_secrets(told) for told in value] if operation == _RESULTS else value
-            return getattr(self._client, operation)(*arguments, **options)
+            return getattr(self._client, operation)(*question.arguments, **question.options)
         except (ActionError, ClientError, ValueError, TypeError, AttributeError) as error:
             if isinstance(error, ClientError) and error.spoils_trial:
                 raise
@@ -101,25 +97,13 @@ class Desk:
         except (EnvLostError, EnvRaisedError):
             raise
         except Exception as error:
-            if whom == CLIENT:
+            if question.whom == CLIENT:
                 raise
             raise EnvRaisedError(type(error).__name__, str(error)) from error
         return None
 
     def _pieces(self, value: Any, *, ok: bool) -> list[Data]:
         return link.encode({"ok": ok, "running": self.running}, [b"".join(packed.encode(value))])
-
-    def _question(self, head: Mapping[str, Any], buffers: Sequence[Data]) -> tuple[str, str, list[Any], dict[str, Any]]:
-        """Return whom a loop asks, for what, with which arguments and options."""
-        try:
-            whom, operation = head["ask"], head["operation"]
-            arguments, options = packed.decode(buffers[0], self._shown.find)
-        except (LookupError, TypeError, ValueError) as error:
-            raise OutOfStepError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
-        known = {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(whom, ()) if isinstance(whom, str) else ()
-        if operation not in known or not isinstance(arguments, list) or not isinstance(options, dict):
-            raise OutOfStepError(f"the process of its evaluation loop asked for {operation!r:.80}")
-        return whom, operation, arguments, options
 
     def _count(self, operation: str) -> None:
         running = self.running

@@ -18,7 +18,9 @@ from xpl.process import link
 from xpl.process.parent import Process, ProcessLostError
 from xpl.wire.packed import PackingError
 from xpl_cli.basics.errors import NotFoundError
-from xpl_cli.evaluation.loop.desk import Desk, LoopError, OutOfStepError
+from xpl_cli.evaluation.loop import messages
+from xpl_cli.evaluation.loop.desk import Desk, LoopError
+from xpl_cli.evaluation.loop.messages import OutOfStepError, Question, Raised
 from xpl_cli.isolation import family
 from xpl_cli.standard import spec
 
@@ -31,8 +33,6 @@ if TYPE_CHECKING:
 _START = "from xpl.loop.worker import main; main(int(sys.argv[2]))"
 _LARGEST = 1 << 30
 """Bytes of a message from a loop: more than the observations of many environments are."""
-_LONGEST = 500
-"""Characters of what an adapter raised that are passed on."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,10 @@ class LoopRaisedError(LoopError):
         message: what that says.
     """
 
-    def __init__(self, kind: str, message: str) -> None:
-        super().__init__(f"the adapter's evaluation loop raised {kind}: {message}")
-        self.kind = kind
-        self.message = message
+    def __init__(self, raised: Raised) -> None:
+        super().__init__(f"the adapter's evaluation loop raised {raised.kind}: {raised.message}")
+        self.kind = raised.kind
+        self.message = raised.message
 
 
 class _Process(Process):
@@ -146,14 +146,14 @@ class Loop:
         name = self.load(batch=batch)
         desk = Desk(task_env, client, self._shown)
         try:
-            head = self._played(desk, name)
+            raised = self._played(desk, name)
         except BaseException:
             self.close()  # in the middle of a trial: it could not go on with the next one
             raise
-        if desk.refused is not None and (desk.is_untold or head.get("raised", {}).get("told")):
+        if desk.refused is not None and (desk.is_untold or (raised is not None and raised.is_told)):
             raise desk.refused
-        if "raised" in head:
-            raise _raised(head)
+        if raised is not None:
+            raise LoopRaisedError(raised)
 
     def close(self) -> None:
         """End the process."""
@@ -161,21 +161,18 @@ class Loop:
         if process is not None:
             process.kill()
 
-    def _played(self, desk: Desk, name: str) -> dict[str, Any]:
-        """Answer what a loop asks until it has ended, and return what its process says of that."""
+    def _played(self, desk: Desk, name: str) -> Raised | None:
+        """Answer what a loop asks until it has ended, and return what it raised, or None."""
         assert self._process is not None  # noqa: S101 - for the type checker: it was loaded
         pieces: list[Data] | None = link.encode({"play": name, "running": desk.running})
         try:
             while True:
                 self._process.send(pieces or (), self._limits.think_s)
-                head, buffers = self._process.take()
-                told = _well_formed(head)
-                if "ask" not in told:
+                told = messages.parsed(*self._process.take(), self._shown)
+                if not isinstance(told, Question):
                     return told
-                pieces = desk.answer(told, buffers)
-        except ProcessLostError as error:
-            raise LoopLostError(str(error)) from None
-        except (OutOfStepError, PackingError) as error:
+                pieces = desk.answer(told)
+        except (ProcessLostError, OutOfStepError, PackingError) as error:
             raise LoopLostError(str(error)) from None
 
     def _start(self) -> None:
@@ -197,31 +194,8 @@ class Loop:
         except BaseException:
             self.close()
             raise
-        if not isinstance(head, dict) or not isinstance(head.get("functions"), list):
+        told = messages.functions(head)
+        if isinstance(told, Raised):
             self.close()
-            raise _raised(head)
-        self._functions = frozenset(name for name in head["functions"] if isinstance(name, str))
-
-
-def _well_formed(head: Any) -> dict[str, Any]:
-    """Return the head of a message from a loop's process.
-
-    Raises:
-        OutOfStepError: it is none.
-    """
-    if not isinstance(head, dict) or not isinstance(head.get("raised", {}), dict):
-        raise OutOfStepError("the process of its evaluation loop fell out of step")
-    return head
-
-
-def _raised(head: Any) -> LoopRaisedError:
-    """Return what a loop's process says that was raised; none of its words are more than text."""
-    told = head.get("raised") if isinstance(head, dict) else None
-    told = told if isinstance(told, dict) else {}
-    return LoopRaisedError(_text(told.get("type")) or "an exception", _text(told.get("message")))
-
-
-def _text(given: Any) -> str:
-    """Return a text that can be written down, in one line."""
-    text = given if isinstance(given, str) else ""
-    return " ".join(text.encode("utf-8", "replace").decode().split())[:_LONGEST]
+            raise LoopRaisedError(told)
+        self._functions = told

@@ -1,0 +1,110 @@
+"""What the process of an evaluation loop sends (`xpl.loop.worker`), read where it comes in; none of it is trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+from xpl.loop.stand_ins import CLIENT, CLIENT_OPERATIONS, ENV_OPERATIONS, TASK_ENV
+from xpl.wire import packed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from xpl.loop.shown import Shown
+    from xpl.wire.arrays import Data
+
+_LONGEST = 500
+"""Characters of what an adapter raised that are passed on."""
+
+
+class OutOfStepError(Exception):
+    """What arrived from the loop's process is none of its messages."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a loop asks.
+
+    Attributes:
+        whom: `TASK_ENV` or `CLIENT`.
+        operation: one that the two offer.
+        arguments, options: by place and by name.
+        ahead: whether no answer is waited for.
+    """
+
+    whom: str
+    operation: str
+    arguments: list[Any]
+    options: dict[str, Any]
+    ahead: bool
+
+    @classmethod
+    def parse(cls, head: Mapping[str, Any], buffers: Sequence[Data], shown: Shown) -> Self:
+        """Return the question in a message.
+
+        Args:
+            head: its head.
+            buffers: its packed value.
+            shown: what the process has been shown.
+
+        Raises:
+            OutOfStepError: it is none.
+        """
+        try:
+            whom, operation = head["ask"], head["operation"]
+            arguments, options = packed.decode(buffers[0], shown.find)
+        except (LookupError, TypeError, ValueError) as error:
+            raise OutOfStepError(f"the process of its evaluation loop sent no question: {error!s:.200}") from None
+        known = {TASK_ENV: ENV_OPERATIONS, CLIENT: CLIENT_OPERATIONS}.get(whom, ()) if isinstance(whom, str) else ()
+        if operation not in known or not isinstance(arguments, list) or not isinstance(options, dict):
+            raise OutOfStepError(f"the process of its evaluation loop asked for {operation!r:.80}")
+        return cls(whom, operation, arguments, options, bool(head.get("ahead")))
+
+
+@dataclass(frozen=True)
+class Raised:
+    """What a loop, or deploy.py when it was imported, raised; none of its words are more than text.
+
+    Attributes:
+        kind: its type.
+        message: what it says.
+        is_told: whether it is what the loop was answered.
+    """
+
+    kind: str
+    message: str
+    is_told: bool = False
+
+    @classmethod
+    def parse(cls, head: object) -> Self:
+        """Return what was raised, as far as a message tells it."""
+        told = head.get("raised") if isinstance(head, dict) else None
+        told = told if isinstance(told, dict) else {}
+        return cls(_text(told.get("type")) or "an exception", _text(told.get("message")), bool(told.get("told")))
+
+
+def parsed(head: object, buffers: Sequence[Data], shown: Shown) -> Question | Raised | None:
+    """Return what a loop that plays asks or raised; None where it has returned.
+
+    Raises:
+        OutOfStepError: it is none of these.
+    """
+    if not isinstance(head, dict) or not isinstance(head.get("raised", {}), dict):
+        raise OutOfStepError("the process of its evaluation loop fell out of step")
+    if "ask" in head:
+        return Question.parse(head, buffers, shown)
+    return Raised.parse(head) if "raised" in head else None
+
+
+def functions(head: object) -> frozenset[str] | Raised:
+    """Return the names of the functions in a deploy.py that was imported, or what it raised."""
+    if not isinstance(head, dict) or not isinstance(head.get("functions"), list):
+        return Raised.parse(head)
+    return frozenset(name for name in head["functions"] if isinstance(name, str))
+
+
+def _text(given: object) -> str:
+    """Return a text that can be written down, in one line."""
+    text = given if isinstance(given, str) else ""
+    return " ".join(text.encode("utf-8", "replace").decode().split())[:_LONGEST]
