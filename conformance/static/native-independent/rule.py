@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.native.borrowed import borrowed
+from xpl_cli.audit.static.borrowed import borrowed
 from xpl_cli.audit.static.source import Source
 from xpl_cli.native import names
 
@@ -16,8 +16,7 @@ def native_independent(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Reads native.py, and the files of the package that it imports: none of them imports `xpl` or the adapter's model.py,
-    also not by importlib, by its path, or by a folder on `sys.path`, and none opens policy.yml. Recording
-    (`xpl native record`) looks at what is imported in the end.
+    and none names policy.yml. Recording (`xpl native record`) looks at what is imported in the end, by whatever way.
 
     ## Why it matters
     Parity holds the adapter against the authors' own pre- and post-processing. Where both go through the same code, a

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, Proof, rule
-from xpl_cli.audit.static.native.places import standing
+from xpl_cli.audit.static.borrowed import standing
 from xpl_cli.audit.static.reading import inside, read
 from xpl_cli.audit.static.source import Source
 from xpl_cli.native import names
