@@ -1,2 +1,0 @@
-KEYS = ("left", "right")
-DELTA = True

@@ -1,7 +1,0 @@
-"""Answers of the model."""
-
-def answers(config):
-    def answer(episode):
-        return []
-
-    return answer
