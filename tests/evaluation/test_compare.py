@@ -13,8 +13,9 @@ from tests.support.places import ROOT
 from tests.support.recordings.runs import Faults, renamed, synthetic
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.statistics import comparison, intervals, verdicts
+from xpl_cli.evaluation.statistics import intervals, verdicts
 from xpl_cli.evaluation.statistics.comparison import IncomparableError, compare
+from xpl_cli.evaluation.statistics.comparisons import Comparison
 from xpl_cli.evaluation.statistics.intervals import Pairs
 from xpl_cli.standard.validate import validate
 
@@ -194,7 +195,7 @@ def test_the_command_prints_text_or_json(runs: tuple[Path, Path], tmp_path: Path
     assert (done.returncode, done.stderr) == (ExitCode.CLEAN, "")
     assert done.stdout.startswith("Bar is better than Foo: ")
     done = xpl("compare", "foo", "bar/records.jsonl", "--json", cwd=tmp_path)
-    assert json.loads(done.stdout)["schema"] == comparison.Comparison.schema
+    assert json.loads(done.stdout)["schema"] == Comparison.schema
 
 
 def test_exit_codes(runs: tuple[Path, Path], tmp_path: Path) -> None:

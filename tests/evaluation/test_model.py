@@ -11,7 +11,7 @@ import pytest
 from tests.support.recordings.runs import episode, synthetic
 from xpl_cli.evaluation.leaderboard import ranking
 from xpl_cli.evaluation.records import lines, model, records
-from xpl_cli.evaluation.statistics import comparison, course, summary
+from xpl_cli.evaluation.statistics import comparisons, summaries
 from xpl_cli.standard import spec
 from xpl_cli.standard.validate import validate
 from xpl_cli.submission import bundle, claims
@@ -45,15 +45,15 @@ _ANSWER = {"schema", "next"}
         (bundle.Checkpoints, _SUBMISSION["$defs"]["checkpoints"], set()),
         (claims.Claim, _SUBMISSION["properties"]["runs"]["items"], set()),
         (claims.CellClaim, _SUBMISSION["$defs"]["cell"], set()),
-        (summary.Summary, _SUMMARY, _ANSWER),
-        (summary.Row, _SUMMARY["$defs"]["row"], set()),
-        (summary.Contrast, _SUMMARY["properties"]["contrasts"]["items"], set()),
-        (course.Course, _COURSE, set()),
-        (course.Latency, _COURSE["properties"]["inference"], set()),
-        (course.Error, _COURSE["properties"]["errors"]["items"], set()),
-        (comparison.Comparison, _COMPARISON, _ANSWER),
-        (comparison.Side, _COMPARISON["$defs"]["side"], set()),
-        (comparison.Row, _COMPARISON["$defs"]["row"], set()),
+        (summaries.Summary, _SUMMARY, _ANSWER),
+        (summaries.Row, _SUMMARY["$defs"]["row"], set()),
+        (summaries.Contrast, _SUMMARY["properties"]["contrasts"]["items"], set()),
+        (summaries.Course, _COURSE, set()),
+        (summaries.Latency, _COURSE["properties"]["inference"], set()),
+        (summaries.Error, _COURSE["properties"]["errors"]["items"], set()),
+        (comparisons.Comparison, _COMPARISON, _ANSWER),
+        (comparisons.Side, _COMPARISON["$defs"]["side"], set()),
+        (comparisons.Row, _COMPARISON["$defs"]["row"], set()),
         (ranking.Ranking, _LEADERBOARD, _ANSWER),
         (ranking.Row, _LEADERBOARD["$defs"]["row"], set()),
         (ranking.FieldDifference, _LEADERBOARD["properties"]["differences"]["items"], set()),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.leaderboard.field import Field
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.evaluation.statistics.intervals import Interval
-    from xpl_cli.evaluation.statistics.summary import Summary
+    from xpl_cli.evaluation.statistics.summaries import Summary
 
 SUCCESS, SCORE = "success", "score"
 ALPHA = 0.05

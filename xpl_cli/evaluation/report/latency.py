@@ -12,7 +12,7 @@ from xpl_cli.evaluation.statistics.course import bin_edge
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-    from xpl_cli.evaluation.statistics.course import Latency
+    from xpl_cli.evaluation.statistics.summaries import Latency
 
 _STEP = 2
 """Bins from one label to the next: every other edge doubles the time."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from xpl_cli.evaluation.records.model import PlannedCell
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.summary import Summary
+    from xpl_cli.evaluation.statistics.summaries import Summary
 
 _MOST_RANGES = 4
 

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.course import Course
-    from xpl_cli.evaluation.statistics.summary import Row, Summary
+    from xpl_cli.evaluation.statistics.summaries import Course, Row, Summary
 
 _COLOURS = 5  # of settings, in page.css
 _MOST_REASONS = 8

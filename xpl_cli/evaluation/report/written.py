@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from xpl_cli.evaluation.records.records import Run
-    from xpl_cli.evaluation.statistics.summary import Summary
+    from xpl_cli.evaluation.statistics.summaries import Summary
 
 SCHEMA = "xpl.report/1"
 FOLDER = "report"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from xpl_cli.evaluation.records.cells import Cell
-    from xpl_cli.evaluation.statistics.summary import Row, Summary
+    from xpl_cli.evaluation.statistics.summaries import Row, Summary
 
 _NARROW = 0.2
 _MANY = 10

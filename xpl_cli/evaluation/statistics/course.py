@@ -4,67 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.statistics import cautions
+from xpl_cli.evaluation.statistics.summaries import Course, Error, Latency
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from xpl_cli.evaluation.records.records import Run
-
-
-@dataclass(frozen=True)
-class Latency:
-    """The round trips of all attempts together.
-
-    Attributes:
-        count, seconds, histogram: as in a record.
-        p50, p95, p99: time in s that a share of them did not exceed; None without any.
-    """
-
-    count: int
-    seconds: float
-    histogram: Sequence[int]
-    p50: float | None
-    p95: float | None
-    p99: float | None
-
-
-@dataclass(frozen=True)
-class Error:
-    """What ended attempts, whose failure it was, and how often."""
-
-    failure: str | None
-    error: str
-    count: int
-
-
-@dataclass(frozen=True)
-class Course:
-    """What all attempts at a run's episodes took.
-
-    Attributes:
-        attempts: number of them.
-        retried: how many were made again.
-        beyond: final episodes that do not count, because their cell had ended before them.
-        wall_seconds: of all attempts, one after the other.
-        machines: number of machines, or sets of library versions.
-        inference: round trips to the policy.
-        errors: the most frequent first.
-        notes: what else should be known of it, in sentences.
-    """
-
-    attempts: int
-    retried: int
-    beyond: int
-    wall_seconds: float
-    machines: int
-    inference: Latency
-    errors: Sequence[Error]
-    notes: Sequence[str]
 
 
 def course(run: Run, beyond: int) -> Course:

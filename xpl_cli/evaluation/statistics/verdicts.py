@@ -10,7 +10,7 @@ from xpl_cli.evaluation.statistics.wording import NOTHING, aligned, many, percen
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from xpl_cli.evaluation.statistics.comparison import Comparison, Row
+    from xpl_cli.evaluation.statistics.comparisons import Comparison, Row
 
 _ALPHA: Final = 0.05
 _LEAST: Final = 0.001

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from xpl_cli.evaluation.statistics.intervals import Interval
-    from xpl_cli.evaluation.statistics.summary import Row, Summary
+    from xpl_cli.evaluation.statistics.summaries import Row, Summary
 
 
 class Rated(Protocol):

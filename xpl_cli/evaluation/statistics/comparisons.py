@@ -1,0 +1,114 @@
+"""The comparison of two runs, as spec/v1/comparison.schema.json has it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from xpl_cli.evaluation.statistics.documents import Document
+
+if TYPE_CHECKING:
+    from xpl_cli.evaluation.statistics.intervals import Interval
+    from xpl_cli.evaluation.statistics.matching import Difference
+
+
+@dataclass(frozen=True)
+class Methods:
+    """How a comparison is computed."""
+
+    test: str = "mcnemar_exact"
+    interval: str = "newcombe_paired"
+    score: str = "bootstrap"
+    correction: str = "holm"
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two runs: where it lies, its name, and what its plan says."""
+
+    folder: str
+    run: str
+    policy: str
+    checkpoint: str | None
+    environment: str
+    embodiment: str
+    action_type: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """The comparison on one task and setting, or on all.
+
+    Attributes:
+        task, setting: None for all.
+        pairs: episodes that both played.
+        both, only_first, only_second, neither: in how many of them these succeeded.
+        first_rate, second_rate: success rates.
+        difference, interval: second minus first.
+        p_value: of "neither is better".
+        score_difference, score_interval: of the mean scores; None where there are none.
+        adjusted_p_value: corrected for the number of rows; None for all together.
+    """
+
+    task: str | None
+    setting: str | None
+    pairs: int
+    both: int
+    only_first: int
+    only_second: int
+    neither: int
+    first_rate: float
+    second_rate: float
+    difference: float
+    interval: Interval
+    p_value: float
+    score_difference: float | None
+    score_interval: Interval | None
+    adjusted_p_value: float | None = None
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Episodes of each run that have no partner that counts."""
+
+    first: int
+    second: int
+
+
+@dataclass(frozen=True)
+class Comparison(Document):
+    """Two runs on the episodes that both played.
+
+    Attributes:
+        first, second: the runs.
+        confidence, methods: of all figures.
+        differences: in what the runs differ besides the policy.
+        left_out: episodes without a partner.
+        same_trajectories: pairs in which both moved exactly alike.
+        known_layouts: pairs of which both records tell that things stood alike.
+        cells, overall: the rows.
+        verdict: the answer in a sentence.
+        notes: what the data do not show, in sentences.
+    """
+
+    schema: ClassVar[str] = "xpl.comparison/1"
+
+    first: Side
+    second: Side
+    confidence: float
+    methods: Methods
+    differences: Sequence[Difference]
+    left_out: LeftOut
+    same_trajectories: int
+    known_layouts: int
+    cells: Sequence[Row]
+    overall: Row
+    verdict: str = ""
+    notes: Sequence[str] = ()
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """What to call the two: their policies, or their folders where these are equal."""
+        one, other = self.first, self.second
+        return (one.policy, other.policy) if one.policy != other.policy else (one.folder, other.folder)
