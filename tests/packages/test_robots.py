@@ -84,7 +84,6 @@ def test_it_is_scaffolded_audited_and_evaluated(project: Path) -> None:
     listed = json.loads(xpl("spec", "show", "--json", cwd=project).stdout)["value"]["robots"]
     assert listed["desk_arm"]["from"] == "embodiments/desk_arm.yml"
     assert listed["so101"]["from"].startswith("spec/robots")
-    assert listed["franka"]["from"] == "the standard"
 
 
 def test_an_audit_notices_that_a_robot_is_another_one(project: Path, tmp_path: Path) -> None:
