@@ -1,17 +1,15 @@
 "use strict";
 (() => {
-  const PAGE = 50, LEAST_SPAN = 0.005, SVG = "http://www.w3.org/2000/svg", LIVE = Number(document.body.dataset.live || 0);
+  const PAGE = 50, LEAST_SPAN = 0.005, SVG = "http://www.w3.org/2000/svg";
   const $ = (id) => document.getElementById(id);
   const list = document.querySelector("#list tbody");
-  let data, order = [], first = 0, open = null;
+  const data = JSON.parse($("data").textContent);
+  let order = [], first = 0, open = null;
 
   // --- Data: columns of numbers, and of places in a pool of values ---------------------------------------------------
 
-  function load() {
-    data = JSON.parse($("data").textContent);
-    data.shared = new Set(data.episodes.shared);
-    data.byIndex = new Map(data.episodes.columns.index.map((index, row) => [index, row]));
-  }
+  data.shared = new Set(data.episodes.shared);
+  data.byIndex = new Map(data.episodes.columns.index.map((index, row) => [index, row]));
 
   function get(name, row) {
     const value = data.episodes.columns[name][row];
@@ -22,7 +20,7 @@
 
   function marks(row) {
     const has = media(row);
-    return [has.film && "film", (has.curves || (LIVE && has.trace)) && "curves"].filter(Boolean);
+    return [has.film && "film", has.curves && "curves"].filter(Boolean);
   }
 
   // --- Elements ------------------------------------------------------------------------------------------------------
@@ -49,11 +47,8 @@
 
   function options() {
     for (const name of ["task", "setting", "outcome"]) {
-      const select = $(name), chosen = select.value;
       const known = [...new Set(data.episodes.columns[name])].map((place) => data.episodes.values[place]);
-      const rest = known.map((value) => el("option", { value, textContent: value }));
-      select.replaceChildren(select.options[0], ...rest);
-      if (known.includes(chosen)) select.value = chosen;
+      $(name).append(...known.map((value) => el("option", { value, textContent: value })));
     }
   }
 
@@ -149,7 +144,6 @@
     look.append(pairs);
     const cell = el("td", { className: "detail", colSpan: 10 }, look);
     if (has.curves) cell.append(curves(has.curves));
-    else if (has.trace && LIVE) fetchCurves(index, cell);
     else if (has.trace) cell.append(el("p", { className: "soft small" }, "The curves of this episode are not embedded; they are in ", el("a", { href: has.trace, textContent: has.trace }), "."));
     return el("tr", {}, cell);
   }
@@ -159,11 +153,6 @@
     const image = el("img", { src: what.source, alt: "film of the episode" });
     image.addEventListener("error", () => image.replaceWith(el("p", { className: "soft small", textContent: `The film is not beside this page: ${what.source}` })));
     return image;
-  }
-
-  async function fetchCurves(index, cell) {
-    const answer = await fetch(`curves/${index}.json`).catch(() => null);
-    if (answer && answer.ok) cell.append(curves(await answer.json()));
   }
 
   function decode(text, low, high) {
@@ -232,50 +221,8 @@
     return { figure: el("figure", { className: "panel" }, caption, box), point };
   }
 
-  // --- A run that grows ------------------------------------------------------------------------------------------------
-
-  let tag = null;
-
-  async function renew() {
-    let pause = LIVE;
-    try {
-      const answer = await fetch("./", { cache: "no-store", headers: tag ? { "If-None-Match": tag } : {} });
-      if (answer.status === 200) {
-        tag = answer.headers.get("ETag");
-        replace(new DOMParser().parseFromString(await answer.text(), "text/html"));
-      }
-      if (answer.ok || answer.status === 304) lost(false);
-    } catch {
-      lost(true);
-      pause = 5 * LIVE;
-    }
-    setTimeout(renew, 1000 * pause);
-  }
-
-  function replace(page) {
-    document.title = page.title;
-    for (const part of document.querySelectorAll("main > section, #head")) {
-      const next = page.getElementById(part.id);
-      if (next && part.id !== "episodes") part.replaceChildren(...next.childNodes);
-    }
-    $("shown").textContent = page.getElementById("shown").textContent;
-    const text = page.getElementById("data").textContent;
-    if (text === $("data").textContent) return;
-    $("data").textContent = text;
-    load();
-    options();
-    filter();
-  }
-
-  function lost(gone) {
-    const state = document.querySelector(".state");
-    state.classList.toggle("lost", gone);
-    state.title = gone ? "no answer from the server of this page; what is shown is the last that it said" : "";
-  }
-
   // --- Begin -----------------------------------------------------------------------------------------------------------
 
-  load();
   options();
   filter();
   for (const name of ["task", "setting", "outcome", "media"]) $(name).addEventListener("change", () => { first = 0; filter(); });
@@ -293,5 +240,4 @@
   const wanted = () => { const found = /^#episode-(\d+)$/.exec(location.hash); if (found) reveal(Number(found[1])); };
   addEventListener("hashchange", wanted);
   wanted();
-  if (LIVE) renew();
 })();

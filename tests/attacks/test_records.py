@@ -179,7 +179,7 @@ def test_what_is_no_file_is_refused_and_nothing_waits(kind: str, tmp_path: Path)
             stream.truncate(1 << 40)
     else:
         file.symlink_to(file if kind == "a loop of links" else "/dev/zero")
-    for command in (["report"], ["leaderboard"], ["compare", str(run)], ["report", "--serve"]):
+    for command in (["report"], ["leaderboard"], ["compare", str(run)]):
         ended = xpl(*command, run)
         assert problem(ended, (4,)) is None, ended
         assert "error: " in ended.stderr

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,7 +13,7 @@ from tests.support.recordings.runs import Faults, synthetic
 from xpl_cli.evaluation.leaderboard import field, ranking
 from xpl_cli.evaluation.leaderboard import written as board
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.report import live, written
+from xpl_cli.evaluation.report import written
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -136,23 +135,6 @@ def test_texts_of_others_stay_texts(page: Page, tmp_path: Path) -> None:
     assert HOSTILE in _text(page, ".detail")
     assert HOSTILE in _text(page, "#failures")
     assert _fits(page)
-
-
-@pytest.mark.slow
-def test_a_growing_page_grows_and_keeps_what_is_open(page: Page, tmp_path: Path) -> None:
-    """New episodes appear by themselves; the one that is being looked at stays open, with curves from the server."""
-    folder = synthetic(tmp_path / "foo", episodes=10, played=12, traces=2, films=2)
-    more = synthetic(tmp_path / "more", episodes=10, played=31, traces=2, films=2)
-    with live.serving(folder) as url:
-        page.open(url)
-        page("document.querySelector('#episode-0').click()")
-        assert _text(page, ".state") == "12 of 40 episodes"
-        shutil.copy(more / records.FILE, folder / records.FILE)
-        wait_until(lambda: _text(page, ".state") == "31 of 40 episodes", "the page has grown")
-        assert _text(page, "#place") == "1 to 31 of 31"
-        wait_until(
-            lambda: page("document.querySelectorAll('tr.open + tr .panel').length") == 14, "the curves are there"
-        )
 
 
 @pytest.mark.sampled(1)

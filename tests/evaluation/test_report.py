@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import csv
 import hashlib
-import http.client
 import io
 import json
 import re
 import shutil
-import signal
-import subprocess
-import sys
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
-from tests.support.peer import DEADLINE_S, wait_until, xpl
+from tests.support.peer import xpl
 from tests.support.recordings.runs import Faults, synthetic
 from tests.support.work import calls
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
-from xpl_cli.evaluation.report import curves, episodes, live, media, phrases, written
+from xpl_cli.evaluation.report import curves, episodes, media, phrases, written
 from xpl_cli.evaluation.statistics.summary import summarise
 from xpl_cli.standard.validate import validate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 MUCH = 1 << 30
@@ -267,75 +260,3 @@ def test_times_are_for_people(seconds: float, said: str) -> None:
 def test_differences_have_a_sign_and_no_negative_zero() -> None:
     """Points are whole; a little less than nothing is nothing."""
     assert [phrases.points(value) for value in (0.123, -0.051, -0.001)] == ["+12", "\N{MINUS SIGN}5", "+0"]
-
-
-# --- The page of a run that grows -------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def growing(tmp_path: Path) -> Iterator[tuple[Path, http.client.HTTPConnection]]:
-    """Yield a run that is being played, and a connection to the server of its page."""
-    run = synthetic(tmp_path / "foo", episodes=5, played=7, traces=1, films=1)
-    with live.serving(run) as url:
-        connection = http.client.HTTPConnection(url.removeprefix("http://").rstrip("/"), timeout=DEADLINE_S)
-        yield run, connection
-        connection.close()
-
-
-def _get(connection: http.client.HTTPConnection, path: str, **headers: str) -> tuple[int, bytes, str | None]:
-    connection.request("GET", path, headers=headers)
-    answer = connection.getresponse()
-    return answer.status, answer.read(), answer.getheader("ETag")
-
-
-def test_a_growing_run_is_shown_again_only_when_it_has_grown(
-    growing: tuple[Path, http.client.HTTPConnection], tmp_path: Path
-) -> None:
-    """The same page is not sent twice; a new one follows the record."""
-    run, connection = growing
-    status, page, tag = _get(connection, "/")
-    assert status == 200
-    assert b"7 of 20 episodes" in page
-    assert tag is not None
-    assert _get(connection, "/", **{"If-None-Match": tag})[:2] == (304, b"")
-    more = synthetic(tmp_path / "more", episodes=5, played=9, traces=1, films=1)
-    shutil.copy(more / records.FILE, run / records.FILE)
-    wait_until(lambda: b"9 of 20 episodes" in _get(connection, "/")[1], "the page has grown")
-
-
-def test_the_server_gives_away_what_the_record_names_and_nothing_else(
-    growing: tuple[Path, http.client.HTTPConnection],
-) -> None:
-    """Films and curves of episodes; no other file, wherever it lies, and no other site may ask."""
-    run, connection = growing
-    assert _get(connection, "/films/0.webp")[1] == (run / "films/0.webp").read_bytes()
-    assert json.loads(_get(connection, "/curves/0.json")[1])["chunks"][0] == 0
-    for path in (
-        "/records.jsonl",
-        "/films/1.webp",
-        "/../foo/records.jsonl",
-        "/%2e%2e/foo/records.jsonl",
-        "/curves/1.json",
-    ):
-        assert _get(connection, path)[0] == 404
-    assert _get(connection, "/", Host="evil.example")[0] == 421
-
-
-def test_the_command_serves_until_it_is_told_to_end(tmp_path: Path) -> None:
-    """The address is printed once the page is there; an interrupt is the usual end."""
-    run = synthetic(tmp_path / "foo", episodes=2)
-    command = [sys.executable, "-m", "xpl_cli", "report", str(run), "--serve"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        address = urlsplit(process.stdout.readline().strip()).netloc
-        with contextlib.closing(http.client.HTTPConnection(address, timeout=DEADLINE_S)) as connection:
-            assert b"complete" in _get(connection, "/")[1]
-        process.send_signal(signal.SIGINT)
-        assert process.wait(DEADLINE_S) == ExitCode.CLEAN
-
-
-def test_a_port_that_is_taken_is_named(growing: tuple[Path, http.client.HTTPConnection]) -> None:
-    """The command says which."""
-    run, connection = growing
-    with pytest.raises(UserError, match=f"127.0.0.1:{connection.port} cannot be listened on"):
-        live.server(run, connection.port)

@@ -14,14 +14,13 @@ from xpl_cli.basics.content import room
 from xpl_cli.basics.strangers import harmless
 
 
-def render(template: str, *, style: str, script: str | None = None, live: bool = False, **values: Any) -> str:
+def render(template: str, *, style: str, script: str | None = None, **values: Any) -> str:
     """Return a page from a template of templates/.
 
     Args:
         template: its file there, such as `report/page.html.jinja`.
         style: file of its styles.
         script: file of its script, if it has one.
-        live: whether the script may ask the server that the page came from.
         values: what the template shows; texts are escaped there.
     """
     import jinja2
@@ -32,7 +31,7 @@ def render(template: str, *, style: str, script: str | None = None, live: bool =
     environment = jinja2.Environment(
         undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown
     )
-    security = _policy(css, js, live=live)
+    security = _policy(css, js)
     return environment.from_string(_read(template)).render(
         css=css, script=js, security=security, version=__version__, **values
     )
@@ -53,7 +52,7 @@ def _read(name: str) -> str:
     return (room("templates") / name).read_text(encoding="utf-8")
 
 
-def _policy(css: str, script: str, *, live: bool) -> str:
+def _policy(css: str, script: str) -> str:
     """Return the content security policy: our style and script, films beside the page, and no network."""
     parts = {
         "default-src": "'none'",
@@ -61,7 +60,7 @@ def _policy(css: str, script: str, *, live: bool) -> str:
         "script-src": _hash(script) if script else "'none'",
         "img-src": "data: file: 'self'",
         "media-src": "data: file: 'self'",
-        "connect-src": "'self'" if live else "'none'",
+        "connect-src": "'none'",
         "base-uri": "'none'",
         "form-action": "'none'",
     }

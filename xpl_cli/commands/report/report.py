@@ -18,10 +18,6 @@ def report(
     embed: float = typer.Option(
         16.0, min=0.0, metavar="MB", help="Films and curves that the page itself holds; the rest is linked."
     ),
-    serve: bool = typer.Option(
-        False, "--serve", help="Show the page of one run, which may still grow, on this machine."
-    ),
-    port: int = typer.Option(0, min=0, max=65535, help="Port for --serve; 0: any that is free."),
     skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object for each run, one a line."),
 ) -> None:
@@ -35,11 +31,8 @@ def report(
     from xpl_cli.basics.errors import UserError
     from xpl_cli.evaluation.report import written
 
-    if (serve or out is not None) and len(runs) > 1:
-        raise UserError(f"{'--serve' if serve else '--out'} takes one run, got {len(runs)}")
-    if serve:
-        _serve(runs[0], port)
-        return
+    if out is not None and len(runs) > 1:
+        raise UserError(f"--out takes one run, got {len(runs)}")
     for run in reading.runs(runs, skip=skip_bad_lines):
         folder = out or run.folder / written.FOLDER
         document = written.write(run, folder, int(embed * 1e6))
@@ -47,17 +40,3 @@ def report(
             console.data(json.dumps({**document, "next": []}, ensure_ascii=False))
         else:
             console.data(str(folder / written.PAGE))
-
-
-def _serve(folder: Path, port: int) -> None:
-    import contextlib
-
-    from xpl_cli.basics import console
-    from xpl_cli.evaluation.report import live
-
-    with live.server(folder, port) as server:
-        console.data(live.address(server))
-        console.note("Ctrl-C ends it")
-        # Ctrl-C is how this is meant to end.
-        with contextlib.suppress(KeyboardInterrupt):
-            server.serve_forever()

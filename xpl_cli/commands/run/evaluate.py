@@ -48,7 +48,6 @@ def evaluate(
         help="Seed of the first episode; deploy.yml's by default. With --out its place among the evaluation seeds.",
     ),
     out: Path | None = typer.Option(None, metavar="DIR", help="Record the run there, episode by episode."),
-    serve: bool = typer.Option(False, "--serve", help="Show the growing report of --out on a page of this machine."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the run in --out."),
     until_width: float | None = typer.Option(
         None, metavar="W", help="End a task once the 95 % interval of its success rate is no wider than W, such as 0.2."
@@ -162,7 +161,6 @@ def evaluate(
                 out=out,
                 wishes=wishes,
                 resume=resume,
-                serve=serve,
                 room=Room(backend, 1 if is_batch else backends.lanes_of(workers), servers, policy_gpus),
                 films=film,
                 overrides=overrides if env is None else with_robot(adapter, env, overrides),

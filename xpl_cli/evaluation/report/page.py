@@ -15,25 +15,20 @@ if TYPE_CHECKING:
     from xpl_cli.evaluation.statistics.summaries import Summary
 
 
-def render(
-    run: Run, summary: Summary, media: Mapping[str, Mapping[str, Any]], *, renew_seconds: float | None = None
-) -> str:
+def render(run: Run, summary: Summary, media: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the page of a run.
 
     Args:
         run: the run.
         summary: of it, `xpl.summary/1`.
         media: what is shown of which episode (`media.shown`).
-        renew_seconds: how often the page asks where it came from whether the run has grown; None for a file.
     """
     return pages.render(
         "report/page.html.jinja",
         style="report/page.css",
         script="report/page.js",
-        live=renew_seconds is not None,
         view=view(run, summary, _media_said(media)),
         data=pages.as_json({"episodes": episodes.packed(run), "media": media}),
-        renew_seconds=renew_seconds,
     )
 
 

@@ -26,7 +26,7 @@ from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from xpl_cli.evaluation.lanes.backend import Backend
@@ -47,7 +47,6 @@ class Request:
         out: folder of the run.
         wishes: what of the environment is played; None on resuming: what the record says.
         resume: whether a record that is there is continued.
-        serve: whether a page on this machine shows the report as it grows.
         room: where it is played.
         films: episodes of each cell that are filmed.
         overrides: keys of deploy.yml.
@@ -67,7 +66,6 @@ class Request:
     out: Path
     wishes: Wishes | None
     resume: bool = False
-    serve: bool = False
     room: Room = field(default_factory=Room)
     films: int = 1
     overrides: Mapping[str, Any] = field(default_factory=dict)
@@ -108,7 +106,6 @@ def evaluate(request: Request) -> Run:
         if schedule.is_done:
             return records.read(request.out)
         with (
-            _served(request),
             contextlib.closing(_backend(request, lane_orders, server_orders, schedule.left)) as backend,
             view(run, schedule.left) as shown,
         ):
@@ -134,19 +131,6 @@ def _planned(request: Request) -> tuple[Path, Plan]:
     for task, reason in planned.left_out.items():
         console.note(f"{task} is left out: {planned.plan.embodiment} cannot play it ({reason})")
     return folder, planned.plan
-
-
-@contextlib.contextmanager
-def _served(request: Request) -> Iterator[None]:
-    """Show the growing report for the length of a `with` block, where that is wanted."""
-    if not request.serve:
-        yield
-        return
-    from xpl_cli.evaluation.report.live import serving
-
-    with serving(request.out) as url:
-        console.note(f"the report, as it grows: {url}")
-        yield
 
 
 def _enough(width: float | None) -> Callable[[Sequence[bool | None]], bool]:
