@@ -21,6 +21,7 @@ _FEWEST_CUTS = 3
 _COORDINATES = 6
 _FIX = Fix("advice", "ask self.embodiment, or use xpl.action.pack and unpack, which do")
 
+_OLD = re.compile(r"legacy|compat|deprecated|(?:^|_)old(?:_|$)", re.IGNORECASE)
 _ROBOT = re.compile(r"robot|embodiment|env_cfg", re.IGNORECASE)
 
 
@@ -50,7 +51,7 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks for joint and gripper values that are cut at constants, and for packed vectors that are taken apart by three
     or more constant slices which are the layout of a robot. What runs only for a robot that the code asks for by its
-    name is left alone.
+    name, or is kept for old checkpoints, is left alone.
 
     ## Why it matters
     On a robot with seven joints the seventh is dropped, or taken for the gripper. Shapes still fit, so that the arm
@@ -75,10 +76,15 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
 
 
 def _is_guarded(node: ast.AST, function: Function) -> bool:
-    """Tell whether code runs for one robot only, that it asks for by name."""
+    """Tell whether code runs for one robot only, that it asks for by name, or for what was trained long ago."""
+    if _OLD.search(function.name):
+        return True
     inner = node
     for outer in enclosing(node, function.up):
-        if isinstance(outer, (ast.If, ast.IfExp)):
+        if isinstance(outer, (ast.If, ast.IfExp)) and inner is not outer.test:
+            words = {last(dotted(child)) for child in ast.walk(outer.test)} | texts(outer.test)
+            if any(_OLD.search(word) for word in words if word):
+                return True
             body = outer.body if isinstance(outer.body, list) else [outer.body]
             if inner in body and _names_robot(outer.test):
                 return True
