@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import Any, Final
+from typing import Final
 
 from xpl._spec import Deploy, File
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Finding, Fix, Location, NotApplicable, rule
 from xpl_cli.audit.static.scripts.flow import place, talks
 from xpl_cli.audit.static.shell import Word
 from xpl_cli.audit.static.source import Source
@@ -106,7 +106,7 @@ def _expanded(texts: Iterable[str]) -> Counter[str]:
     return Counter(first or second for first, second in _EXPANSION.findall("\n".join(texts)))
 
 
-def _finding(name: str, argument: str, at: dict[str, Any] | None, got: str) -> Finding:
+def _finding(name: str, argument: str, at: Location | None, got: str) -> Finding:
     return Finding(
         f"{name} ignores {argument}: {_CONSEQUENCES[argument]}",
         **(at or {"path": name, "line": 1, "column": 1}),

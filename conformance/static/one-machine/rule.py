@@ -5,10 +5,10 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, Location, rule
 from xpl_cli.audit.static.scripts.flow import is_tried, place, scripts
 from xpl_cli.audit.static.shell import Command, Script, Word
 from xpl_cli.audit.static.source import Source
@@ -88,12 +88,12 @@ def _words(script: Script) -> Iterator[Word]:
             yield from command.words
 
 
-def _folder(at: dict[str, Any], path: str) -> Finding:
+def _folder(at: Location, path: str) -> Finding:
     message = f"{path} exists on its author's machine only: elsewhere nothing is found there"
     return _finding(at, message, "a path from the configuration, the environment, or the adapter's folder", path)
 
 
-def _finding(at: dict[str, Any], message: str, expected: str, got: str) -> Finding:
+def _finding(at: Location, message: str, expected: str, got: str) -> Finding:
     return Finding(message, **at, expected=expected, got=got, fix=Fix("advice", f"take {expected}"))
 
 

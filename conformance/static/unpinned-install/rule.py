@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Finding, Fix, Location, NotApplicable, rule
 from xpl_cli.audit.static import vendored
 from xpl_cli.audit.static.manifests import key_line
 from xpl_cli.audit.static.scripts.flow import place, runs
@@ -128,7 +128,7 @@ def _plain(name: str) -> str:
     return name.lower().replace("_", "-")
 
 
-def _finding(at: dict[str, Any], names: list[str]) -> Finding:
+def _finding(at: Location, names: list[str]) -> Finding:
     listed = ", ".join(names)
     return Finding(
         f"whoever installs later gets other versions of {listed}: weights or actions may differ from those tested",

@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from xpl_cli.basics.errors import ExitCode
 
@@ -73,6 +73,16 @@ class Fix:
     kind: str
     text: str
     edits: tuple[Edit, ...] = ()
+
+
+class Location(TypedDict, total=False):
+    """Where a `Finding` is: file, and 1-based lines and columns counted in characters."""
+
+    path: str
+    line: int
+    column: int
+    end_line: int
+    end_column: int
 
 
 @dataclass(frozen=True)

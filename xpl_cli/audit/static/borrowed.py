@@ -17,8 +17,7 @@ from xpl_cli.native import names
 from xpl_cli.native.reading import Import, Place, read_tree
 
 if TYPE_CHECKING:
-    from typing import Any
-
+    from xpl_cli.audit.rules.model import Location
     from xpl_cli.audit.static.source import Source
 
 _MODEL = sdk.File.MODEL_PY.removesuffix(".py")
@@ -37,7 +36,7 @@ class Borrowed:
 
     what: str
     by: str
-    place: dict[str, Any]
+    place: Location
 
 
 def borrowed(source: Source) -> Iterator[Borrowed]:
@@ -55,8 +54,8 @@ def borrowed(source: Source) -> Iterator[Borrowed]:
                 yield Borrowed(sdk.File.POLICY_YML, "names the file of", source.at(file, node))
 
 
-def standing(source: Source, name: str, place: Place) -> dict[str, Any]:
-    """Return a place of a Python file for a `Finding`: file, and 1-based lines and columns counted in characters."""
+def standing(source: Source, name: str, place: Place) -> Location:
+    """Return a place of a Python file for a `Finding`."""
     node = ast.Pass(
         lineno=place.line, col_offset=place.column, end_lineno=place.end_line, end_col_offset=place.end_column
     )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from xpl_cli.audit.rules.model import Edit, Finding, Fix
+from xpl_cli.audit.rules.model import Edit, Finding, Fix, Location
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def key_line(source: Source, name: str, key: str) -> int:
     return next((number for number, text in enumerate(lines, start=1) if re.match(rf"{re.escape(key)}\s*:", text)), 1)
 
 
-def place_in(source: Source, name: str, path: Sequence[str | int]) -> dict[str, Any]:
+def place_in(source: Source, name: str, path: Sequence[str | int]) -> Location:
     """Return where a value of a YAML file stands, for a `Finding`: file, and 1-based line and column."""
     from xpl_cli.standard.validate import mark_of
 

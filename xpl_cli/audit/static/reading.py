@@ -11,6 +11,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.basics.yaml import text as yaml_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -113,3 +114,17 @@ def _require_ascii(encoding: str) -> None:
     except UnicodeError:
         pass
     raise LookupError(f"{encoding} is no encoding for source: in it, ASCII stands for something else")
+
+
+def parsed_yaml(content: bytes) -> tuple[yaml_text.Document, tuple[str, int, int] | None]:
+    """Return what YAML holds, and why it does not parse, with line and column."""
+    import yaml
+
+    nothing = yaml_text.Document(None, None)
+    try:
+        return yaml_text.read(content), None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        return nothing, (str(error.problem or error), (mark.line + 1 if mark else 1), (mark.column + 1 if mark else 1))
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        return nothing, (" ".join(str(error).split()), 1, 1)

@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
 from xpl.manifest import Manifest
-from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.rules.model import Location, NotRun
 from xpl_cli.audit.static import reading
 from xpl_cli.audit.static.function import Function, Symbols
 from xpl_cli.audit.static.limits import TooMuchError, measured
 from xpl_cli.audit.static.reading import SIZE_LIMIT
 from xpl_cli.audit.static.shell import Script, parse
-from xpl_cli.basics.yaml import text as yaml_text
 from xpl_cli.standard import unknown
 
 if TYPE_CHECKING:
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from yaml import Node
 
     from xpl_cli.audit.static.syntax import FunctionNode
+    from xpl_cli.basics.yaml import text as yaml_text
 
 _LONGEST_PATH = 4096
 """Characters; no system takes a longer one."""
@@ -65,7 +65,7 @@ class Source:
     _functions: dict[int, Function] = field(default_factory=dict)
     _defined: dict[str, tuple[Function, ...]] = field(default_factory=dict)
     memory: dict[str, Symbols] = field(default_factory=dict)
-    views: dict[Any, Any] = field(default_factory=dict)
+    views: dict[object, Any] = field(default_factory=dict)
 
     @cached_property
     def files(self) -> tuple[str, ...]:
@@ -227,7 +227,7 @@ class Source:
         """
         if name not in self._yaml:
             self.text(name)
-            self._yaml[name] = _parsed_yaml(self._contents[name])
+            self._yaml[name] = reading.parsed_yaml(self._contents[name])
         return self._yaml[name][1]
 
     @cached_property
@@ -296,17 +296,19 @@ class Source:
                     found["." * level + module] = file
         return found
 
-    def at(self, name: str, node: ast.AST) -> dict[str, Any]:
-        """Return a node's place for a `Finding`: file, and 1-based lines and columns counted in characters."""
-        line, end = getattr(node, "lineno", 1), getattr(node, "end_lineno", None)
-        place = {"path": name, "line": line, "column": self._column(name, line, getattr(node, "col_offset", 0))}
+    def at(self, name: str, node: ast.AST) -> Location:
+        """Return a node's place for a `Finding`."""
+        place = self.start(name, node)
+        end = getattr(node, "end_lineno", None)
         if end is not None:
-            place |= {"end_line": end, "end_column": self._column(name, end, getattr(node, "end_col_offset", 0))}
+            place["end_line"] = end
+            place["end_column"] = self._column(name, end, getattr(node, "end_col_offset", 0))
         return place
 
-    def start(self, name: str, node: ast.AST) -> dict[str, Any]:
+    def start(self, name: str, node: ast.AST) -> Location:
         """Return where a node begins, for a `Finding` about something larger than a line."""
-        return {key: value for key, value in self.at(name, node).items() if not key.startswith("end")}
+        line = getattr(node, "lineno", 1)
+        return {"path": name, "line": line, "column": self._column(name, line, getattr(node, "col_offset", 0))}
 
     def commands(self, name: str) -> Script:
         """Return the commands of a shell script.
@@ -378,20 +380,6 @@ class Source:
             return (self.path / name).stat().st_size
         except OSError:  # it went away, which whoever reads it is told
             return 0
-
-
-def _parsed_yaml(content: bytes) -> tuple[yaml_text.Document, tuple[str, int, int] | None]:
-    """Return what YAML holds, and why it does not parse, with line and column."""
-    import yaml
-
-    nothing = yaml_text.Document(None, None)
-    try:
-        return yaml_text.read(content), None
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        return nothing, (str(error.problem or error), (mark.line + 1 if mark else 1), (mark.column + 1 if mark else 1))
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
-        return nothing, (" ".join(str(error).split()), 1, 1)
 
 
 def _expanded(text: str, values: dict[str, str]) -> str:

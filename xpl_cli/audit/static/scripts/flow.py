@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from xpl_cli.audit.static.shell import TESTS, Command, Script, Word
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from xpl_cli.audit.rules.model import Location
     from xpl_cli.audit.static.source import Source
 
 PYTHONS: Final = frozenset(("python", "python3", "torchrun", "accelerate", "deepspeed"))
@@ -33,7 +34,7 @@ def scripts(source: Source) -> Iterator[tuple[str, Script]]:
             yield name, source.commands(name)
 
 
-def place(name: str, word: Word) -> dict[str, Any]:
+def place(name: str, word: Word) -> Location:
     """Return where a word stands, for a `Finding`."""
     return {"path": name, "line": word.line, "column": word.column}
 
