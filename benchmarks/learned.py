@@ -2,7 +2,7 @@
 
     ./dev bench learned                                          what there is
     ./dev bench learned --policy ACT --task lift_cube            a GPU, and some minutes
-    ./dev bench learned --policy ACT_state --task mw-push        two cores
+    ./dev bench learned --policy ACT:state --task mw-push        two cores, the variant `state`
 
 Everything lies in results/learned/POLICY-TASK, the checkpoint in the package. Who is stopped goes on with the same
 command: recording and judging episode by episode, training where it was saved last. result.json is there when all is
@@ -82,31 +82,31 @@ RECIPES: dict[tuple[str, str], Recipe] = {
     ("ACT", "push_block"): _ours("push_block", images=True, batch=128, noise=0.01, steps=5692),
     ("DiffusionPolicy", "lift_cube"): _ours("lift_cube", images=True, batch=256, noise=0.03, steps=4961),
     ("DiffusionPolicy", "push_block"): _ours("push_block", images=True, batch=256, noise=0.03, steps=4998),
-    ("ACT_state", "lift_cube"): _ours("lift_cube", images=False, batch=64, noise=0.01, steps=8850),
-    ("ACT_state", "push_block"): _ours("push_block", images=False, batch=64, noise=0.01, steps=9250),
-    ("DiffusionPolicy_state", "lift_cube"): _ours(
+    ("ACT:state", "lift_cube"): _ours("lift_cube", images=False, batch=64, noise=0.01, steps=8850),
+    ("ACT:state", "push_block"): _ours("push_block", images=False, batch=64, noise=0.01, steps=9250),
+    ("DiffusionPolicy:state", "lift_cube"): _ours(
         "lift_cube", images=False, horizon=1, batch=256, noise=0.02, steps=9057
     ),
-    ("DiffusionPolicy_state", "push_block"): _ours(
+    ("DiffusionPolicy:state", "push_block"): _ours(
         "push_block", images=False, horizon=1, batch=256, noise=0.02, steps=9183
     ),
     ("ACT", "stack_blocks_two"): _ours("stack_blocks_two", images=True, batch=128, noise=0.01, steps=5196),
     ("DiffusionPolicy", "stack_blocks_two"): _ours("stack_blocks_two", images=True, batch=256, noise=0.03, steps=3843),
-    ("ACT_state", "stack_blocks_two"): _ours("stack_blocks_two", images=False, batch=256, noise=0.01, steps=13449),
-    ("DiffusionPolicy_state", "stack_blocks_two"): _ours(
+    ("ACT:state", "stack_blocks_two"): _ours("stack_blocks_two", images=False, batch=256, noise=0.01, steps=13449),
+    ("DiffusionPolicy:state", "stack_blocks_two"): _ours(
         "stack_blocks_two", images=False, horizon=1, batch=256, noise=0.02, steps=8621
     ),
     **{
         (policy, f"mw-{task}"): _metaworld(task, steps=steps)
         for policy, tasks in {
-            "ACT_state": {
+            "ACT:state": {
                 "push": 11932,
                 "pick-place": 11635,
                 "door-open": 11813,
                 "drawer-open": 11090,
                 "peg-insert-side": 12454,
             },
-            "DiffusionPolicy_state": {
+            "DiffusionPolicy:state": {
                 "push": 5562,
                 "pick-place": 5350,
                 "door-open": 5305,
@@ -157,7 +157,8 @@ def stages(recipe: Recipe, package: Path, out: Path, asked: argparse.Namespace) 
         yield Stage("install", ("install", str(package)))
     sets = json.dumps([str(demo) for demo in demos.values()])
     keys = {"ckpt_name": asked.name, "env_cfg_type": recipe.robot, "demonstrations": sets, **recipe.train}
-    given = tuple(word for key, value in keys.items() for word in ("--set", f"{key}={value}"))
+    chosen = ("--set", f"variant={asked.variant}") if asked.variant else ()
+    given = tuple(word for key, value in keys.items() for word in ("--set", f"{key}={value}")) + chosen
     yield Stage("prepare", ("prepare", str(package), *given))
     yield Stage("train", ("train", str(package), *given))
     whole = () if recipe.horizon is None else ("--horizon", str(recipe.horizon))
@@ -167,8 +168,8 @@ def stages(recipe: Recipe, package: Path, out: Path, asked: argparse.Namespace) 
         words = ("eval", str(package), "--env", recipe.environment, "--task", recipe.task, "--setting", setting)
         told = ("--instruction", instruction) if instruction else ()
         how = ("--episodes", str(asked.judge), "--workers", asked.workers, "--film", "0", *told, *whole, *where)
-        which = ("--set", f"ckpt_name={asked.name}", "--set", f"env_cfg_type={recipe.robot}", "--out", str(run))
-        yield Stage(f"judge {judged}", (*words, *how, *which), (0, 1), begun=run / "records.jsonl")
+        which = ("--set", f"ckpt_name={asked.name}", "--set", f"env_cfg_type={recipe.robot}", *chosen)
+        yield Stage(f"judge {judged}", (*words, *how, *which, "--out", str(run)), (0, 1), begun=run / "records.jsonl")
         yield Stage(f"report {judged}", ("report", str(run)))
 
 
@@ -187,8 +188,9 @@ def run(recipe: Recipe, asked: argparse.Namespace) -> dict[str, Any]:
     Raises:
         SystemExit: a command failed, or the folder holds what was made otherwise.
     """
-    package = Path(asked.package or ROOT / "policy" / asked.policy).resolve()
-    out = Path(asked.out or ROOT / "results" / "learned" / f"{asked.policy}-{asked.task}").resolve()
+    package = Path(asked.package or ROOT / "policy" / asked.policy.partition(":")[0]).resolve()
+    name = f"{asked.policy.replace(':', '-')}-{asked.task}"
+    out = Path(asked.out or ROOT / "results" / "learned" / name).resolve()
     out.mkdir(parents=True, exist_ok=True)
     settings = {**asdict(recipe), "policy": asked.policy, "package": str(package), "checkpoint": asked.name}
     settings = json.loads(json.dumps({**settings, "episodes_judged": asked.judge}))
@@ -222,11 +224,11 @@ def _variables() -> dict[str, str]:
 def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
     """Return what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policy", choices=sorted({policy for policy, _ in RECIPES}))
+    parser.add_argument("--policy", choices=sorted({policy for policy, _ in RECIPES}), help="POLICY or POLICY:VARIANT")
     parser.add_argument("--task", help="as in the list; mw- for those of Meta-World")
     parser.add_argument("--out", help="folder; results/learned/POLICY-TASK by default")
-    parser.add_argument("--name", help="of the checkpoint; learned-TASK by default")
-    parser.add_argument("--package", help="folder of the policy; policy/POLICY by default")
+    parser.add_argument("--name", help="of the checkpoint; learned-TASK or learned-VARIANT-TASK by default")
+    parser.add_argument("--package", help="folder of the policy; the one in policy/ by default")
     parser.add_argument("--installed", action="store_true", help="leave `xpl install` out")
     parser.add_argument("--eval-env", help="Python of the environment, as for `xpl eval`")
     parser.add_argument("--workers", default="auto", help="episodes at once (default: auto, one a core)")
@@ -240,8 +242,9 @@ def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
     if asked.policy is not None and (asked.policy, asked.task) not in RECIPES:
         there = ", ".join(task for policy, task in RECIPES if policy == asked.policy)
         parser.error(f"{asked.policy} was not trained on {asked.task}: {there}")
+    asked.variant = (asked.policy or "").partition(":")[2]
     if asked.name is None:
-        asked.name = f"learned-{asked.task}"
+        asked.name = "-".join(filter(None, ("learned", asked.variant, asked.task)))
     return asked
 
 

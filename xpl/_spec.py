@@ -77,6 +77,7 @@ class Deploy:
     ACTION_TYPE = "action_type"
     EVAL_BATCH = "eval_batch"
     CKPT_NAME = "ckpt_name"
+    VARIANT = "variant"
     GPU_ID = "gpu_id"
     REQUEST_TIMEOUT_S = "request_timeout_s"
     HANDSHAKE_TIMEOUT_S = "handshake_timeout_s"
@@ -280,6 +281,7 @@ DEPLOY_DEFAULTS: dict[str, Any] = {'protocol': 'ws',
  'action_type': 'joint',
  'eval_batch': False,
  'ckpt_name': None,
+ 'variant': None,
  'gpu_id': None,
  'request_timeout_s': 120,
  'handshake_timeout_s': 60,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Callable, TypeVar
 
 from xpl import robots
+from xpl._spec import MODEL_CLASS
 
 __all__ = [
     "CameraNeeds",
@@ -282,6 +283,8 @@ class Manifest(Document):
         inputs: None where the manifest does not say.
         cameras: needs by camera of the standard; None where the manifest does not say.
         native: what the model itself reads and answers; None without a block.
+        model_class: class of model.py that is served.
+        variants: merge patches by name (`xpl.variants`).
         data: the whole map as it is written.
     """
 
@@ -301,6 +304,8 @@ class Manifest(Document):
     evaluation_only: bool = _one(bool, default=False)
     checkpoints: tuple[Checkpoint, ...] = _many(Checkpoint)
     environment: PythonEnvironment = _part(PythonEnvironment)
+    model_class: str = _one(str, MODEL_CLASS)
+    variants: Mapping[str, Mapping[str, Any]] = _named(Mapping)
     methods: tuple[str, ...] = _many(str)
     serving: Serving = _part(Serving)
     shadow: Shadow = _part(Shadow)

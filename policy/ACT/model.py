@@ -10,6 +10,8 @@ import numpy as np
 from xpl import Policy
 from xpl.checkpoint import resolve
 
+from .scene import scene
+
 
 class Model(Policy):
     """Asks the policy for normalised actions."""
@@ -33,3 +35,16 @@ class Model(Policy):
             batch = {name: self.torch.from_numpy(values).to(self.device) for name, values in inputs.items()}
             chunks: np.ndarray = self.network.predict_action_chunk(batch).float().cpu().numpy()
         return chunks
+
+
+class StateModel(Model):
+    """The variant `state`: reads the state of the scene besides what the block makes."""
+
+    def encode(self, obs: Mapping[str, Any], env: int) -> dict[str, np.ndarray]:
+        """Add the state of the scene."""
+        return {**super().encode(obs, env), "observation.environment_state": scene(obs["privileged"])}
+
+    def predict(self, inputs: Any, envs: Sequence[int]) -> np.ndarray:
+        """Return one chunk for each environment, (B, H, 10), normalised."""
+        batch = self.interface.batch([[one] for one in inputs])  # type: ignore[union-attr] # policy.yml has a block
+        return super().predict(batch, envs)

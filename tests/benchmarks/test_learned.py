@@ -22,13 +22,16 @@ def test_every_recipe_records_prepares_trains_and_judges(which: tuple[str, str],
     """With what its package reads: cameras, or what the simulator tells."""
     policy, task = which
     asked = learned.parsed(["--policy", policy, "--task", task])
-    found = list(learned.stages(learned.RECIPES[which], ROOT / "policy" / policy, tmp_path, asked))
+    package, _, variant = policy.partition(":")
+    found = list(learned.stages(learned.RECIPES[which], ROOT / "policy" / package, tmp_path, asked))
     names = [stage.words[0] for stage in found]
     assert list(dict.fromkeys(names)) == ["record", "install", "prepare", "train", "eval", "report"]
     assert [name for name in names if name in ("prepare", "train")] == ["prepare", "train"]
     recorded = " ".join(found[0].words)
-    assert ("--images none" in recorded) == policy.endswith("_state")
-    assert (ROOT / "policy" / policy).is_dir()
+    assert ("--images none" in recorded) == (variant == "state")
+    chosen = {"variant=state" in stage.words for stage in found if stage.words[0] in ("prepare", "train", "eval")}
+    assert chosen == {variant == "state"}
+    assert (ROOT / "policy" / package).is_dir()
 
 
 def test_who_reads_is_judged_with_other_instructions_too(tmp_path: Path) -> None:
@@ -47,7 +50,7 @@ def test_who_reads_is_judged_with_other_instructions_too(tmp_path: Path) -> None
     [
         (["--policy", "ACT"], "go together"),
         (["--policy", "ACT", "--task", "mw-push"], "lift_cube, push_block"),
-        (["--policy", "Foo", "--task", "lift_cube"], "DiffusionPolicy_state"),
+        (["--policy", "Foo", "--task", "lift_cube"], "DiffusionPolicy:state"),
     ],
 )
 def test_what_there_is_not_is_refused_with_what_there_is(
@@ -77,8 +80,8 @@ def test_it_goes_on_after_what_is_done_and_never_with_other_settings(
         return subprocess.CompletedProcess(command, codes.get(words[0], 0))
 
     monkeypatch.setattr(subprocess, "run", ran)
-    recipe = learned.RECIPES["ACT_state", "lift_cube"]
-    given = ["--policy", "ACT_state", "--task", "lift_cube", "--out", str(tmp_path), "--judge", "2"]
+    recipe = learned.RECIPES["ACT:state", "lift_cube"]
+    given = ["--policy", "ACT:state", "--task", "lift_cube", "--out", str(tmp_path), "--judge", "2"]
     asked = learned.parsed(given)
     with pytest.raises(SystemExit, match="train ended with exit code 4"):
         learned.run(recipe, asked)
@@ -97,8 +100,8 @@ def test_it_goes_on_after_what_is_done_and_never_with_other_settings(
 def test_a_policy_is_made_by_one_command(tmp_path: Path) -> None:
     """Three demonstrations, some steps, one episode: nothing stands in for anything."""
     pytest.importorskip("mujoco")
-    folder = small(tmp_path, "ACT_state")
-    words = ["--policy", "ACT_state", "--task", "lift_cube", "--package", str(folder), "--out", str(tmp_path / "out")]
+    folder = small(tmp_path, "ACT")
+    words = ["--policy", "ACT:state", "--task", "lift_cube", "--package", str(folder), "--out", str(tmp_path / "out")]
     few = ["--episodes", "3", "--steps", "100", "--judge", "1", "--workers", "1", "--installed"]
     file = tmp_path / "figures.json"
     command = [sys.executable, "benchmarks/learned.py", *words, *few, "--json", str(file)]
@@ -108,4 +111,4 @@ def test_a_policy_is_made_by_one_command(tmp_path: Path) -> None:
     assert result == json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert set(result["seconds"]) == {"record clean", "prepare", "train", "judge clean", "report clean"}
     assert result["reports"]["clean"]["schema"] == "xpl.report/1"
-    assert (folder / "checkpoints" / "learned-lift_cube" / "model.safetensors").is_file()
+    assert (folder / "checkpoints" / "learned-state-lift_cube" / "model.safetensors").is_file()

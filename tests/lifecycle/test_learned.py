@@ -28,11 +28,11 @@ from xpl_cli.packages import package
 if TYPE_CHECKING:
     from pathlib import Path
 
-STATE = ("ACT_state", "DiffusionPolicy_state")
-ALL = ("ACT", "DiffusionPolicy", *STATE)
+NAMES = ("ACT", "DiffusionPolicy")
+STATE = ("--set", "variant=state")
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", NAMES)
 def test_load_and_predict_are_few_lines(name: str) -> None:
     """Fewer than forty, written by hand: the conversions are compiled."""
     text = (ROOT / "policy" / name / "model.py").read_text(encoding="utf-8")
@@ -41,13 +41,13 @@ def test_load_and_predict_are_few_lines(name: str) -> None:
 
 
 @pytest.mark.parametrize("robot", ["arx_x5_single", "sawyer"])
-@pytest.mark.parametrize("name", STATE)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_scene_is_an_input_of_its_own(name: str, robot: str) -> None:
     """Of our tasks objects and goals in decimetres, of Meta-World its own observation."""
     obs = _observation()
     if robot == "sawyer":
         obs["privileged"] = {"observation": np.arange(39.0)}
-    config = {"env_cfg_type": robot, "action_type": "ee", "seed": 0}
+    config = {"env_cfg_type": robot, "action_type": "ee", "seed": 0, "variant": "state"}
     policy = training.without_model(ROOT / "policy" / name, config, normalized=False)
     policy.update_obs(obs)
     (inputs,) = policy.encodings(0)
@@ -63,12 +63,12 @@ def test_the_scene_is_an_input_of_its_own(name: str, robot: str) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @needed
-@pytest.mark.parametrize("name", STATE)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_policy_goes_the_whole_way(tmp_path: Path, name: str) -> None:
     """Demonstrations, statistics, steps whose loss falls, and an episode: the checkpoint is found and answers."""
     folder = small(tmp_path, name)
     _recorded(tmp_path / "demos")
-    given = ("--set", f"demonstrations={tmp_path / 'demos'}", "--set", "batch=4", "--set", "ckpt_name=mine")
+    given = (*STATE, "--set", f"demonstrations={tmp_path / 'demos'}", "--set", "batch=4", "--set", "ckpt_name=mine")
     assert _clean(xpl("prepare", str(folder), *given, cwd=tmp_path))
     assert _clean(xpl("train", str(folder), *given, "--set", "steps=300", cwd=tmp_path))
     log = (folder / "checkpoints" / "mine" / "log.jsonl").read_text(encoding="utf-8").splitlines()
@@ -77,7 +77,7 @@ def test_a_policy_goes_the_whole_way(tmp_path: Path, name: str) -> None:
     assert losses[-1] < losses[0]
     played = xpl(
         *("eval", str(folder), "--env", "mujoco", "--task", "lift_cube", "--episodes", "1", "--set", "ckpt_name=mine"),
-        *("--out", str(tmp_path / "eval"), "--film", "0"),
+        *(*STATE, "--out", str(tmp_path / "eval"), "--film", "0"),
         cwd=tmp_path,
     )
     assert played.returncode in (ExitCode.CLEAN, ExitCode.FINDINGS), played.stderr
@@ -86,7 +86,7 @@ def test_a_policy_goes_the_whole_way(tmp_path: Path, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @needed
-@pytest.mark.parametrize("name", STATE)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_training_that_was_killed_ends_as_one_that_was_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -95,7 +95,7 @@ def test_a_training_that_was_killed_ends_as_one_that_was_not(
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     folder = small(tmp_path, name)
     _recorded(tmp_path / "demos")
-    given = ("--set", f"demonstrations={tmp_path / 'demos'}", "--set", "batch=4", "--set", "steps=220")
+    given = (*STATE, "--set", f"demonstrations={tmp_path / 'demos'}", "--set", "batch=4", "--set", "steps=220")
     whole, cut = (folder / "checkpoints" / one for one in ("whole", "cut"))
     for place in (whole, cut):
         assert _clean(xpl("prepare", str(folder), *given, "--set", f"ckpt_name={place.name}", cwd=tmp_path))
@@ -124,11 +124,11 @@ def test_a_training_that_was_killed_ends_as_one_that_was_not(
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @needed
-@pytest.mark.parametrize("name", STATE)
+@pytest.mark.parametrize("name", NAMES)
 def test_what_ships_answers_a_client_as_it_answers_in_one_process(tmp_path: Path, name: str) -> None:
     """To the last bit: XPL255 cannot ask a policy that wants what only a simulator tells, so this does."""
     folder = copy(tmp_path, f"policy/{name}/**") / "policy" / name
-    found = package.load(str(folder))
+    found = package.load(str(folder), {"variant": "state"})
     place = errand.Place(python=PYTHON, checkout=folder, patience=600, limit_s=1800)
     seen = [{**_observation(step), "env_idx": 0} for step in range(6)]
     calls: list[tuple[str, list[Any]]] = [("reset", [])]
@@ -139,7 +139,7 @@ def test_what_ships_answers_a_client_as_it_answers_in_one_process(tmp_path: Path
     local = [
         answer.result for answer, (method, _) in zip(done.answers[1:], calls, strict=True) if method == "get_action"
     ]
-    with Server(folder, "--python", PYTHON) as server, Client(server.url) as client:
+    with Server(folder, "--python", PYTHON, *STATE) as server, Client(server.url) as client:
         client.reset()
         remote = []
         for obs in seen:

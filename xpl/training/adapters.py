@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from xpl import _spec as spec
+from xpl import variants
+from xpl.manifest import Manifest
 from xpl.policy import Policy
 from xpl.worker.loading import load_model_class
 
@@ -42,10 +44,10 @@ def without_model(
         TrainingError: model.py is none of `xpl.Policy`, or has no block `native`.
         NativeError: the block does not fit the robot, or its numbers cannot be had.
     """
-    base = load_model_class(Path(folder).resolve())
-    if not issubclass(base, Policy):
-        raise TrainingError(f"{folder}: {spec.MODEL_CLASS} is no xpl.Policy; its conversions cannot be asked for")
     manifest = copy.deepcopy(dict(manifest_of(folder, config)))
+    base = load_model_class(Path(folder).resolve(), Manifest.parse(manifest).model_class)
+    if not issubclass(base, Policy):
+        raise TrainingError(f"{folder}: {base.__name__} is no xpl.Policy; its conversions cannot be asked for")
     native = manifest.get("native")
     if native is None:
         raise TrainingError(f"{folder}: policy.yml has no block native, by which recorded actions become the model's")
@@ -69,11 +71,11 @@ def _no_load(_self: Policy, _config: Mapping[str, Any]) -> None:
 
 def manifest_of(folder: str | os.PathLike[str], config: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a package's manifest: of the configuration, of `$XPL_MANIFEST`, or from its file."""
-    told: Mapping[str, Any] = config.get("manifest") or _manifest(Path(folder))
+    told: Mapping[str, Any] = config.get("manifest") or _manifest(Path(folder), config.get(spec.Deploy.VARIANT))
     return told
 
 
-def _manifest(folder: Path) -> Mapping[str, Any]:
+def _manifest(folder: Path, variant: str | None) -> Mapping[str, Any]:
     given = os.environ.get(MANIFEST_VARIABLE)
     if given is not None:
         manifest: Mapping[str, Any] = json.loads(given)
@@ -88,4 +90,4 @@ def _manifest(folder: Path) -> Mapping[str, Any]:
     found = yaml.safe_load(path.read_text(encoding="utf-8"))
     if not isinstance(found, Mapping):
         raise TrainingError(f"{path} holds no map")
-    return found
+    return variants.chosen(found, variant)[0]

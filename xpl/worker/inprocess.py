@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
+from xpl.manifest import Manifest
 from xpl.policy import Policy
 from xpl.worker.copies import own
 from xpl.worker.errand import FAILURES, carry_out, failed, result
@@ -32,12 +33,13 @@ def load(order: Mapping[str, Any]) -> Any:
             `watch`: what it does to its observations is noted (`xpl.worker.watch`).
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]
+    class_name = Manifest.parse(manifest).model_class
     if order.get("shadow"):
         from xpl.worker.shadow import load_shadow_class
 
-        model_class: type = load_shadow_class(policy_dir)
+        model_class: type = load_shadow_class(policy_dir, class_name)
     else:
-        model_class = load_model_class(policy_dir)
+        model_class = load_model_class(policy_dir, class_name)
     model = model_class({**config, "manifest": manifest} if issubclass(model_class, Policy) else dict(config))
     if not order.get("watch"):
         return model

@@ -17,14 +17,14 @@ class LoadError(RuntimeError):
     """model.py does not offer what the contract asks for."""
 
 
-def load_model_class(policy_dir: Path) -> type:
-    """Import model.py of an adapter under a module name of its own and return its class `Model`.
+def load_model_class(policy_dir: Path, class_name: str = spec.MODEL_CLASS) -> type:
+    """Import model.py of an adapter under a module name of its own and return the class that its manifest names.
 
     The package's `__init__.py` is not run. Relative imports work, and so do imports of the ecosystem's package and of
     what the adapter's scripts put on the path (`xpl.ecosystem`).
 
     Raises:
-        LoadError: if there is no model.py or no class `Model` in it.
+        LoadError: if there is no model.py or no such class in it.
     """
     path = policy_dir / spec.File.MODEL_PY
     if not path.is_file():
@@ -43,9 +43,9 @@ def load_model_class(policy_dir: Path) -> type:
     module = importlib.util.module_from_spec(found)
     sys.modules[name] = module
     found.loader.exec_module(module)
-    model = getattr(module, spec.MODEL_CLASS, None)
+    model = getattr(module, class_name, None)
     if not inspect.isclass(model):
-        raise LoadError(f"{path} defines no class {spec.MODEL_CLASS}")
+        raise LoadError(f"{path} defines no class {class_name}")
     return model
 
 

@@ -99,14 +99,14 @@ class Worker:
         gc.unfreeze()
         gc.collect()
         policy_dir = self._policy_dir = Path(message["policy_dir"])
+        manifest = Manifest.parse(message.get("manifest"))
         if message.get("shadow"):
             from xpl.worker.shadow import load_shadow_class
 
-            model_class: type = load_shadow_class(policy_dir)
+            model_class: type = load_shadow_class(policy_dir, manifest.model_class)
         else:
-            model_class = load_model_class(policy_dir)
+            model_class = load_model_class(policy_dir, manifest.model_class)
         config = self._config = dict(message["config"])
-        manifest = Manifest.parse(message.get("manifest"))
         if issubclass(model_class, Policy):
             config["manifest"] = manifest.data
         if manifest.serving.shared:

@@ -45,7 +45,7 @@ class NotLoadedError(ShadowError, AttributeError):
     """An attribute is not there, because `load`, which would set it, was skipped."""
 
 
-def load_shadow_class(policy_dir: Path) -> type[Policy]:
+def load_shadow_class(policy_dir: Path, class_name: str) -> type[Policy]:
     """Return the shadow of the class in an adapter's model.py, which is imported.
 
     Raises:
@@ -56,7 +56,7 @@ def load_shadow_class(policy_dir: Path) -> type[Policy]:
     texts = [path.read_text(encoding="utf-8", errors="replace") for path in policy_dir.glob("*.py")]
     if texts and not any(map(_SDK.search, texts)):
         raise UndividedError("an adapter that does not derive from xpl.Policy has no shadow")
-    return shadow_of(load_model_class(policy_dir))
+    return shadow_of(load_model_class(policy_dir, class_name))
 
 
 def shadow_of(model_class: type) -> type[Policy]:

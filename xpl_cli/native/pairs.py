@@ -160,6 +160,12 @@ class Pairs:
         return sum(len(session.questions) for session in self.sessions)
 
     @property
+    def variant(self) -> str | None:
+        """The variant of policy.yml that was recorded; None for the policy itself."""
+        variant: str | None = self.provenance["settings"].get(sdk.Deploy.VARIANT)
+        return variant
+
+    @property
     def noise(self) -> Mapping[str, float]:
         """By key of the action: largest difference between two recordings."""
         noise: Mapping[str, float] = self.provenance["noise"]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl import variants
 from xpl.manifest import Manifest
 from xpl_cli.basics import content
 from xpl_cli.basics.errors import NotFoundError, UserError
@@ -109,17 +110,26 @@ def find_policy(path: Path | str) -> Path:
     raise NotFoundError(f"no adapter at {given}", hint=hint)
 
 
-def load(path: Path | str) -> Package:
-    """Read an adapter's deploy.yml and, where it has one, its policy.yml.
+def load(path: Path | str, overrides: Mapping[str, Any] | None = None) -> Package:
+    """Read an adapter's deploy.yml and, where it has one, its policy.yml, as the variant of a run has them.
+
+    Args:
+        path: of its folder, or its name.
+        overrides: keys of deploy.yml, among which `variant` may choose one.
 
     Raises:
         NotFoundError: if there is no adapter at `path`.
         ManifestError: if something in one of them is not what its schema says.
+        UserError: if it does not have the variant.
     """
     folder = find_policy(path)
-    manifest = Manifest.parse(manifests.read(folder / sdk.File.POLICY_YML, POLICY))
-    deploy = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY)
-    return Package(path=folder, deploy=deploy, manifest=manifest)
+    manifest: Mapping[str, Any] = manifests.read(folder / sdk.File.POLICY_YML, POLICY)
+    deploy: Mapping[str, Any] = manifests.read(folder / sdk.File.DEPLOY_YML, _DEPLOY)
+    try:
+        manifest, patch = variants.chosen(manifest, {**deploy, **(overrides or {})}.get(sdk.Deploy.VARIANT))
+    except variants.VariantError as error:
+        raise UserError(f"{folder.name}: {error}") from None
+    return Package(folder, variants.merged(deploy, patch), Manifest.parse(manifest))
 
 
 def parse_overrides(settings: Sequence[str]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ the arrays, because the cameras of one robot may differ.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import yaml
 
+from xpl import variants
 from xpl_cli.basics.yaml import text
 from xpl_cli.standard import spec, unknown
 from xpl_cli.standard.problems import Problem, described, explain
@@ -56,6 +57,8 @@ def validate(instance: Any, schema_name: str, bindings: Mapping[str, int] | None
     finally:
         _scopes.reset(token)
     problems = [_unknown(problem, gaps) for error in errors for problem in explain(error)]
+    if schema_name == _OPEN and isinstance(instance, Mapping):
+        problems += _of_variants(instance, problems)
     return sorted(dict.fromkeys(problems), key=lambda problem: [str(part) for part in problem.path])
 
 
@@ -273,6 +276,20 @@ def validate_yaml(content: bytes, file: str, schema_name: str) -> tuple[Any, lis
     return unknown.known(data) if schema_name == _OPEN else data, sorted(
         placed, key=lambda problem: (problem.line or 0, problem.column or 0)
     )
+
+
+def _of_variants(document: Mapping[str, Any], problems: Sequence[Problem]) -> Iterator[Problem]:
+    """Yield what is wrong with policy.yml, or with deploy.yml, only as a variant has it."""
+    named = document.get("variants")
+    patches = (
+        [name for name, patch in named.items() if isinstance(patch, Mapping)] if isinstance(named, Mapping) else []
+    )
+    for name in patches:
+        merged, patch = variants.chosen(document, name)
+        place = ("variants", str(name))
+        yield from (replace(one, path=(*place, *one.path)) for one in validate(merged, _OPEN) if one not in problems)
+        of_deploy = [one for one in validate(patch, "deploy") if one.missing is None]
+        yield from (replace(one, path=(*place, "deploy", *one.path)) for one in of_deploy)
 
 
 def _unknown(problem: Problem, gaps: Mapping[unknown.Place, str]) -> Problem:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
+from xpl import _spec as sdk
 from xpl_cli.audit.engine.circumstances import of_package
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, Result, TargetReport, Waived
@@ -38,14 +39,16 @@ class Audited:
         report: what follows from what the rules found.
         said: what the report says that this comes to: verdict, statement, proven, unproven, as far as it says so.
         stood_in: by the name of each gate that ran without the real model, what stood in for it.
+        variant: of the adapter that was evaluated; None for the policy itself.
     """
 
     report: TargetReport
     said: Mapping[str, Any]
     stood_in: Mapping[str, str | None]
+    variant: str | None
 
     @classmethod
-    def parse(cls, target: Mapping[str, Any]) -> Self:
+    def parse(cls, target: Mapping[str, Any], variant: str | None) -> Self:
         """Return what an entry of `targets` in a valid report says."""
         report = TargetReport(target["path"], target["name"], POLICY)
         for told in target["gates"]:
@@ -54,7 +57,7 @@ class Audited:
             report.gates.append(gate)
         said = {key: target[key] for key in ("verdict", "statement", "proven", "unproven") if key in target}
         unreal = [gate for gate in target["gates"] if gate.get("profile") not in _SERVED_BY_MODEL]
-        return cls(report, said, {gate["name"]: gate.get("stood_in") for gate in unreal})
+        return cls(report, said, {gate["name"]: gate.get("stood_in") for gate in unreal}, variant)
 
     def judgement(self, adapter: Path) -> Verdict:
         """Return the verdict that follows from what rules found and from the adapter, whatever the report says.
@@ -62,7 +65,8 @@ class Audited:
         Args:
             adapter: folder of the adapter in the bundle.
         """
-        return judged(replace(self.report, circumstances=of_package(Source(adapter), POLICY, self.report.path)))
+        around = of_package(Source(adapter, self.variant), POLICY, self.report.path)
+        return judged(replace(self.report, circumstances=around))
 
     def problems(self, adapter: Path) -> Iterator[str]:
         """Yield why the report does not show that the adapter in a folder of the bundle is green."""
@@ -77,7 +81,7 @@ class Audited:
         yield from self._overstated(verdict, adapter)
         for gate in report.gates:
             yield from _incomplete(gate)
-        yield from _unbound(report, adapter)
+        yield from _unbound(report, adapter, self.variant)
         for name, stood_in in self.stood_in.items():
             yield f"the audit's {name} gate ran without the real model: {stood_in}"
 
@@ -133,7 +137,7 @@ def _incomplete(gate: GateReport) -> Iterator[str]:
         yield f"the audit's {gate.name} gate has two results of {_listed(twice)}"
 
 
-def _unbound(report: TargetReport, adapter: Path) -> Iterator[str]:
+def _unbound(report: TargetReport, adapter: Path, variant: str | None) -> Iterator[str]:
     """Yield where the static gate says something else of the adapter in the bundle."""
     from xpl_cli.audit.engine.engine import audit
     from xpl_cli.audit.rules.options import Options
@@ -142,7 +146,7 @@ def _unbound(report: TargetReport, adapter: Path) -> Iterator[str]:
     if told is None:
         return
     installed = tuple(entry.code for entry in entries() if entry.source is not None)
-    options = Options(gates=(Gate.STATIC,), ignore=installed)
+    options = Options(gates=(Gate.STATIC,), ignore=installed, overrides={sdk.Deploy.VARIANT: variant})
     (here,) = audit(adapter, POLICY, options, shown=report.path).gates
     if here.outcome != told.outcome:
         yield f"the audit's static gate ended with {told.outcome}; of the adapter in the bundle it says {here.outcome}"

@@ -49,6 +49,7 @@ class Adapter:
     name: str
     spec: str
     digest: str
+    variant: str | None = None
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def _audited(found: Bundle) -> Audited | None:
     """Return what the audit report says of the adapter of the bundle; None if it is of another one."""
     policy, report = found.manifest.policy, found.read(bundle.AUDIT)
     told = [(target["name"], report["spec"]) for target in report["targets"]]
-    return Audited.parse(report["targets"][0]) if told == [(policy.name, policy.spec)] else None
+    return Audited.parse(report["targets"][0], policy.variant) if told == [(policy.name, policy.spec)] else None
 
 
 def _shown(problem: str, found: Bundle) -> str:
@@ -118,7 +118,7 @@ def _adapter(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
 def _checkpoints(found: Bundle, runs: Sequence[Run]) -> Iterator[str]:
     """Yield where the weights that were loaded are not those that are specified."""
     told = Checkpoints(**found.read(bundle.CHECKPOINTS))
-    adapter = package.load(found.adapter)
+    adapter = package.load(found.adapter, runs[0].plan.policy.config)
     if told.declared != [entry.data for entry in adapter.manifest.checkpoints]:
         yield f"{bundle.CHECKPOINTS} does not declare what the adapter's policy.yml declares"
     known = specification.declared(adapter)

@@ -18,6 +18,7 @@ from xpl_cli.evaluation.records import fingerprints, manner, records, stand_ins
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.lifecycle.checkpoints import specification
 from xpl_cli.packages import environments
+from xpl_cli.packages import package as packages
 from xpl_cli.submission import archive, bundle, claims, consistency
 from xpl_cli.submission.locks import lock_of
 
@@ -124,7 +125,9 @@ def _problems(package: Package, runs: Sequence[Run]) -> Iterator[str]:
     if len(set(names)) < len(names):
         yield "a run is given twice: each counts once"
     digest = fingerprints.package_digest(package.path)
-    declared = specification.declared(package)
+    if len({run.plan.policy.variant for run in runs}) > 1:
+        yield "the runs are of different variants: a bundle is about one"
+    declared = specification.declared(_played(package, runs[0]))
     loaded = {_loaded(run) for run in runs}
     if len(loaded) > 1:
         yield "the runs loaded different checkpoints: a bundle is about one"
@@ -161,10 +164,15 @@ def _loaded(run: Run) -> str | None:
     return None if checkpoint is None else checkpoint.digest
 
 
+def _played(adapter: Package, run: Run) -> Package:
+    """Return the adapter as the variant of a run has it."""
+    return packages.load(adapter.path, run.plan.policy.config)
+
+
 def described(run: Run) -> bundle.Adapter:
     """Return what a manifest says of the adapter that was evaluated."""
     policy = run.plan.policy
-    return bundle.Adapter(policy.name, policy.spec, policy.digest)
+    return bundle.Adapter(policy.name, policy.spec, policy.digest, policy.variant)
 
 
 def _audited(request: Request, runs: Sequence[Run]) -> tuple[TargetReport, ExitCode]:
@@ -205,7 +213,7 @@ def _files(request: Request, runs: Sequence[Run], report: TargetReport) -> dict[
     audit = as_json([report], Context(here=package.path.parent.parent))
     files: dict[str, Path | bytes] = {
         bundle.AUDIT: bundle.document(audit),
-        bundle.CHECKPOINTS: bundle.document(asdict(_checkpoints(package, runs[0]))),
+        bundle.CHECKPOINTS: bundle.document(asdict(_checkpoints(_played(package, runs[0]), runs[0]))),
         bundle.ENVIRONMENT: bundle.document(_environments(request, runs)),
     }
     base = bundle.adapter_folder(package.name)

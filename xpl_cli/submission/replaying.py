@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.lanes.backend import Job
@@ -37,6 +38,7 @@ class Player:
 
     Attributes:
         policy: its folder.
+        variant: of it that the runs are of; None for the policy itself.
         is_ours: whether that is not the bundle's own: then it has its weights itself.
         python: interpreter of the adapter.
         env: environment of the adapter, as for `xpl serve`.
@@ -47,6 +49,7 @@ class Player:
     """
 
     policy: Path
+    variant: str | None = None
     is_ours: bool = False
     python: str | None = None
     env: str | None = None
@@ -57,7 +60,7 @@ class Player:
 
     @cached_property
     def _package(self) -> Package:
-        return package.load(self.policy)
+        return package.load(self.policy, {sdk.Deploy.VARIANT: self.variant})
 
     @property
     def is_deterministic(self) -> bool:

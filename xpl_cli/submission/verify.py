@@ -152,6 +152,7 @@ def _replayed(request: Request, found: Bundle, report: Report, runs: Sequence[Ru
     pairs: list[tuple[str, replay.Pair]] = []
     player = Player(
         request.policy or found.adapter,
+        variant=found.manifest.policy.variant,
         is_ours=request.policy is not None,
         python=request.python,
         env=request.env,

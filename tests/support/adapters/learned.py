@@ -17,16 +17,14 @@ if TYPE_CHECKING:
 PYTHON = os.environ.get("XPL_LEROBOT_PYTHON", "")
 needed = pytest.mark.skipif(not PYTHON, reason="not run: XPL_LEROBOT_PYTHON names no Python that has LeRobot")
 _SIZES = r"dim_model: 128, n_heads: 4, dim_feedforward: 512|down_dims: \[[0-9, ]+\]"
-_SMALL = {"act": "dim_model: 16, n_heads: 2, dim_feedforward: 16", "diffusion": "down_dims: [8, 16]"}
+_SMALL = {"ACT": "dim_model: 16, n_heads: 2, dim_feedforward: 16", "DiffusionPolicy": "down_dims: [8, 16]"}
 
 
 def small(parent: Path, name: str) -> Path:
-    """Return a copy of a package in the Python that has LeRobot, with a network that is small."""
+    """Return a copy of a package in the Python that has LeRobot, whose variant `state` has a small network."""
     folder = copy(parent, f"policy/{name}/**") / "policy" / name
     manifest = (folder / "policy.yml").read_text(encoding="utf-8")
     environment = f"environment: {{ manager: path, python: {json.dumps(PYTHON)} }}"
-    (folder / "policy.yml").write_text(re.sub(r"(?m)^environment:.*$", environment, manifest), encoding="utf-8")
-    settings = (folder / "deploy.yml").read_text(encoding="utf-8")
-    sizes = _SMALL["act" if name.startswith("ACT") else "diffusion"]
-    (folder / "deploy.yml").write_text(re.sub(_SIZES, sizes, settings), encoding="utf-8")
+    manifest = re.sub(r"(?m)^environment:.*$", environment, manifest)
+    (folder / "policy.yml").write_text(re.sub(_SIZES, _SMALL[name], manifest), encoding="utf-8")
     return folder

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.rules.gates import GATES
 from xpl_cli.audit.rules.model import Circumstances, NotRun
 from xpl_cli.audit.static import reading
+from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.strangers import command
 from xpl_cli.basics.words import listed
 from xpl_cli.native import names
@@ -82,11 +83,23 @@ def unknown(source: Source) -> Iterator[str]:
 
 def without_pairs(source: Source, shown: str) -> str | None:
     """Return why a policy's conversions cannot be compared with the model's own, None if there are native pairs."""
+    if source.variant is not None:
+        return None if _is_recorded(source) else f"no native pairs of the variant {source.variant}"
     if source.has(names.PAIRS):
         return None
     if source.has(names.CODE):
         return f"{names.CODE} was not recorded: {command(('xpl', 'native', 'record', shown))}"
     return f"no {names.CODE}"
+
+
+def _is_recorded(source: Source) -> bool:
+    """Tell whether native pairs are of the variant; of a file that is none, native-parity tells."""
+    from xpl_cli.native import pairs  # which needs numpy
+
+    try:
+        return source.has(names.PAIRS) and pairs.read(source.path).variant == source.variant
+    except UserError:
+        return True
 
 
 def _narrowed(kind: str, options: Options) -> Iterator[str]:

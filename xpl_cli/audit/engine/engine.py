@@ -46,7 +46,7 @@ def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) 
         options: what to run.
         shown: how reports name the folder; the path itself by default.
     """
-    source = Source(path)
+    source = Source(path, options.variant)
     report = TargetReport(path=shown or str(path), name=path.name, kind=kind)
     report.circumstances = circumstances(source, kind, options, report.path)
     _carry(report, path, options)
@@ -125,7 +125,8 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
     started = time.perf_counter()
     report = GateReport(name=gate, source=None if gate is Gate.STATIC else Source(path).record())
     target.gates.append(report)
-    shelf = Shelf.of(options.cache, path) if options.cache is not None and gate is Gate.STATIC else None
+    is_kept = gate is Gate.STATIC and options.variant is None  # what is kept is of the policy itself
+    shelf = Shelf.of(options.cache, path) if options.cache is not None and is_kept else None
     given = {"path": path, "kind": target.kind, "gate": gate, "options": _as_before(target, options)}
     with Facts(given, providers.all_providers()) as facts:
         checks = Checks(facts, shelf)

@@ -50,9 +50,9 @@ def all_providers() -> dict[str, Callable[..., Any]]:
     }
 
 
-def source(path: Path) -> Source:
+def source(path: Path, options: Options) -> Source:
     """The files of the adapter, parsed once, never executed."""
-    return Source(path)
+    return Source(path, options.variant)
 
 
 def waivers(source: Source) -> tuple[Waiver, ...]:

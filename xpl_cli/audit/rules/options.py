@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl_cli.audit.rules.clock import Clock
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.progress import Progress
@@ -67,6 +68,11 @@ class Options:
     video: Path | None = None
     cache: Path | None = None
     progress: Progress = field(default_factory=Progress)
+
+    @property
+    def variant(self) -> str | None:
+        """The variant of policy.yml that is audited; None for what deploy.yml says, or else the policy itself."""
+        return self.overrides.get(sdk.Deploy.VARIANT)
 
     @property
     def confinement(self) -> tuple[str, ...]:

@@ -61,7 +61,7 @@ class Servers(ABC):
     @contextlib.contextmanager
     def start(cls, path: Path, options: Options) -> Iterator[Self]:
         """Prepare to probe an adapter; its server is started when it is first asked for."""
-        started = cls(package.load(path), options)
+        started = cls(package.load(path, options.overrides), options)
         with started._open:
             yield started
 

@@ -80,7 +80,7 @@ class Adapter:
         if cls in source.views:
             known: Adapter = source.views[cls]
             return known
-        wanted = sdk.MODEL_CLASS
+        wanted = source.manifest.model_class
         source.tree(sdk.File.MODEL_PY)
         found = symbols(source, sdk.File.MODEL_PY).classes.get(wanted)
         if found is None and origin(source, sdk.File.MODEL_PY, wanted):

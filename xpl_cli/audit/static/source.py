@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl import variants
 from xpl.manifest import Manifest
 from xpl_cli.audit.rules.model import Location, NotRun
 from xpl_cli.audit.static import reading
@@ -24,7 +25,7 @@ from xpl_cli.audit.static.shell import Script, parse
 from xpl_cli.standard import unknown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from yaml import Node
 
@@ -47,11 +48,13 @@ class Source:
 
     Attributes:
         path: the adapter's folder.
+        variant: of policy.yml that is judged; None is the policy itself.
         memory: what the names of each file mean (`adapter.symbols`), kept for whoever asks again.
         views: what others made of the whole, by its type or the function that made it, likewise.
     """
 
     path: Path
+    variant: str | None = None
     _contents: dict[str, bytes] = field(default_factory=dict)
     _texts: dict[str, str] = field(default_factory=dict)
     _encoding_errors: dict[str, str | None] = field(default_factory=dict)
@@ -232,13 +235,30 @@ class Source:
 
     @cached_property
     def deploy(self) -> dict[str, Any]:
-        """The map in deploy.yml; empty if it is missing or no map, which other rules report."""
-        return self.manifest_of(sdk.File.DEPLOY_YML)
+        """The map in deploy.yml; empty if it is missing or no map, which other rules report.
+
+        Raises:
+            NotRun: if there is no such variant.
+        """
+        written = self.manifest_of(sdk.File.DEPLOY_YML)
+        return written if self.variant is None else variants.merged(written, self._chosen[1])
 
     @cached_property
     def manifest(self) -> Manifest:
-        """What policy.yml says, without what is unknown; false for an adapter of the ecosystem, which has none."""
-        return Manifest.parse(unknown.known(self.manifest_of(sdk.File.POLICY_YML)))
+        """What policy.yml says, without what is unknown; false for an adapter of the ecosystem, which has none.
+
+        Raises:
+            NotRun: if there is no such variant.
+        """
+        return Manifest.parse(unknown.known(self._chosen[0]))
+
+    @cached_property
+    def _chosen(self) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+        """What policy.yml says of the variant, and what that changes in deploy.yml."""
+        try:
+            return variants.chosen(self.manifest_of(sdk.File.POLICY_YML), self.variant)
+        except variants.VariantError as error:
+            raise NotRun(str(error)) from None
 
     @property
     def is_ecosystem(self) -> bool:

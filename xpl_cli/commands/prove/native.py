@@ -41,8 +41,8 @@ def record(
     from xpl_cli.native import record as recording
     from xpl_cli.packages import package as packages
 
-    adapter = packages.load(policy)
     overrides = packages.parse_overrides(settings)
+    adapter = packages.load(policy, overrides)
     with progress() as say:
         options = recording.Options(overrides, python, policy_env, patience, say)
         done = recording.record(adapter, options)
@@ -125,7 +125,8 @@ def show(
 
     if environment is None and task is not None:
         raise UserError("--task is of an environment: say --environment too")
-    subject = of(packages.load(policy), packages.parse_overrides(settings))
+    overrides = packages.parse_overrides(settings)
+    subject = of(packages.load(policy, overrides), overrides)
     pair = None if watch or image or environment is not None else seen.of_pairs(subject)
     answered = None
     if environment is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.commands.run.serve import POLICY
+from xpl_cli.commands.run.serve import POLICY, SETTINGS
 
 if TYPE_CHECKING:
     from xpl_cli.lifecycle.checkpoints.specification import Specification
@@ -31,6 +31,7 @@ def fetch(
     policy: str = POLICY,
     name: str | None = _NAME,
     every: bool = _ALL,
+    settings: list[str] = SETTINGS,
     force: bool = typer.Option(False, "--force", help="Have the hub's client bring it again although it is there."),
     unverified: bool = typer.Option(False, "--unverified", help="Take what comes where no sha256 is given; prints it."),
     as_json: bool = _JSON,
@@ -41,7 +42,7 @@ def fetch(
     from xpl_cli.lifecycle.checkpoints import specification
     from xpl_cli.packages import package
 
-    adapter = package.load(policy)
+    adapter = package.load(policy, package.parse_overrides(settings))
     chosen = specification.choose(adapter, name, every=every)
     answers = []
     with progress() as say:
@@ -58,7 +59,13 @@ def fetch(
 
 @app.command()
 @ends(clean="whole", findings="differs", not_found="not fetched")
-def verify(policy: str = POLICY, name: str | None = _NAME, every: bool = _ALL, as_json: bool = _JSON) -> None:
+def verify(
+    policy: str = POLICY,
+    name: str | None = _NAME,
+    every: bool = _ALL,
+    settings: list[str] = SETTINGS,
+    as_json: bool = _JSON,
+) -> None:
     """Read a fetched checkpoint again and compare it with policy.yml."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
@@ -66,7 +73,7 @@ def verify(policy: str = POLICY, name: str | None = _NAME, every: bool = _ALL, a
     from xpl_cli.lifecycle.checkpoints import specification
     from xpl_cli.packages import package
 
-    adapter = package.load(policy)
+    adapter = package.load(policy, package.parse_overrides(settings))
     answers: list[dict[str, Any]] = []
     for one in specification.choose(adapter, name, every=every):
         path = _located(one, policy)
@@ -94,13 +101,15 @@ def verify(policy: str = POLICY, name: str | None = _NAME, every: bool = _ALL, a
 
 @app.command("path")
 @ends(not_found="not fetched")
-def path_of(policy: str = POLICY, name: str | None = _NAME, as_json: bool = _JSON) -> None:
+def path_of(
+    policy: str = POLICY, name: str | None = _NAME, settings: list[str] = SETTINGS, as_json: bool = _JSON
+) -> None:
     """Print where a fetched checkpoint is."""
     from xpl_cli.basics import console
     from xpl_cli.lifecycle.checkpoints import specification
     from xpl_cli.packages import package
 
-    adapter = package.load(policy)
+    adapter = package.load(policy, package.parse_overrides(settings))
     (one,) = specification.choose(adapter, name)
     path = str(_located(one, policy))
     if as_json:

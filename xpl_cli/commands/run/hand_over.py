@@ -58,7 +58,7 @@ def hand_over(
     if seed is not None:
         overrides[spec.Deploy.SEED] = seed
     what: dict[str, Any] = {
-        "package": package.load(policy),
+        "package": package.load(policy, overrides),
         "environment": name,
         "task": task,
         "episodes": episodes,
@@ -133,7 +133,7 @@ def tried(
     from xpl_cli.evaluation.runs.settings import benchmark_for
     from xpl_cli.packages import environments, package
 
-    adapter = package.load(policy)
+    adapter = package.load(policy, what["overrides"])
     name = environment or benchmark_for(adapter.config(what["overrides"]))
     if name is None:
         return None, False

@@ -87,8 +87,8 @@ def _run(policy: str, script: str, settings: list[str], gpu: str | None, *, as_j
     from xpl_cli.lifecycle import scripts
     from xpl_cli.packages import package
 
-    adapter = package.load(policy)
     overrides = {**scripts.gpu_setting(gpu), **package.parse_overrides(settings)}
+    adapter = package.load(policy, overrides)
     seconds = scripts.run_script(adapter, script, overrides, gpu, aside=as_json)
     if as_json:
         told = {"policy": adapter.name, "script": script, "seconds": round(seconds, 3)}

@@ -107,4 +107,4 @@ def serve(
         renew=renew,
         also=also,
     )
-    run_server(package.load(policy).without(unset), overrides, options)
+    run_server(package.load(policy, overrides).without(unset), overrides, options)

@@ -179,7 +179,7 @@ def _check_files(what: str, folder: str, digest: str) -> None:
 
 
 def _check_checkpoint(orders: ServerOrders) -> None:
-    found = checkpoint_of(package.load(orders.policy), orders.overrides)
+    found = checkpoint_of(package.load(orders.policy, orders.overrides), orders.overrides)
     if (None if found is None else found.digest) != orders.checkpoint_digest:
         raise UserError(
             f"{platform.node()}: the checkpoint of {orders.policy} is not the run's: "

@@ -41,6 +41,12 @@ class PlannedPolicy:
     config: Mapping[str, Any]
     checkpoint: Checkpoint | None = None
 
+    @property
+    def variant(self) -> str | None:
+        """The variant of policy.yml that is evaluated; None for the policy itself."""
+        variant: str | None = self.config.get(sdk.Deploy.VARIANT)
+        return variant
+
 
 @dataclass(frozen=True)
 class PlannedEnvironment:

@@ -202,7 +202,7 @@ def _player(request: Request) -> Package:
     facts = environments.manifest(environments.find(request.environment))
     name = request.policy or facts.expert
     if name is not None:
-        return package.load(name)
+        return package.load(name, request.overrides)
     raise NotFoundError(
         f"{request.environment} has no expert that could play",
         hint="name who drives it with --policy: for a robot, a policy that reads a person's leader arm",

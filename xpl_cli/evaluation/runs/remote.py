@@ -76,7 +76,7 @@ def package_of(name: str, told: Mapping[str, Any] | None, overrides: Mapping[str
         UserError: it is not here, and the server does not say for which robot it was started.
     """
     try:
-        return package.load(name)
+        return package.load(name, overrides)
     except NotFoundError:
         if told is None:
             raise

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
+from xpl import _spec as sdk
 from xpl.manifest import Native
 from xpl_cli.audit.offline.parity import distribution
 from xpl_cli.audit.offline.parity.beside import unrounded
@@ -76,14 +77,21 @@ class Parity:
             NotApplicable: if it has neither pairs nor native.py.
             NotRun: if native.py was never recorded, or the file cannot be used.
         """
+        variant = self.probe.config.get(sdk.Deploy.VARIANT)
         if not (self._path / names.PAIRS).exists():
             if not (self._path / names.CODE).exists():
                 raise NotApplicable(f"there is no {names.CODE}: the conversions are unproven")
+            if variant is not None:
+                raise NotApplicable(f"no native pairs of the variant {variant}: its conversions are unproven")
             raise NotRun(f"{names.CODE} was never recorded: `xpl native record` asks it and writes {names.PAIRS}")
         try:
-            return recording.read(self._path)
+            found = recording.read(self._path)
         except UserError as error:
             raise NotRun(str(error)) from None
+        if found.variant != variant:
+            told = "the policy itself" if found.variant is None else f"its variant {found.variant}"
+            raise NotApplicable(f"the native pairs are of {told}: these conversions are unproven")
+        return found
 
     @property
     def recorded(self) -> Pairs | None:
