@@ -7,8 +7,8 @@ from collections.abc import Set as AbstractSet
 from difflib import get_close_matches
 
 from xpl import _spec as sdk
+from xpl import robots
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.rules.names import robots
 from xpl_cli.audit.static.source import Source
 
 _NAME = "env.yml"
@@ -38,7 +38,7 @@ def env_names(source: Source) -> Iterator[Finding]:
     values = source.manifest_of(_NAME)
     cameras = {*sdk.OPTIONAL_CAMERAS, *(name for names in sdk.CAMERAS.values() for name in names)}
     for key, known, what in (
-        ("embodiments", robots(), "robot"),
+        ("embodiments", robots.names(), "robot"),
         ("cameras", cameras, "camera"),
         ("action_types", set(sdk.ACTION_TYPES), "kind of action"),
     ):

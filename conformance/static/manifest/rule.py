@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl import robots as known
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.rules.names import robots
 from xpl_cli.audit.static.manifests import key_line, renamed, schema_findings
 from xpl_cli.audit.static.source import Source
 
@@ -51,7 +50,7 @@ def manifest(source: Source) -> Iterator[Finding]:
         )
     declared = values.get("embodiments")
     for robot in declared if isinstance(declared, list) else []:
-        if isinstance(robot, str) and robot not in robots():
+        if isinstance(robot, str) and robot not in known.names():
             yield Finding(
                 f"nobody can evaluate this policy on {robot}: there is no embodiment of that name",
                 path=name,

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl import checkpoint, get_embodiment
+from xpl import checkpoint, get_embodiment, robots
 from xpl.convert import Interface, NativeError, compile_interface
 from xpl.convert.gaps import filled
 from xpl.manifest import CameraNeeds
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
-from xpl_cli.audit.rules.names import robots
 from xpl_cli.audit.static.manifests import place_in
 from xpl_cli.audit.static.reading import inside
 from xpl_cli.audit.static.source import Source
@@ -57,7 +56,7 @@ def native_fits(source: Source) -> Iterator[Finding | Proof]:
     seen: set[str] = set()
     manifest = source.manifest
     for robot, action_type in product(manifest.embodiments, manifest.action_types):
-        if robot not in robots():  # which the rule on manifests reports
+        if robot not in robots.names():  # which the rule on manifests reports
             continue
         try:
             embodiment = get_embodiment(robot)

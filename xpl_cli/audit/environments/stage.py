@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl import get_embodiment
+from xpl import get_embodiment, robots
 from xpl.arms.people import ASKS
 from xpl.simulator.process import EnvLostError, EnvProcess, EnvRaisedError, message
 from xpl.simulator.worker import CLOSE, MAKE, RUN
 from xpl_cli.audit.rules.model import Finding, Fix, NotApplicable, NotRun
-from xpl_cli.audit.rules.names import robots
 from xpl_cli.basics.errors import UserError
 from xpl_cli.environments.check import unsupported
 from xpl_cli.lifecycle import interpreter
@@ -167,7 +166,7 @@ class Stage:
             NotRun: env.yml does not say what is offered; the static gate reports why.
         """
         problems = validate(self.manifest.data, "env")
-        unknown = [] if problems else [name for name in self.manifest.embodiments if name not in robots()]
+        unknown = [] if problems else [name for name in self.manifest.embodiments if name not in robots.names()]
         if problems or unknown:
             raise NotRun(f"env.yml is not understood: {problems[0].message if problems else f'no robot {unknown[0]}'}")
         asked = self._options.overrides
