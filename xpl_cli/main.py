@@ -34,7 +34,6 @@ _COMMANDS: Final = {
     "review": "prove.review",
     "explain": "prove.audit",
     "rules": "prove.audit",
-    "status": "agents.status",
     "hook": "prove.hook",
     "serve": "run.serve",
     "eval": "run.evaluate",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -232,12 +232,6 @@ def test_no_verdict_says_more_than_what_ran(kind: str, gates: list[Ended], aroun
         assert not any({"XPL260", "XPL261"} & gate.doubts.keys() for gate in gates)
     assert (verdict.word is Word.RED) == bool(outcomes & {Outcome.FAIL, Outcome.ERROR})
     assert json.loads(json.dumps(verdict.as_json())) == verdict.as_json()
-
-
-@given(gate=GATES_THAT_ENDED.filter(bool).map(lambda gates: gates[0]))
-def test_how_a_gate_ended_can_be_written_down(gate: Ended) -> None:
-    """For `xpl status`, which says later what was proven."""
-    assert Ended.read(json.loads(json.dumps(asdict(gate)))) == gate
 
 
 def test_several_packages_come_to_the_least_of_them() -> None:

@@ -93,12 +93,12 @@ def test_no_schema_name_stands_in_code_and_not_in_the_list() -> None:
 
 def test_an_answer_is_found_by_its_name_and_by_its_command() -> None:
     """With and without `xpl`; what there is not is told with the nearest."""
-    assert answers.find("xpl.status/1") is answers.find("status") is answers.find("xpl status")
+    assert answers.find("xpl.doctor/1") is answers.find("doctor") is answers.find("xpl doctor")
     assert answers.find("spec show").name == "xpl.spec-show/1"
     with pytest.raises(UserError) as caught:
-        answers.find("xpl.staus/1")
+        answers.find("xpl.doctr/1")
     assert caught.value.code is ExitCode.NOT_FOUND
-    assert str(caught.value.hint).startswith("did you mean xpl.status/1 or ")
+    assert str(caught.value.hint).startswith("did you mean xpl.doctor/1")
 
 
 def test_a_document_that_differs_is_noticed() -> None:
@@ -155,7 +155,7 @@ def _answer(*words: str) -> dict[str, Any]:
     "words",
     [
         ["answers"],
-        ["answers", "xpl.status/1"],
+        ["answers", "xpl.doctor/1"],
         ["new-policy", "Foo", "--dry-run"],
         ["new-env", "Bar", "--dry-run"],
         ["adopt", "policy/Bare", "--dry-run"],
@@ -163,8 +163,6 @@ def _answer(*words: str) -> dict[str, Any]:
         ["install", "policy/Foo", "--check"],
         ["install", "policy/Foo"],
         ["container", "policy/Foo"],
-        ["status"],
-        ["status", "policy/Foo", "policy/Bare"],
         ["audit", "policy/Foo", "--gate", "static"],
         ["explain", "XPL101"],
         ["explain", "XPL101", "batch-order"],
@@ -305,7 +303,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
         (["env", "list", "mojoco", "--json"], ExitCode.NOT_FOUND, "offline", ["mujoco"]),
         (["explain", "batch-ordr", "--json"], ExitCode.USAGE, None, ["batch-order"]),
         (["skills", "install", "--agent", "claud", "--json"], ExitCode.USAGE, "codex", ["claude"]),
-        (["answers", "xpl.staus/1", "--json"], ExitCode.NOT_FOUND, None, ["xpl.status/1"]),
+        (["answers", "xpl.doctr/1", "--json"], ExitCode.NOT_FOUND, None, ["xpl.doctor/1"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
@@ -331,7 +329,7 @@ def test_a_name_that_there_is_not_is_told_with_the_nearest(
         (["serve", "--json"], ExitCode.USAGE, ["xpl serve --help"]),
         (["eval", "nothing", "--json"], ExitCode.NOT_FOUND, ["xpl new-policy nothing"]),
         (["audit", "nothing", "--format", "json"], ExitCode.NOT_FOUND, ["xpl new-policy nothing"]),
-        (["status", "--json"], ExitCode.NOT_FOUND, []),
+        (["audit", "--all", "--json"], ExitCode.NOT_FOUND, []),
         (["eval", "nothing", "--episodes", "many", "--json"], ExitCode.USAGE, ["xpl eval --help"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
@@ -352,7 +350,7 @@ def test_a_fault_of_the_tool_is_an_error_too(run: Run, monkeypatch: pytest.Monke
         raise ValueError("this is broken")
 
     monkeypatch.setattr(answers, "find", broken)
-    ended, out, err = run("answers", "status", "--json")
+    ended, out, err = run("answers", "doctor", "--json")
     assert (ended, json.loads(out)["kind"]) == (ExitCode.INTERNAL, "internal")
     assert err.splitlines()[0] == "internal error: ValueError: this is broken"
 
@@ -365,7 +363,7 @@ def test_who_has_an_answer_gets_no_second_document(run: Run, monkeypatch: pytest
         raise UserError("too late")
 
     monkeypatch.setattr(answers, "find", failing)
-    ended, out, err = run("answers", "status", "--json")
+    ended, out, err = run("answers", "doctor", "--json")
     assert (ended, json.loads(out)["answers"], err) == (ExitCode.USAGE, [], "error: too late\n")
 
 

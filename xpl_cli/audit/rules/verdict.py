@@ -231,16 +231,6 @@ class Ended:
             doubts={item.code: doubt for item in gate.results if item.code in _OF_RULES and (doubt := _doubt(item))},
         )
 
-    @classmethod
-    def read(cls, told: Mapping[str, Any]) -> Self:
-        """Return what was written down as JSON, by `dataclasses.asdict`.
-
-        Raises:
-            KeyError, TypeError, ValueError: if it was something else.
-        """
-        lists = {name: tuple(told[name]) for name in ("failed", "crashed", "not_run", "waived")}
-        return cls(**{**told, **lists, "outcome": Outcome(told["outcome"])})
-
 
 def judged(report: TargetReport) -> Verdict:
     """Return the verdict on a package that was audited."""

@@ -6,7 +6,7 @@ import typer
 
 
 def answers(
-    name: str | None = typer.Argument(None, metavar="[NAME]", help="An answer, such as xpl.status/1, or a command."),
+    name: str | None = typer.Argument(None, metavar="[NAME]", help="An answer, such as xpl.audit/1, or a command."),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """List the JSON answers of all commands. With NAME print the JSON Schema of one."""
@@ -18,7 +18,7 @@ def answers(
     if name is None:
         entries = [vars(one) | {"commands": list(one.commands)} for one in known.answers().values()]
         if as_json:
-            console.answer("xpl.answers/1", {"answers": entries, "document": None}, ["xpl answers xpl.status/1"])
+            console.answer("xpl.answers/1", {"answers": entries, "document": None}, ["xpl answers xpl.audit/1"])
         else:
             width = max(map(len, known.answers()))
             console.data("\n".join(f"{one['name']:<{width}}  {', '.join(one['commands'])}" for one in entries))

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from xpl_cli.audit.demonstrations.check import Check
-    from xpl_cli.audit.formats.listing import Context
-    from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.audit.rules.registry import Rule
     from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.packages.targets import Target
@@ -170,8 +168,6 @@ def audit(
             *_repeated("--demos", [str(demos)] if demos else []),
         ),
     )
-    if not (selected or ignored or no_cache):
-        _remember(targets, reports, context)
     delivery.deliver(reports, context)
     crashed = any(result.outcome is Outcome.ERROR for report in reports for result in report.results)
     forgiving = ExitCode.INTERNAL if crashed else ExitCode.CLEAN
@@ -216,18 +212,6 @@ def _targets(
     for line in (line for target in targets for line in waivers.notes(Source(target.path))):
         console.note(line)
     return targets
-
-
-def _remember(targets: list[Target], reports: list[TargetReport], context: Context) -> None:
-    """Keep what whole gates found, for `xpl status`."""
-    from xpl_cli.agents.status.memory import remember
-    from xpl_cli.agents.status.standing import memory_folder
-
-    folder = memory_folder()
-    if folder is None:
-        return
-    for target, report in zip(targets, reports, strict=True):
-        remember(folder, target.path, report, (*context.choice, *context.running))
 
 
 def _profile(name: str | None, *, shadow: bool) -> str | None:
