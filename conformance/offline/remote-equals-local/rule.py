@@ -11,7 +11,6 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline import inprocess
 from xpl_cli.audit.served.exact import Mismatch, mismatch
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.isolation.errand import Answer
 
 _STEPS = 3
 _ENVS = (5, 2)
@@ -83,7 +82,7 @@ def _played(probe: Probe, url: str, wishes: dict[str, Any], script: list[inproce
         return [getattr(policy, method)(*arguments) for method, arguments in script]
 
 
-def _apart(remote: Any, local: Answer) -> Mismatch | None:
+def _apart(remote: Any, local: inprocess.Answer) -> Mismatch | None:
     """Return where an answer of the server and one of the model differ; two errors are alike."""
     failed = isinstance(remote, PolicyServerError)
     if failed or local.error is not None:
@@ -93,7 +92,7 @@ def _apart(remote: Any, local: Answer) -> Mismatch | None:
     return mismatch(remote, local.result)
 
 
-def _require_repeatable(first: list[Answer], second: list[Answer]) -> None:
+def _require_repeatable(first: list[inprocess.Answer], second: list[inprocess.Answer]) -> None:
     """Stop where two processes differ anyway, so that nothing can be said about the way between.
 
     Raises:

@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 LIMIT_S = 600.0
 """Longest run: as long as a server may take to load the model."""
 
+Answer = errand.Answer
+"""What the model answered one call."""
 Call = tuple[str, tuple[Any, ...]]
 """A method and its arguments."""
 
 
-def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> list[errand.Answer]:
+def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> list[Answer]:
     """Return what an adapter answers to a script of calls in one process.
 
     Args:
@@ -70,7 +72,7 @@ def place(probe: Probe, limit_s: float = LIMIT_S) -> errand.Place:
     )
 
 
-def loaded(done: errand.Done) -> list[errand.Answer]:
+def loaded(done: errand.Done) -> list[Answer]:
     """Return the answers of a process after that of loading the adapter.
 
     Raises:
