@@ -67,11 +67,11 @@ def swaps(function: Function) -> Iterator[Swap]:
             origin |= sources.get(name, set())
         if origin & _READS_BGR or _is_for_a_writer(node, function) or _is_a_setting(node, function):
             continue
-        is_decoded = any(map(decodes, origin)) and not _asks_for_bgr(node)
+        is_decoded = any(map(_decodes, origin)) and not _asks_for_bgr(node)
         yield Swap(function, node, claims_bgr, is_decoded, _is_observed(origin))
 
 
-def decodes(name: str) -> bool:
+def _decodes(name: str) -> bool:
     """Tell whether a function of this name decodes an image; those that say BGR give it."""
     return name in _DECODES or (_DECODER.search(name.lower()) is not None and "bgr" not in name.lower())
 
