@@ -113,7 +113,7 @@ def test_a_benchmark_that_is_not_here_fails_nothing(name: str) -> None:
 @pytest.mark.slow
 def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
     """Not run is not green, and names the interpreter that lacks them."""
-    done = xpl("audit", str(ROOT / "envs" / "gymnasium"), "--env", "none", "--json", "--no-cache", cwd=tmp_path)
+    done = xpl("audit", str(ROOT / "envs" / "gymnasium"), "--policy-env", "none", "--json", "--no-cache", cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
     report = json.loads(done.stdout)
     assert report["next"][0].startswith("xpl install")

@@ -388,6 +388,28 @@ def test_help_of_every_command_ends_with_its_answer_and_exit_codes() -> None:
         assert all(name in shown for name in answers.of_command(path)), path
 
 
+@pytest.mark.parametrize("path", ["xpl audit", "xpl eval", "xpl serve"])
+@pytest.mark.parametrize("width", [80, 100])
+def test_help_has_every_option_once_below_its_panel_and_fits(path: str, width: int) -> None:
+    """What is about one thing stands together; no line is wider than the terminal."""
+    shown = CliRunner().invoke(main.app, [*path.split()[1:], "--help"], terminal_width=width).stdout
+    panel, found = "", {}
+    for line in shown.splitlines():
+        if re.fullmatch(r"[A-Z].*:", line):
+            panel = line[:-1]
+        elif option := re.match(r"  (--[a-z-]+)", line):
+            assert option[1] not in found, option[1]
+            found[option[1]] = panel
+    declared = {
+        one.opts[0]: getattr(one, "rich_help_panel", None) or "Options"
+        for one in COMMANDS[path].params
+        if one.param_type_name == "option" and not one.hidden
+    }
+    assert declared.items() <= found.items()
+    assert len(set(found.values())) > 3
+    assert max(map(len, shown.splitlines())) <= width
+
+
 def test_texts_tell_the_exit_codes_as_they_are() -> None:
     """README whole; the audit's page with what they mean there; rules for agents in short."""
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())

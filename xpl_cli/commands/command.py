@@ -18,10 +18,26 @@ from xpl_cli.basics.endings import endings
 from xpl_cli.commands.plain import PlainCommand
 
 _OUTPUT: Final = "output"
+_COLUMN: Final = 28
+"""Widest column of names in a help text; longer names have a line of their own."""
 
 
 class Command(PlainCommand):
-    """A command whose help ends with its exit codes and the name of its JSON answer."""
+    """A command whose help has its options by panels, and ends with its exit codes and the name of its JSON answer."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments, options without a panel, and each panel in the order of its first option, in one column."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                kind = "Arguments" if parameter.param_type_name == "argument" else "Options"
+                sections.setdefault(getattr(parameter, "rich_help_panel", None) or kind, []).append(record)
+        width = min(_COLUMN, max(len(name) for rows in sections.values() for name, _ in rows))
+        for title, rows in sections.items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl([(name.ljust(width), told) for name, told in rows])
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write what stands below the options."""

@@ -33,53 +33,94 @@ def audit(
         [], "--select", help="Run only these rules: codes, code prefixes, slugs, `advice`."
     ),
     ignored: list[str] = typer.Option([], "--ignore", help="Leave these rules out."),
-    report_format: str = typer.Option("text", "--format", help=REPORTS_HELP),
-    as_json: bool = typer.Option(False, "--json", help="The same as --format json."),
+    report_format: str = typer.Option("text", "--format", help=REPORTS_HELP, rich_help_panel="Report"),
+    as_json: bool = typer.Option(False, "--json", help="The same as --format json.", rich_help_panel="Report"),
     output: list[str] = typer.Option(
         [],
         "--output",
         metavar="FILE",
         help="Write the report to a file instead of stdout. FORMAT=FILE writes one more report; may be repeated.",
+        rich_help_panel="Report",
     ),
-    fix: bool = typer.Option(False, "--fix", help="Do the edits of the static gate that are safe, then audit."),
+    fix: bool = typer.Option(
+        False, "--fix", help="Do the edits of the static gate that are safe, then audit.", rich_help_panel="Fixes"
+    ),
     unsafe_fixes: bool = typer.Option(
-        False, "--unsafe-fixes", help="With --fix or --diff: also edits that may change behaviour that is right."
+        False,
+        "--unsafe-fixes",
+        help="With --fix or --diff: also edits that may change behaviour that is right.",
+        rich_help_panel="Fixes",
     ),
     diff: bool = typer.Option(
-        False, "--diff", help="Print what --fix would do, and do nothing; 1 if there is anything."
+        False,
+        "--diff",
+        help="Print what --fix would do, and do nothing; 1 if there is anything.",
+        rich_help_panel="Fixes",
     ),
     changed_since: str | None = typer.Option(
         None, metavar="REF", help="Only packages whose files changed since they parted from this commit, tag or branch."
     ),
     keep_going: bool = typer.Option(False, "--keep-going", help="Run a gate although an earlier one failed."),
-    fail_on: str = typer.Option("fail", help="Mildest outcome that is an error for the exit code: fail or warn."),
-    exit_zero: bool = typer.Option(False, "--exit-zero", help="Exit with 0 whatever is found; 5 if a rule crashed."),
+    fail_on: str = typer.Option(
+        "fail", help="Mildest outcome that is an error for the exit code: fail or warn.", rich_help_panel="Report"
+    ),
     no_cache: bool = typer.Option(False, "--no-cache", help="Run every rule, and keep nothing for next time."),
     profile: str | None = typer.Option(
-        None, metavar="PROFILE", help="full demands the real model, shadow does without; full where it can be had."
+        None,
+        metavar="PROFILE",
+        help="full demands the real model, shadow does without; full where it can be had.",
+        rich_help_panel="Adapter",
     ),
-    shadow: bool = typer.Option(False, "--shadow", help="The same as --profile shadow: neither weights nor a GPU."),
-    task: list[str] = typer.Option([], metavar="NAME", help="Drive it in this task in physics; may be repeated."),
+    shadow: bool = typer.Option(
+        False, "--shadow", help="The same as --profile shadow: neither weights nor a GPU.", rich_help_panel="Adapter"
+    ),
+    task: list[str] = typer.Option(
+        [],
+        metavar="NAME",
+        help="Drive it in this task in physics; may be repeated.",
+        rich_help_panel="Physics and demonstrations",
+    ),
     episodes: int | None = typer.Option(
-        None, min=1, metavar="N", help="Whole episodes over which the MuJoCo gate measures success."
+        None,
+        min=1,
+        metavar="N",
+        help="Whole episodes over which the MuJoCo gate measures success.",
+        rich_help_panel="Physics and demonstrations",
     ),
     demos: Path | None = typer.Option(
-        None, metavar="PATH", help="Recorded episodes that the policy is held against, in the standard's form."
+        None,
+        metavar="PATH",
+        help="Recorded episodes that the policy is held against, in the standard's form.",
+        rich_help_panel="Physics and demonstrations",
     ),
     pictures: Path | None = typer.Option(
-        None, metavar="DIR", help="Write what demonstrations show, predicted beside done, as pictures."
+        None,
+        metavar="DIR",
+        help="Write what demonstrations show, predicted beside done, as pictures.",
+        rich_help_panel="Physics and demonstrations",
     ),
-    video: Path | None = typer.Option(None, metavar="DIR", help="Film every episode of the MuJoCo gate."),
+    video: Path | None = typer.Option(
+        None, metavar="DIR", help="Film every episode of the MuJoCo gate.", rich_help_panel="Physics and demonstrations"
+    ),
     move: bool = typer.Option(
-        False, "--move", help="Play environments that may be robots (`real_time`), too: resets and moves them."
+        False,
+        "--move",
+        help="Play environments that may be robots (`real_time`), too: resets and moves them.",
+        rich_help_panel="Physics and demonstrations",
     ),
-    memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP),
-    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
-    time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP),
-    patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
-    settings: list[str] = typer.Option([], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml."),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
-    policy_env: str | None = typer.Option(None, "--policy-env", "--env", help="conda:NAME, uv:DIR, venv:DIR or none."),
+    memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP, rich_help_panel="Bounds"),
+    isolate: bool = typer.Option(
+        False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had.", rich_help_panel="Bounds"
+    ),
+    time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP, rich_help_panel="Bounds"),
+    patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP, rich_help_panel="Bounds"),
+    settings: list[str] = typer.Option(
+        [], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml.", rich_help_panel="Adapter"
+    ),
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter.", rich_help_panel="Adapter"),
+    policy_env: str | None = typer.Option(
+        None, "--policy-env", help="conda:NAME, uv:DIR, venv:DIR or none.", rich_help_panel="Adapter"
+    ),
 ) -> None:
     """Audit packages in three gates: static, offline, MuJoCo."""
     from xpl_cli.audit.engine import cache
@@ -92,7 +133,7 @@ def audit(
     from xpl_cli.audit.rules.options import Options
     from xpl_cli.audit.rules.profiles import Profile
     from xpl_cli.basics import console
-    from xpl_cli.basics.errors import ExitCode, UserError, one_of
+    from xpl_cli.basics.errors import UserError, one_of
     from xpl_cli.basics.progress import progress
     from xpl_cli.isolation import sandbox
     from xpl_cli.packages import package
@@ -148,7 +189,7 @@ def audit(
     if plan is not None and diff:
         if plan.changes:
             console.data(plan.diff())
-        raise typer.Exit(int(bool(plan.changes) and not exit_zero))
+        raise typer.Exit(int(bool(plan.changes)))
     context = Context(
         fail_on=Outcome(fail_on),
         choice=(
@@ -169,9 +210,7 @@ def audit(
         ),
     )
     delivery.deliver(reports, context)
-    crashed = any(result.outcome is Outcome.ERROR for report in reports for result in report.results)
-    forgiving = ExitCode.INTERNAL if crashed else ExitCode.CLEAN
-    raise typer.Exit(int(forgiving if exit_zero else exit_code(reports, Outcome(fail_on))))
+    raise typer.Exit(int(exit_code(reports, Outcome(fail_on))))
 
 
 def _check_demos(demos: Path | None, targets: Sequence[Target]) -> None:

@@ -47,42 +47,87 @@ def evaluate(
         min=0,
         help="Seed of the first episode; deploy.yml's by default. With --out its place among the evaluation seeds.",
     ),
-    out: Path | None = typer.Option(None, metavar="DIR", help="Record the run there, episode by episode."),
-    resume: bool = typer.Option(False, "--resume", help="Go on with the run in --out."),
+    out: Path | None = typer.Option(
+        None, metavar="DIR", help="Record the run there, episode by episode.", rich_help_panel="Record"
+    ),
+    resume: bool = typer.Option(False, "--resume", help="Go on with the run in --out.", rich_help_panel="Record"),
     until_width: float | None = typer.Option(
-        None, metavar="W", help="End a task once the 95 % interval of its success rate is no wider than W, such as 0.2."
+        None,
+        metavar="W",
+        help="End a task once the 95 % interval of its success rate is no wider than W, such as 0.2.",
+        rich_help_panel="Record",
     ),
     servers: int | None = typer.Option(
-        None, min=1, help="Policy servers; one for each episode at a time by default, one in all with --policy-gpu."
+        None,
+        min=1,
+        help="Policy servers; one for each episode at a time by default, one in all with --policy-gpu.",
+        rich_help_panel="Servers and machines",
     ),
-    film: int = typer.Option(1, min=0, metavar="N", help="Film the first N episodes of each task and setting."),
+    film: int = typer.Option(
+        1, min=0, metavar="N", help="Film the first N episodes of each task and setting.", rich_help_panel="Record"
+    ),
     record: Path | None = typer.Option(
-        None, "--record", metavar="DIR", help="Keep the episodes there as trajectories (HDF5), too."
+        None,
+        "--record",
+        metavar="DIR",
+        help="Keep the episodes there as trajectories (HDF5), too.",
+        rich_help_panel="Record",
     ),
-    keep: str | None = typer.Option(None, metavar="all|success", help="Which of them; all by default."),
-    privileged: bool = typer.Option(False, "--privileged", help=PRIVILEGED_HELP),
-    backend: str = typer.Option("local", metavar="NAME", help="Who plays a recorded run: local, or ray (a cluster)."),
-    policy_gpus: float = typer.Option(0.0, min=0.0, help="GPUs of the cluster for each policy server."),
+    keep: str | None = typer.Option(
+        None, metavar="all|success", help="Which of them; all by default.", rich_help_panel="Record"
+    ),
+    privileged: bool = typer.Option(False, "--privileged", help=PRIVILEGED_HELP, rich_help_panel="Record"),
+    backend: str = typer.Option(
+        "local",
+        metavar="NAME",
+        help="Who plays a recorded run: local, or ray (a cluster).",
+        rich_help_panel="Servers and machines",
+    ),
+    policy_gpus: float = typer.Option(
+        0.0, min=0.0, help="GPUs of the cluster for each policy server.", rich_help_panel="Servers and machines"
+    ),
     instruction: str | None = typer.Option(
         None,
         metavar="blank|swap",
         help="Tell the policy nothing, or another episode's instruction, to see whether it heeds it; with --out.",
+        rich_help_panel="Record",
     ),
-    connect: str | None = typer.Option(None, metavar="URL", help="Use a server that already runs at ws://host:port."),
-    token_file: Path | None = typer.Option(None, metavar="FILE", help="Bearer token for --connect."),
+    connect: str | None = typer.Option(
+        None,
+        metavar="URL",
+        help="Use a server that already runs at ws://host:port.",
+        rich_help_panel="Servers and machines",
+    ),
+    token_file: Path | None = typer.Option(
+        None, metavar="FILE", help="Bearer token for --connect.", rich_help_panel="Servers and machines"
+    ),
     ca_file: Path | None = typer.Option(
-        None, callback=values.certificates, metavar="FILE", help="Certificate authority for --connect wss://..."
+        None,
+        callback=values.certificates,
+        metavar="FILE",
+        help="Certificate authority for --connect wss://...",
+        rich_help_panel="Servers and machines",
     ),
     settings: list[str] = SETTINGS,
-    info: str | None = typer.Option(None, metavar="K=V,...", help="Further overrides in the launchers' form."),
-    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
-    eval_env: str | None = typer.Option(
-        None, help="Python of the environment, as for --policy-env; env.yml's if unsaid."
+    info: str | None = typer.Option(
+        None, metavar="K=V,...", help="Further overrides in the launchers' form.", rich_help_panel="Adapter"
     ),
-    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
-    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
-    env_gpu: str | None = typer.Option(None, help="Device of the simulator; ours need none."),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    policy_env: str | None = typer.Option(
+        None, "--policy-env", metavar="ENV", help=POLICY_ENV.help, rich_help_panel="Adapter"
+    ),
+    eval_env: str | None = typer.Option(
+        None,
+        help="Python of the environment, as for --policy-env; env.yml's if unsaid.",
+        rich_help_panel="Environment's process",
+    ),
+    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter.", rich_help_panel="Adapter"),
+    isolate: bool = typer.Option(
+        False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had.", rich_help_panel="Adapter"
+    ),
+    env_gpu: str | None = typer.Option(
+        None, help="Device of the simulator; ours need none.", rich_help_panel="Environment's process"
+    ),
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter.", rich_help_panel="Adapter"),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Play episodes in an environment; report success and score. Serves the policy for it; --out records all of it."""

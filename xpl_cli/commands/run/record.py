@@ -32,27 +32,46 @@ def record(
     action_type: str | None = typer.Option(None, help="Control; the first by default."),
     seed: int = typer.Option(0, min=0, help="Where seeds begin; evaluation seeds are left out."),
     keep: str | None = typer.Option(
-        None, metavar="success|all", help="Which are kept; of an expert those that succeed, of others all by default."
+        None,
+        metavar="success|all",
+        help="Which are kept; of an expert those that succeed, of others all by default.",
+        rich_help_panel="What is kept",
     ),
-    images: str | None = typer.Option(None, metavar="HxW", help=_IMAGES),
-    form: str = typer.Option("jpeg", metavar="FORM", help="How images are stored: jpeg, jpeg-padded, png or raw."),
-    quality: int = typer.Option(95, min=1, max=95, help="Of JPEGs."),
-    no_depth: bool = typer.Option(False, "--no-depth", help="Leave depth out."),
-    privileged: bool = typer.Option(False, "--privileged", help=PRIVILEGED_HELP),
+    images: str | None = typer.Option(None, metavar="HxW", help=_IMAGES, rich_help_panel="What is kept"),
+    form: str = typer.Option(
+        "jpeg",
+        metavar="FORM",
+        help="How images are stored: jpeg, jpeg-padded, png or raw.",
+        rich_help_panel="What is kept",
+    ),
+    quality: int = typer.Option(95, min=1, max=95, help="Of JPEGs.", rich_help_panel="What is kept"),
+    no_depth: bool = typer.Option(False, "--no-depth", help="Leave depth out.", rich_help_panel="What is kept"),
+    privileged: bool = typer.Option(False, "--privileged", help=PRIVILEGED_HELP, rich_help_panel="What is kept"),
     horizon: int | None = typer.Option(
-        None, min=1, help="Actions of a chunk to execute, by our own loop; without it deploy.py's loop runs."
+        None,
+        min=1,
+        help="Actions of a chunk to execute, by our own loop; without it deploy.py's loop runs.",
+        rich_help_panel="Adapter",
     ),
-    film: int = typer.Option(0, min=0, metavar="N", help="Film the first N episodes of each task."),
+    film: int = typer.Option(
+        0, min=0, metavar="N", help="Film the first N episodes of each task.", rich_help_panel="What is kept"
+    ),
     workers: str = typer.Option("1", metavar="N|auto", help="Episodes at once; auto: one a core."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the set in --out; it may also grow so."),
     settings: list[str] = SETTINGS,
-    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
-    eval_env: str | None = typer.Option(
-        None, help="Python of the environment, as for --policy-env; env.yml's if unsaid."
+    policy_env: str | None = typer.Option(
+        None, "--policy-env", metavar="ENV", help=POLICY_ENV.help, rich_help_panel="Adapter"
     ),
-    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
-    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    eval_env: str | None = typer.Option(
+        None,
+        help="Python of the environment, as for --policy-env; env.yml's if unsaid.",
+        rich_help_panel="Environment's process",
+    ),
+    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter.", rich_help_panel="Adapter"),
+    isolate: bool = typer.Option(
+        False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had.", rich_help_panel="Adapter"
+    ),
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter.", rich_help_panel="Adapter"),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
 ) -> None:
     """Record demonstrations as trajectories (HDF5). They are played on seeds that no evaluation uses."""

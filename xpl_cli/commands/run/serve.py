@@ -9,9 +9,16 @@ import typer
 from xpl_cli.commands import values
 
 POLICY = typer.Argument(..., metavar="POLICY", help="Folder of the adapter, or its name below policy/.")
-SETTINGS = typer.Option([], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml; the value is YAML.")
+SETTINGS = typer.Option(
+    [], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml; the value is YAML.", rich_help_panel="Adapter"
+)
 POLICY_ENV = typer.Option(
-    None, "--policy-env", "--env", metavar="ENV", help="conda:NAME, uv:DIR, venv:DIR or none (this interpreter)."
+    None,
+    "--policy-env",
+    "--env",
+    metavar="ENV",
+    help="conda:NAME, uv:DIR, venv:DIR or none (this interpreter).",
+    rich_help_panel="Adapter",
 )
 
 MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
@@ -29,45 +36,86 @@ def serve(
     settings: list[str] = SETTINGS,
     host: str | None = typer.Option(None, help="Address to listen on; deploy.yml's by default."),
     port: int | None = typer.Option(None, help="TCP port; 0 lets the system choose."),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    python: str | None = typer.Option(None, help="Interpreter that runs the adapter.", rich_help_panel="Adapter"),
     policy_env: str | None = POLICY_ENV,
-    gpu: list[str] = typer.Option([], metavar="ID", help="Device made visible; workers take several in turn."),
-    workers: int = typer.Option(1, metavar="N", help="Copies of the model: N clients are served at once."),
-    token_file: Path | None = typer.Option(None, metavar="FILE", help="Ask clients for the bearer token in FILE."),
+    gpu: list[str] = typer.Option(
+        [], metavar="ID", help="Device made visible; workers take several in turn.", rich_help_panel="Adapter"
+    ),
+    workers: int = typer.Option(
+        1, metavar="N", help="Copies of the model: N clients are served at once.", rich_help_panel="Adapter"
+    ),
+    token_file: Path | None = typer.Option(
+        None, metavar="FILE", help="Ask clients for the bearer token in FILE.", rich_help_panel="Access"
+    ),
     tls_cert: Path | None = typer.Option(
-        None, callback=values.certificates, metavar="FILE", help="Serve wss:// with this certificate (PEM)."
+        None,
+        callback=values.certificates,
+        metavar="FILE",
+        help="Serve wss:// with this certificate (PEM).",
+        rich_help_panel="Access",
     ),
     tls_key: Path | None = typer.Option(
-        None, callback=values.certificates, metavar="FILE", help="Key of the certificate, if it is in another file."
+        None,
+        callback=values.certificates,
+        metavar="FILE",
+        help="Key of the certificate, if it is in another file.",
+        rich_help_panel="Access",
     ),
-    insecure: bool = typer.Option(False, "--insecure", help="Listen elsewhere than on loopback without a token."),
+    insecure: bool = typer.Option(
+        False, "--insecure", help="Listen elsewhere than on loopback without a token.", rich_help_panel="Access"
+    ),
     allow_host: list[str] = typer.Option(
-        [], metavar="NAME", help="A further name that clients without a token may call this server by."
+        [],
+        metavar="NAME",
+        help="A further name that clients without a token may call this server by.",
+        rich_help_panel="Access",
     ),
     allow_origin: list[str] = typer.Option(
-        [], metavar="URL", help="A web page that may speak to this server, as scheme://name:port."
+        [],
+        metavar="URL",
+        help="A web page that may speak to this server, as scheme://name:port.",
+        rich_help_panel="Access",
     ),
-    debug: bool = typer.Option(False, "--debug", help="Send tracebacks to clients."),
-    metrics: bool = typer.Option(False, "--metrics", help="Offer /metrics in Prometheus' format on the same port."),
+    debug: bool = typer.Option(False, "--debug", help="Send tracebacks to clients.", rich_help_panel="Observation"),
+    metrics: bool = typer.Option(
+        False, "--metrics", help="Offer /metrics in Prometheus' format on the same port.", rich_help_panel="Observation"
+    ),
     trace: Path | None = typer.Option(
-        None, callback=values.written_on, metavar="FILE", help="Append one JSON line for each request to FILE."
+        None,
+        callback=values.written_on,
+        metavar="FILE",
+        help="Append one JSON line for each request to FILE.",
+        rich_help_panel="Observation",
     ),
     shadow: bool = typer.Option(
-        False, "--shadow", help="Do not load the model: a function of its inputs answers, for trying all the rest."
+        False,
+        "--shadow",
+        help="Do not load the model: a function of its inputs answers, for trying all the rest.",
+        rich_help_panel="Adapter",
     ),
     until_stdin_ends: bool = typer.Option(
         False, "--until-stdin-ends", help="End when standard input ends, for whoever starts servers."
     ),
-    unset: list[str] = typer.Option([], "--unset", metavar="KEY", help="Leave a key of deploy.yml out."),
-    chdir: Path | None = typer.Option(
-        None, callback=values.folder, metavar="DIR", help="The adapter's working directory; its own by default."
+    unset: list[str] = typer.Option(
+        [], "--unset", metavar="KEY", help="Leave a key of deploy.yml out.", rich_help_panel="Adapter"
     ),
-    memory_limit: str = typer.Option("none", metavar="SIZE", help=MEMORY_HELP),
-    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP),
-    apart: bool = typer.Option(False, "--apart", help=APART_HELP),
+    chdir: Path | None = typer.Option(
+        None,
+        callback=values.folder,
+        metavar="DIR",
+        help="The adapter's working directory; its own by default.",
+        rich_help_panel="Adapter",
+    ),
+    memory_limit: str = typer.Option("none", metavar="SIZE", help=MEMORY_HELP, rich_help_panel="Bounds"),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP, rich_help_panel="Bounds"),
+    apart: bool = typer.Option(False, "--apart", help=APART_HELP, rich_help_panel="Bounds"),
     proven: str | None = typer.Option(None, hidden=True),
-    patience: float | None = typer.Option(None, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
-    renew: bool = typer.Option(False, "--renew", help="Build the model anew for every client, as if served afresh."),
+    patience: float | None = typer.Option(
+        None, min=0.1, metavar="SECONDS", help=PATIENCE_HELP, rich_help_panel="Bounds"
+    ),
+    renew: bool = typer.Option(
+        False, "--renew", help="Build the model anew for every client, as if served afresh.", rich_help_panel="Adapter"
+    ),
     also: list[str] = typer.Option([], "--also", metavar="WIRE", help=ALSO_HELP),
     _as_json: bool = typer.Option(False, "--json", help="Changes nothing: what is printed is JSON either way."),
 ) -> None:
