@@ -230,7 +230,6 @@ class Method:
     RESET_ENVS = "reset_envs"
 
 
-SPEC_VERSION: str = 'v1'
 DATA_FORMAT_VERSION: str = 'v1.0'
 WIRE_VERSION: int = 1
 ARM_PREFIXES: dict[int, tuple[str, ...]] = {1: ('',), 2: ('left_', 'right_')}

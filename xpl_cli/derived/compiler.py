@@ -104,7 +104,6 @@ def compile_source() -> str:
         ],
     }
     values: dict[str, Any] = {
-        "SPEC_VERSION": spec.VERSION,
         "DATA_FORMAT_VERSION": conventions["data_format_version"],
         "WIRE_VERSION": wire["wire_version"],
         "ARM_PREFIXES": prefixes,

@@ -58,11 +58,6 @@ class Specification:
         text = urlsplit(self.source).path if self.source.startswith("file://") else self.source
         return self.base / Path(text).expanduser()
 
-    @property
-    def file_name(self) -> str | None:
-        """The name of the one file that the checkpoint is; None if it is a folder."""
-        return self.path.name if self.kind == "path" and not self.files and self.path.is_file() else None
-
 
 def digest_of(files: Iterable[CheckpointFile]) -> str:
     r"""Return the digest of a folder: that of the list `<sha256>  <path>`, one line for each file, sorted by path.
