@@ -114,6 +114,8 @@ def check(name: str, choice: Choice, say: Progress, workers: int | None = 1) -> 
         for batch in _batches(seeds(folder, row["task"], row["setting"])[: choice.episodes])
     ]
     found: dict[Scenario, list[_Played]] = {}
+    count = 2 * sum(len(batch) for _, batch in jobs)
+    say.step(f"{name}: {count} episodes, half of them of the expert; --task and --episodes choose fewer")
     for place, ((what, _), answer) in enumerate(zip(jobs, _answers(jobs, workers), strict=True), start=1):
         say.detail(f"{what.task}, {what.embodiment}, {what.setting} ({place} of {len(jobs)})")
         if what not in found and all(other.task != what.task for other in found):

@@ -40,6 +40,10 @@ SWING, SHIFT, OPENING = 0.02, 0.005, 0.1
 """The motion that trials make about the start pose: rad, m, and part of the gripper's range."""
 
 
+_MANY = 5
+"""Tasks; with more, whoever waits is told why it takes long."""
+
+
 @dataclass(frozen=True)
 class Offer:
     """One combination that env.yml offers."""
@@ -182,6 +186,11 @@ class Stage:
         )
         if not found:
             raise NotApplicable("env.yml offers no task with any of its robots that was asked for")
+        tasks = list(dict.fromkeys(offer.task for offer in found))
+        if len(tasks) > _MANY:
+            self._options.progress.step(
+                f"{self.path.name}: most rules play each of {len(tasks)} tasks; --set task={tasks[0]} audits one"
+            )
         return found
 
     @property
