@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from xpl import Policy
+from xpl import _spec as spec
 from xpl.checkpoint import resolve
 
 from .scene import scene
@@ -42,7 +43,7 @@ class StateModel(Model):
 
     def encode(self, obs: Mapping[str, Any], env: int) -> dict[str, np.ndarray]:
         """Add the state of the scene."""
-        return {**super().encode(obs, env), "observation.environment_state": scene(obs["privileged"])}
+        return {**super().encode(obs, env), "observation.environment_state": scene(obs[spec.Obs.PRIVILEGED])}
 
     def predict(self, inputs: Any, envs: Sequence[int]) -> np.ndarray:
         """Return one chunk for each environment, (B, H, 10), normalised."""
