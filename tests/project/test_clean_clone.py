@@ -6,7 +6,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from xpl_cli.agents.status.runs import ROOM as RUNS
 
 from tests.support.places import ROOT
 from xpl_cli.standard import spec
@@ -14,7 +13,7 @@ from xpl_cli.standard import spec
 LEFT = [
     *(f"{room}/NAME/{name}" for room in ("envs", "policy") for name in (".venv", ".venv-0123456789ab", ".conda")),
     *(f"policy/NAME/{name}" for name in (spec.data("conventions")["checkpoint"]["directory"], "data", "logs")),
-    *("demos", "native-show", "results", RUNS, "benchmarks/demos", "NAME.xpl.zip"),
+    *("demos", "native-show", "results", "benchmarks/demos", "NAME.xpl.zip"),
     *(f"{folder}/MUJOCO_LOG.TXT" for folder in (".", "envs/mujoco", "policy/NAME")),
     "xpl/__pycache__",
 ]
