@@ -49,7 +49,7 @@ def audit(path: Path, kind: str, options: Options, *, shown: str | None = None) 
     source = Source(path, options.variant)
     report = TargetReport(path=shown or str(path), name=path.name, kind=kind)
     report.circumstances = circumstances(source, kind, options, report.path)
-    _carry(report, path, options)
+    _carry(report, path, options, source)
     return report
 
 
@@ -94,8 +94,15 @@ def _lost(
     return TargetReport(path=target.shown, name=target.path.name, kind=target.kind, gates=[gate])
 
 
-def _carry(report: TargetReport, path: Path, options: Options) -> None:
-    """Carry a package through the gates of a request, after those that its report already has."""
+def _carry(report: TargetReport, path: Path, options: Options, source: Source | None = None) -> None:
+    """Carry a package through the gates of a request, after those that its report already has.
+
+    Args:
+        report: what the gates are added to.
+        path: the folder of the package.
+        options: what to run.
+        source: the package as the caller has read it; the static gate reads no file of it again.
+    """
     options = replace(options, clock=options.clock.started())
     chosen = [entry for entry in select(options.names, options.ignore, options.gates) if entry.target == report.kind]
     if not (options.names or options.demos or declared.is_there(path)):
@@ -114,16 +121,17 @@ def _carry(report: TargetReport, path: Path, options: Options) -> None:
         options.progress.step(f"{path.name}: {gate} gate, {len(selected)} rules")
         if gate is Gate.STATIC:
             with _uncollected():
-                _run(gate, selected, path, report, options)
+                _run(gate, selected, source or Source(path, options.variant), report, options)
         else:
             bounds = Bounds.here(path.parent, isolate=options.isolate)
-            _run(gate, selected, path, report, replace(options, bounds=bounds))
+            _run(gate, selected, Source(path, options.variant), report, replace(options, bounds=bounds))
 
 
-def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, options: Options) -> None:
+def _run(gate: Gate, selected: list[Entry], source: Source, target: TargetReport, options: Options) -> None:
     """Run a gate and add its report."""
     started = time.perf_counter()
-    report = GateReport(name=gate, source=None if gate is Gate.STATIC else Source(path).record())
+    path = source.path
+    report = GateReport(name=gate, source=None if gate is Gate.STATIC else source.record())
     target.gates.append(report)
     is_kept = gate is Gate.STATIC and options.variant is None  # what is kept is of the policy itself
     shelf = Shelf.of(options.cache, path) if options.cache is not None and is_kept else None
@@ -131,6 +139,7 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
     with Facts(given, providers.all_providers()) as facts:
         checks = Checks(facts, shelf)
         facts.give("checks", checks)
+        facts.give("source", source)
         waivers = facts.get("waivers") if target.kind == "policy" else ()
         records: list[str] | None = None
         for entry in sorted(selected, key=lambda entry: (entry.closes, entry.source is not None)):
@@ -142,20 +151,20 @@ def _run(gate: Gate, selected: list[Entry], path: Path, target: TargetReport, op
             result = checks.result(entry)
             report.results.append(result if entry.closes else waive(result, waivers))
         if gate is Gate.STATIC:
-            _note_contents(target, report, facts.get("source"))
+            _note_contents(target, report, source)
         probe = facts.known("probe")
         report.served = probe.served if probe is not None else None
         simulation = facts.known("simulation")
         report.figures = tuple(simulation.figures) if simulation is not None else ()
         if gate is Gate.STATIC:  # which reads the files anyway, unless it knows that they are as they were
-            report.source = (shelf.record if shelf is not None else "") or facts.get("source").whole()
+            report.source = (shelf.record if shelf is not None else "") or source.whole()
         if gate is Gate.STATIC:
             records = [f"source {report.source}"]
         elif records is None:
             records = facts.records()
         report.digest = _digest(report, records)
         if shelf is not None:
-            shelf.save(facts.get("source"))
+            shelf.save(source)
     report.results.sort(key=lambda result: result.code)
     report.fingerprint = fingerprint(gate, "" if report.served is None else report.served.mark)
     report.seconds = time.perf_counter() - started
