@@ -14,10 +14,11 @@ import uuid
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl.client import agreement, wires
+from xpl.client import agreement, retrying, wires
 from xpl.client.encoding import Encoder
 from xpl.client.errors import (
     ClientError,
@@ -28,6 +29,7 @@ from xpl.client.errors import (
     ServerFailedError,
     ServerRestartedError,
 )
+from xpl.client.retrying import after, left
 from xpl.wire import codec, packed
 
 if TYPE_CHECKING:
@@ -35,8 +37,7 @@ if TYPE_CHECKING:
     from xpl.client.transport import Transport, Wishes
 
 _CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
-_AGAIN = (spec.ErrorReason.BUSY, spec.ErrorReason.LOADING)
-_UNCOUNTED = (spec.ErrorReason.UNREADABLE, spec.ErrorReason.SHUTTING_DOWN, *_AGAIN)
+_UNCOUNTED = (spec.ErrorReason.UNREADABLE, spec.ErrorReason.SHUTTING_DOWN, *retrying.AGAIN)
 _BETWEEN_EPISODES = (spec.Message.RESET, spec.Message.HEARTBEAT, spec.Message.PREPARE_CASE, spec.Message.TRIAL_END)
 _LOADING_POLL_S = 0.5
 _GOODBYE_S = 0.2
@@ -97,29 +98,13 @@ class Exchange:
 
     async def connect(self, deadline: float = math.inf) -> None:
         """Connect and exchange hellos, trying again while nobody listens, the model loads or the server is busy."""
-        config = self._config
-        deadline = min(deadline, _deadline(config[spec.Deploy.MAX_CONNECT_SECONDS] or None))
-        most = config[spec.Deploy.MAX_CONNECT_ATTEMPTS] or math.inf
-        delay = config[spec.Deploy.CONNECT_RETRY_DELAY_S] or 0.0
-        for attempt in itertools.count(1):
-            try:
-                await self._connect_once(deadline)
-            except ServerFailedError:
-                raise
-            except (OSError, RequestTimeoutError) as error:
-                problem: Exception = error
-            except PolicyServerError as error:
-                if error.details.get("reason") not in _AGAIN:
-                    raise
-                problem = error
-            else:
-                return
-            if attempt >= most or time.monotonic() + delay > deadline:
-                raise ServerConnectionError(f"no policy server at {self._address} after {attempt} attempts: {problem}")
-            await self._transport.pause(delay)
+        deadline = min(deadline, retrying.connect_deadline(self._config))
+        once = partial(self._connect_once, deadline)
+        server = f"policy server at {self._address}"
+        await retrying.connected(once, self._transport.pause, self._config, server, deadline)
 
     async def _connect_once(self, deadline: float) -> None:
-        timeout = _left(min(deadline, _deadline(self._config[spec.Deploy.CONNECT_TIMEOUT_S])))
+        timeout = left(min(deadline, after(self._config[spec.Deploy.CONNECT_TIMEOUT_S])))
         await self._transport.open(timeout)
         self._is_open = True
         try:
@@ -156,7 +141,7 @@ class Exchange:
         if wishes.environment is not None:
             payload[spec.Payload.ENVIRONMENT] = dict(wishes.environment)
         hello = self._frame(spec.Message.HELLO, payload)
-        limit = _deadline(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
+        limit = after(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
         return await self._exchange(hello, codec.encode(hello), limit)
 
     async def _wait_for_the_model(self, greeting: Mapping[str, Any], deadline: float) -> dict[str, Any]:
@@ -169,7 +154,7 @@ class Exchange:
                 raise ServerConnectionError(f"the model at {self._address} was still loading when time was up")
             await self._transport.pause(_LOADING_POLL_S)
             beat = self._frame(spec.Message.HEARTBEAT, {})
-            limit = _deadline(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
+            limit = after(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
             state = await self._exchange(beat, codec.encode(beat), limit)
         return await self._hello({})
 
@@ -227,7 +212,7 @@ class Exchange:
         deadline = self._request_deadline()
         self._ahead[frame.message_id] = _Ahead(frame, None if blocks else data, blocks)
         try:
-            await self._transport.send(data, _left(deadline))
+            await self._transport.send(data, left(deadline))
         except OSError as error:
             await self._reconnect(error, deadline)
 
@@ -241,7 +226,7 @@ class Exchange:
         """Take in one more answer to what was sent ahead."""
         deadline = self._request_deadline()
         try:
-            self._take(codec.decode(await self._transport.receive(_left(deadline))))
+            self._take(codec.decode(await self._transport.receive(left(deadline))))
         except OSError as error:
             if isinstance(error, TimeoutError):
                 raise await self._ended(error, "an update that was sent ahead was not answered in time") from None
@@ -314,7 +299,7 @@ class Exchange:
             self._check_open(spec.Message.CALL)
         try:
             for update in ahead:
-                await self._transport.send(update.data or b"", _left(deadline))
+                await self._transport.send(update.data or b"", left(deadline))
         except OSError as again:
             await self._drop()
             raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
@@ -323,9 +308,9 @@ class Exchange:
         """Send a request and return the payload of its answer; a lost connection is an OSError."""
         started = time.monotonic()
         try:
-            await self._transport.send(data, _left(deadline))
+            await self._transport.send(data, left(deadline))
             while True:
-                data = await self._transport.receive(_left(deadline))
+                data = await self._transport.receive(left(deadline))
                 is_hello = frame.message_type == spec.Message.HELLO
                 answer = wires.greeting(data, self._address) if is_hello else codec.decode(data)
                 if answer.message_id == frame.message_id:
@@ -378,21 +363,13 @@ class Exchange:
             raise late
 
     def _request_deadline(self) -> float:
-        return _deadline(self._config[spec.Deploy.REQUEST_TIMEOUT_S])
+        return after(self._config[spec.Deploy.REQUEST_TIMEOUT_S])
 
     async def _drop(self) -> None:
         """Close the connection, if there is one, without a goodbye."""
         self._is_open = False
         self._encoder.forget()
         await self._transport.close()
-
-
-def _deadline(seconds: float | None) -> float:
-    return math.inf if seconds is None else time.monotonic() + seconds
-
-
-def _left(deadline: float) -> float | None:
-    return None if deadline == math.inf else max(0.0, deadline - time.monotonic())
 
 
 def _map(value: Any) -> Mapping[str, Any]:

@@ -6,14 +6,11 @@ where the wire has no reset. Such wires know no batches: environments are asked 
 
 from __future__ import annotations
 
-import itertools
-import math
-import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl.client import wires
+from xpl.client import retrying, wires
 from xpl.client.codec import Actions, Codec, Done, Failure, Infer, Message, Reply, Reset
 from xpl.client.conversation import Conversation
 from xpl.client.errors import (
@@ -21,7 +18,6 @@ from xpl.client.errors import (
     PolicyServerError,
     RequestTimeoutError,
     ServerConnectionError,
-    ServerFailedError,
 )
 from xpl.observation import env_index, env_indices
 from xpl.policy import PolicyStateError
@@ -187,27 +183,19 @@ class RequestReply(Conversation):
 
     async def _connect(self) -> Transport:
         """Connect and take the greeting, trying again while nobody listens."""
-        config, address, wire = self._setup.config, self._setup.address, self._setup.wire
-        most = config[spec.Deploy.MAX_CONNECT_ATTEMPTS] or math.inf
-        deadline = time.monotonic() + (config[spec.Deploy.MAX_CONNECT_SECONDS] or math.inf)
-        delay = config[spec.Deploy.CONNECT_RETRY_DELAY_S] or 0.0
-        for attempt in itertools.count(1):
-            transport = self._setup.transport()
+        transport, config = self._setup.transport(), self._setup.config
+
+        async def once() -> Transport:
             try:
                 await transport.open(config[spec.Deploy.CONNECT_TIMEOUT_S])
                 await self._greeted(transport)
-            except (ServerConnectionError, ServerFailedError):
+            except BaseException:
                 await transport.close()
                 raise
-            except OSError as error:
-                await transport.close()
-                problem = error
-            else:
-                return transport
-            if attempt >= most or time.monotonic() + delay > deadline:
-                raise ServerConnectionError(f"no {wire} server at {address} after {attempt} attempts: {problem}")
-            await transport.pause(delay)
-        raise AssertionError("the attempts never end by themselves")
+            return transport
+
+        server = f"{self._setup.wire} server at {self._setup.address}"
+        return await retrying.connected(once, transport.pause, config, server, retrying.connect_deadline(config))
 
     async def _greeted(self, transport: Transport) -> None:
         """Take what a server says first; one that says nothing says nothing the next time either."""
