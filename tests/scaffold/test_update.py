@@ -81,7 +81,7 @@ def _xpl(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def _as_of_an_older_template(folder: Path) -> None:
     """Let a package have come from a template that said less in two of its files, which nobody edited since."""
     base = lock.read_rendered(folder)
-    for name, line in ((".gitignore", b"/logs/\n"), ("deploy.py", b"    Imports neither")):
+    for name, line in ((".gitignore", b"/logs\n"), ("deploy.py", b"    Imports neither")):
         base[name] = base[name].replace(line, b"")
         (folder / name).write_bytes(base[name])
     (folder / lock.RENDERED).write_bytes(lock.rendered_text(base))
@@ -125,7 +125,7 @@ def test_an_untouched_adapter_becomes_what_is_scaffolded_today(
 
 def test_what_the_author_wrote_stays(adapter: Path, templates: Path) -> None:
     """Edited files are merged, new ones and removed ones stay as they are."""
-    _edit(adapter / ".gitignore", "/data/", "/recordings/")
+    _edit(adapter / ".gitignore", "/data\n", "/recordings\n")
     _edit(adapter / "policy.yml", "family: other", "family: act")
     _edit(adapter / "deploy.yml", "eval_batch: false", "eval_batch: true")
     _edit(adapter / "__init__.py", '"""', '"""Mine. ')
@@ -137,7 +137,7 @@ def test_what_the_author_wrote_stays(adapter: Path, templates: Path) -> None:
     assert not plan.conflicts
     after = _tree(adapter)
     gitignore, manifest = after[".gitignore"].decode(), after["policy.yml"].decode()
-    assert "/recordings/" in gitignore
+    assert "/recordings" in gitignore
     assert "/.venv/\n" in gitignore
     assert "family: act" in manifest
     assert "deterministic: false" in manifest
@@ -304,7 +304,7 @@ def test_a_conflict_is_exit_code_1(adapter: Path) -> None:
     _as_of_an_older_template(adapter)
     with (adapter / ".gitignore").open("a") as stream:
         stream.write("/mine/\n")
-    _edit(adapter / ".gitignore", "/data/\n", "/data/ here\n")
+    _edit(adapter / ".gitignore", "/data\n", "/data here\n")
     for options in (["--dry-run"], []):
         done = _xpl("Foo", *options, cwd=adapter.parent)
         assert done.returncode == 1, done.stderr
