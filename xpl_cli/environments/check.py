@@ -30,7 +30,6 @@ __all__ = ["SEEDS", "Choice", "check", "seeds", "text", "unsupported"]
 SEEDS = "seeds"
 """Folder of an environment package with the frozen evaluation seeds of its tasks."""
 
-_COMMON = "evaluation_seeds"  # of env.yml: first and count, where they are the same for every task and setting
 _BATCH = 10  # episodes that one process plays at a time
 
 

@@ -25,7 +25,6 @@ _LINK: Final = "120000"
 _MODULE: Final = "160000"
 _LEFT_OUT: Final = "S"
 """What git says of a file that a sparse checkout does not write."""
-_ABOUT: Final = "%(objecttype) %(objectsize)"
 _LARGEST_POINTER: Final = 1024
 """Bytes; a pointer of Git LFS has fewer."""
 
