@@ -34,14 +34,14 @@ def test_a_command_knows_the_keywords_before_it() -> None:
 @pytest.mark.parametrize(
     ("word", "expansions"),
     [
-        ('"${a}/$b"', [("a", "", True), ("b", "", True)]),
-        ("$a\"$b\"'$c'", [("a", "", False), ("b", "", True)]),
-        ('"$(awk \'{print $1}\' "$file")"', [("file", "", True)]),
-        ("${a:-${b}}", [("a", ":-", False), ("b", "", False)]),
-        (r"\$a${#list[@]}$@", [("list", "", False), ("@", "", False)]),
+        ('"${a}/$b"', [("a", ""), ("b", "")]),
+        ("$a\"$b\"'$c'", [("a", ""), ("b", "")]),
+        ('"$(awk \'{print $1}\' "$file")"', [("file", "")]),
+        ("${a:-${b}}", [("a", ":-"), ("b", "")]),
+        (r"\$a${#list[@]}$@", [("list", ""), ("@", "")]),
     ],
 )
-def test_expansions_know_quotes_and_guards(word: str, expansions: list[tuple[str, str, bool]]) -> None:
+def test_a_word_knows_its_expansions_and_their_guards(word: str, expansions: list[tuple[str, str]]) -> None:
     """Single quotes hide, except inside of double ones; a substitution begins anew."""
     (command,) = parse(f"x {word}")
     assert [tuple(item) for item in command.words[1].expansions] == expansions

@@ -17,14 +17,6 @@ def replaced(source: Source, file: str, node: ast.AST, text: str) -> Edit:
     return Edit(file, at["line"], at["column"], at["end_line"], at["end_column"], text)
 
 
-def exchanged(source: Source, file: str, one: ast.expr, other: ast.expr) -> tuple[Edit, Edit]:
-    """Return the edits by which two expressions change places, as they are written."""
-    return (
-        replaced(source, file, one, written(source, file, other)),
-        replaced(source, file, other, written(source, file, one)),
-    )
-
-
 def written(source: Source, file: str, node: ast.AST) -> str:
     """Return a node as it is written in its file."""
     return ast.get_source_segment(source.text(file), node) or ast.unparse(node)

@@ -46,12 +46,10 @@ class Expansion(NamedTuple):
     Attributes:
         name: of the variable, or `1` for a positional argument.
         guard: `:-` and its like where the script says what happens if the variable is not set.
-        quoted: whether the shell leaves its value in one piece.
     """
 
     name: str
     guard: str
-    quoted: bool
 
 
 @dataclass(frozen=True)
@@ -351,24 +349,19 @@ def _operands(node: Node) -> Iterator[Node]:
             yield child
 
 
-def _below(node: Node, kind: str) -> Iterator[Node]:
-    """Yield the nodes of a kind in a node."""
+def _below(node: Node, *kinds: str) -> Iterator[Node]:
+    """Yield the nodes of some kinds in a node."""
     waiting = [node]
     while waiting:
         entry = waiting.pop()
-        if entry.type == kind:
+        if entry.type in kinds:
             yield entry
         waiting += reversed(entry.children)
 
 
 def _expansions(node: Node) -> Iterator[Expansion]:
-    """Yield the expansions of a word; a substitution inside of quotes begins anew."""
-    waiting = [(node, False)]
-    while waiting:
-        entry, quoted = waiting.pop()
-        if entry.type in _EXPANDS and entry.text is not None:
-            found = _NAME.match(entry.text.decode(errors="replace"))
-            if found is not None:
-                yield Expansion(found.group(1) or found.group(3), found.group(2) or "", quoted)
-        quoted = entry.type == "string" or (quoted and entry.type not in _SUBSTITUTES)
-        waiting += [(child, quoted) for child in reversed(entry.children)]
+    """Yield the expansions of a word, those inside of substitutions too."""
+    for entry in _below(node, *_EXPANDS):
+        found = _NAME.match((entry.text or b"").decode(errors="replace"))
+        if found is not None:
+            yield Expansion(found.group(1) or found.group(3), found.group(2) or "")

@@ -133,22 +133,6 @@ def targets(node: ast.AST) -> list[ast.expr]:
     return flat
 
 
-def bound(node: ast.AST) -> list[str]:
-    """Return the names that one node gives a value in the scope that it stands in."""
-    found: list[str] = []
-    if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-        found = [node.name]
-    elif isinstance(node, ast.Import):
-        found = [alias.asname or alias.name.partition(".")[0] for alias in node.names]
-    elif isinstance(node, ast.ImportFrom):
-        found = [alias.asname or alias.name for alias in node.names]
-    elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-        found = [node.id]
-    elif isinstance(node, (ast.MatchAs, ast.MatchStar)) and node.name:
-        found = [node.name]
-    return found
-
-
 def parameters(function: FunctionNode) -> list[str]:
     """Return the names of a method's positional parameters, without self."""
     given = [argument.arg for argument in (*function.args.posonlyargs, *function.args.args)]
