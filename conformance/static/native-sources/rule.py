@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, Proof, rule
 from xpl_cli.audit.static.borrowed import standing
-from xpl_cli.audit.static.reading import inside, read
+from xpl_cli.audit.static.reading import inside, text
 from xpl_cli.audit.static.source import Source
 from xpl_cli.native import names
 from xpl_cli.native.reading import Place, Reading, read_tree
@@ -91,7 +91,7 @@ def _lines(source: Source, path: str) -> int | None:
     if inside(here, path) is None:
         return 0 if inside(here, path.partition("/")[0]) or (here / path.partition("/")[0]).is_dir() else None
     try:
-        return len(read(here, path).splitlines())
+        return len(text(here, path).content.splitlines())
     except NotRun:  # larger than what is read
         return None
 

@@ -7,6 +7,7 @@ import io
 import os
 import stat
 import tokenize
+from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Final
 
@@ -35,7 +36,22 @@ def is_document(name: str) -> bool:
     return suffix == "md" or (suffix == "txt" and stem in _DOCUMENTS)
 
 
-def read(package: Path, name: str) -> bytes:
+@dataclass(frozen=True)
+class Text:
+    """What a file holds.
+
+    Attributes:
+        content: its bytes.
+        text: what they say; undecodable ones are replaced.
+        encoding_error: why Python refuses them, if it is a Python file; None if it takes them.
+    """
+
+    content: bytes
+    text: str
+    encoding_error: str | None
+
+
+def text(package: Path, name: str) -> Text:
     """Return what a file of a package holds.
 
     Args:
@@ -63,7 +79,7 @@ def read(package: Path, name: str) -> bytes:
         raise NotRun(f"{name} cannot be read: {error.strerror or error}") from None
     if len(data) > SIZE_LIMIT:
         raise NotRun(f"{name} is larger than {SIZE_LIMIT} bytes")
-    return data
+    return Text(data, *decoded(data, python=name.endswith(".py")))
 
 
 def inside(package: Path, name: str) -> str | None:

@@ -11,13 +11,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from xpl import _spec as sdk
 from xpl import variants
 from xpl.manifest import Manifest
 from xpl_cli.audit.rules.model import Location, NotRun
-from xpl_cli.audit.static import reading
+from xpl_cli.audit.static import imports, reading
 from xpl_cli.audit.static.function import Function, Symbols
 from xpl_cli.audit.static.limits import TooMuchError, measured
 from xpl_cli.audit.static.reading import SIZE_LIMIT
@@ -55,13 +55,9 @@ class Source:
 
     path: Path
     variant: str | None = None
-    _contents: dict[str, bytes] = field(default_factory=dict)
-    _texts: dict[str, str] = field(default_factory=dict)
-    _encoding_errors: dict[str, str | None] = field(default_factory=dict)
+    _read: dict[str, reading.Text] = field(default_factory=dict)
     _yaml: dict[str, tuple[yaml_text.Document, tuple[str, int, int] | None]] = field(default_factory=dict)
-    _trees: dict[str, ast.Module] = field(default_factory=dict)
-    _errors: dict[str, Exception] = field(default_factory=dict)
-    _nodes: dict[str, tuple[ast.AST, ...]] = field(default_factory=dict)
+    _parsed: dict[str, tuple[ast.AST, ...] | Exception] = field(default_factory=dict)
     _lines: dict[str, list[str]] = field(default_factory=dict)
     _commands: dict[str, Script] = field(default_factory=dict)
     _imports: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -101,7 +97,7 @@ class Source:
     @property
     def seen(self) -> tuple[str, ...]:
         """Names of the files that were read so far."""
-        return tuple(self._texts)
+        return tuple(self._read)
 
     def has(self, name: str) -> bool:
         """Tell whether the folder holds a file of this name."""
@@ -113,12 +109,7 @@ class Source:
         Raises:
             NotRun: if there is no such file, or it cannot be read or is too large.
         """
-        if name not in self._texts:
-            self._contents[name] = reading.read(self._folder, name)
-            self._texts[name], self._encoding_errors[name] = reading.decoded(
-                self._contents[name], python=name.endswith(".py")
-            )
-        return self._texts[name]
+        return self._file(name).text
 
     def encoding_error(self, name: str) -> str | None:
         """Return why Python refuses the bytes of a file, which is read all the same; None if it takes them.
@@ -126,8 +117,7 @@ class Source:
         Raises:
             NotRun: if there is no such file, or it cannot be read or is too large.
         """
-        self.text(name)
-        return self._encoding_errors[name]
+        return self._file(name).encoding_error
 
     def tree(self, name: str) -> ast.Module:
         """Return the syntax tree of a Python file.
@@ -135,10 +125,7 @@ class Source:
         Raises:
             NotRun: if there is no such file, or it does not parse; the rule `parses` reports where.
         """
-        error = self.syntax_error(name)
-        if error is not None:
-            raise NotRun(f"{name} does not parse: {error}")
-        return self._trees[name]
+        return cast("ast.Module", self.nodes(name)[0])
 
     def syntax_error(self, name: str) -> Exception | None:
         """Return why a Python file does not parse, or None if it does.
@@ -146,27 +133,30 @@ class Source:
         Raises:
             NotRun: if there is no such file, or it is too large.
         """
-        if name not in self._trees and name not in self._errors:
-            text = self.text(name)
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # an invalid escape is not ours to print
-                    tree = ast.parse(text, filename=name)
-                self._nodes[name] = measured(tree)
-                self._trees[name] = tree
-            except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-                self._errors[name] = error
-        return self._errors.get(name)
+        found = self._syntax(name)
+        return found if isinstance(found, Exception) else None
 
     def nodes(self, name: str) -> tuple[ast.AST, ...]:
-        """Return everything in a Python file.
+        """Return everything in a Python file, the outermost first.
 
         Raises:
             NotRun: if there is no such file, or it does not parse.
         """
-        if name not in self._nodes:
-            self.tree(name)
-        return self._nodes[name]
+        found = self._syntax(name)
+        if isinstance(found, Exception):
+            raise NotRun(f"{name} does not parse: {found}")
+        return found
+
+    def _syntax(self, name: str) -> tuple[ast.AST, ...] | Exception:
+        if name not in self._parsed:
+            text = self.text(name)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # an invalid escape is not ours to print
+                    self._parsed[name] = measured(ast.parse(text, filename=name))
+            except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+                self._parsed[name] = error
+        return self._parsed[name]
 
     def function(self, name: str, node: FunctionNode, owner: ast.ClassDef | None = None) -> Function:
         """Return a function of a Python file; whoever asks for it shares what it computes once."""
@@ -229,8 +219,7 @@ class Source:
             NotRun: if there is no such file, or it cannot be read or is too large.
         """
         if name not in self._yaml:
-            self.text(name)
-            self._yaml[name] = reading.parsed_yaml(self._contents[name])
+            self._yaml[name] = reading.parsed_yaml(self._file(name).content)
         return self._yaml[name][1]
 
     @cached_property
@@ -292,29 +281,8 @@ class Source:
     def imports(self, name: str) -> dict[str, str]:
         """Return the boundary's modules that a Python file imports: dotted name as written, to file."""
         if name not in self._imports:
-            self._imports[name] = self._read_imports(name)
+            self._imports[name] = imports.own(self._folder, name, self.nodes(name) if self.parses(name) else ())
         return self._imports[name]
-
-    def _read_imports(self, name: str) -> dict[str, str]:
-        found: dict[str, str] = {}
-        try:
-            nodes = self.nodes(name)
-        except NotRun:
-            return found
-        here = name.rpartition("/")[0]
-        for node in nodes:
-            wanted: list[tuple[str, int]] = []
-            if isinstance(node, ast.Import):
-                wanted = [(alias.name, 0) for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                dot = "." if node.module else ""
-                wanted = [(node.module or "", node.level)]
-                wanted += [(f"{node.module or ''}{dot}{alias.name}", node.level) for alias in node.names]
-            for module, level in wanted:
-                file = self._module_file(module, level, here)
-                if file is not None and file != name:
-                    found["." * level + module] = file
-        return found
 
     def at(self, name: str, node: ast.AST) -> Location:
         """Return a node's place for a `Finding`."""
@@ -358,21 +326,6 @@ class Source:
         text = lines[line - 1] if line <= len(lines) else ""
         return len(text.encode()[:offset].decode(errors="ignore")) + 1
 
-    def _module_file(self, module: str, level: int, here: str) -> str | None:
-        """Return the file of a module that an import names, if it is the adapter's own."""
-        base = Path(here)
-        for _ in range(level - 1):
-            if base == Path():
-                return None
-            base = base.parent
-        bases = [base] if level else [base, Path()]
-        for folder in bases if module else []:
-            candidate = (folder / module.replace(".", "/")).with_suffix(".py").as_posix()
-            file = reading.inside(self._folder, candidate)
-            if file is not None:
-                return file
-        return None
-
     def _called_by(self, script: str) -> set[str]:
         """Return the adapter's Python files that a script calls, by any prefix that ends in its own folder."""
         values: dict[str, str] = {}
@@ -390,6 +343,11 @@ class Source:
                     ours = (reading.inside(self._folder, tail) for tail in tails)
                     found.update({next(filter(None, ours), "")} - {""})
         return found
+
+    def _file(self, name: str) -> reading.Text:
+        if name not in self._read:
+            self._read[name] = reading.text(self._folder, name)
+        return self._read[name]
 
     @cached_property
     def _folder(self) -> Path:

@@ -1,0 +1,49 @@
+"""Which modules of its own package a Python file imports."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from xpl_cli.audit.static import reading
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+def own(package: Path, name: str, nodes: Iterable[ast.AST]) -> dict[str, str]:
+    """Return the package's modules that a file imports: dotted name as written, to file.
+
+    Args:
+        package: the package's folder, resolved.
+        name: of the file, relative to the folder.
+        nodes: everything in it.
+    """
+    found: dict[str, str] = {}
+    here = name.rpartition("/")[0]
+    for node in nodes:
+        wanted: list[tuple[str, int]] = []
+        if isinstance(node, ast.Import):
+            wanted = [(alias.name, 0) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            dot = "." if node.module else ""
+            wanted = [(node.module or "", node.level)]
+            wanted += [(f"{node.module or ''}{dot}{alias.name}", node.level) for alias in node.names]
+        for module, level in wanted:
+            file = _file(package, module, level, here)
+            if file is not None and file != name:
+                found["." * level + module] = file
+    return found
+
+
+def _file(package: Path, module: str, level: int, here: str) -> str | None:
+    """Return the file of a module that an import names, if it is the package's own."""
+    base = Path(here)
+    for _ in range(level - 1):
+        if base == Path():
+            return None
+        base = base.parent
+    bases = [base] if level else [base, Path()]
+    candidates = ((folder / module.replace(".", "/")).with_suffix(".py").as_posix() for folder in bases if module)
+    return next(filter(None, (reading.inside(package, candidate) for candidate in candidates)), None)
