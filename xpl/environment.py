@@ -6,17 +6,15 @@ process; the author writes `Episode` (`xpl.episode`), one environment's simulato
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from xpl import _spec as spec
-from xpl.embodiment import UnknownEmbodimentError, get_embodiment
+from xpl.configuration import Configuration, one_of
 from xpl.episode import Episode, Referee, Setup, Simulated
 from xpl.manifest import EnvManifest
 
@@ -31,11 +29,10 @@ __all__ = [
     "NotInstalledError",
     "Setup",
     "TaskEnv",
+    "one_of",
     "read_manifest",
     "require",
 ]
-
-_RESET_OPTIONS = ("task", spec.Obs.PRIVILEGED, "max_steps", "cameras", "setting")
 
 
 class NotInstalledError(RuntimeError):
@@ -103,21 +100,6 @@ class Place(Protocol):
 PlaceT = TypeVar("PlaceT", bound=Place)
 
 
-@dataclass(frozen=True)
-class _Config:
-    """The keys of a configuration, with what they default to."""
-
-    task: str
-    embodiment: str
-    action_type: str
-    num_envs: int = 1
-    max_steps: int | None = None
-    cameras: bool | Sequence[int] = True
-    privileged: bool = False
-    seed: int = 0
-    setting: str | None = None
-
-
 class EnvironmentBase(ABC, Generic[PlaceT]):
     """One or several environments in one process, with the surface that benchmarks call TASK_ENV.
 
@@ -138,14 +120,8 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
 
     def __init__(self, manifest: EnvManifest, config: Mapping[str, Any]) -> None:
         self._manifest = manifest
-        known = _known(config, tuple(_Config.__dataclass_fields__), "configuration key")
-        known.setdefault(spec.Deploy.ACTION_TYPE, manifest.action_types[0])
-        missing = [name for name in ("task", "embodiment") if not known.get(name)]
-        if missing:
-            offered = ", ".join(manifest.tasks)
-            raise ValueError(f"the configuration lacks {' and '.join(missing)}; tasks are {offered}")
-        self._config = _Config(**known)
-        self._setup = _checked(self._config, manifest)
+        self._config = Configuration.read(config, manifest)
+        self._setup = self._config.setup(manifest)
         self._next_seed = self._config.seed
         self._places: list[PlaceT] = []
         self._last: dict[int, dict[str, Any]] = {}
@@ -161,8 +137,8 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
         Raises:
             ValueError: wrong number of seeds, or an unknown option or value.
         """
-        config = replace(self._config, **_known(options or {}, _RESET_OPTIONS, "reset option"))
-        setup = _checked(config, self._manifest)
+        config = self._config.changed(options or {})
+        setup = config.setup(self._manifest)
         count = config.num_envs
         seeds = list(range(self._next_seed, self._next_seed + count)) if seed is None else [int(s) for s in seed]
         if len(seeds) != count or min(seeds) < 0:
@@ -342,67 +318,3 @@ def read_manifest(folder: str | Path) -> EnvManifest:
     text = ((path if path.is_dir() else path.parent) / "env.yml").read_text(encoding="utf-8")
     # libyaml's loader, where PyYAML was built with it, takes a tenth of the time.
     return EnvManifest.parse(yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)))  # noqa: S506
-
-
-def _checked(config: _Config, manifest: EnvManifest) -> Setup:
-    """Return what a configuration asks for, if that is offered.
-
-    Raises:
-        ValueError: it is not.
-    """
-    one_of("task", config.task, manifest.tasks)
-    try:
-        robot = get_embodiment(config.embodiment)
-    except UnknownEmbodimentError as error:
-        raise ValueError(str(error)) from None
-    task = manifest.tasks[config.task]
-    setting = manifest.settings[0] if config.setting is None else config.setting
-    one_of("embodiment", robot.name, [get_embodiment(name).name for name in manifest.embodiments])
-    one_of(spec.Deploy.ACTION_TYPE, config.action_type, manifest.action_types)
-    one_of("setting", setting, manifest.settings)
-    if task.arms and len(robot.arms) not in task.arms:
-        wanted = " or ".join(map(str, task.arms))
-        raise ValueError(f"task {config.task} is for {wanted} arms; {robot.name} has {len(robot.arms)}")
-    reason = task.unsupported.get(robot.name)
-    if reason is not None:
-        raise ValueError(f"task {config.task} is not offered with {robot.name}: {reason}")
-    if config.num_envs < 1:
-        raise ValueError(f"num_envs must be at least 1, got {config.num_envs}")
-    if config.max_steps is not None and config.max_steps < 1:
-        raise ValueError(f"max_steps must be at least 1 or None, got {config.max_steps}")
-    return Setup(
-        task=config.task,
-        embodiment=robot,
-        action_type=config.action_type,
-        max_steps=config.max_steps or task.max_steps,
-        cameras=_cameras(config.cameras),
-        privileged=config.privileged,
-        setting=setting,
-        manifest=manifest,
-    )
-
-
-def _cameras(wanted: bool | Sequence[int]) -> bool | tuple[int, int]:  # noqa: FBT001 - a value of the configuration
-    if isinstance(wanted, bool):
-        return wanted
-    if len(wanted) != 2 or min(wanted) < 1:
-        raise ValueError(f"cameras must be true, false or [height, width] in pixels, got {wanted!r}")
-    return int(wanted[0]), int(wanted[1])
-
-
-def _known(values: Mapping[str, Any], names: Sequence[str], what: str) -> dict[str, Any]:
-    for key in values:
-        one_of(what, key, names)
-    return dict(values)
-
-
-def one_of(what: str, value: Any, offered: Any) -> None:
-    """Check that a value is one of those offered.
-
-    Raises:
-        ValueError: with the offered ones, and the nearest.
-    """
-    if value not in offered:
-        near = difflib.get_close_matches(str(value), [str(name) for name in offered], n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"unknown {what} {value!r}: this environment offers {', '.join(map(str, offered))}{hint}")
