@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage, difference
+from xpl_cli.audit.environments.stage import Offer, Stage
+from xpl_cli.audit.environments.trial import difference
 
 SEEDS = (3, 8)
 TOLERANCE = 1e-5

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage, Trial, difference, motion
+from xpl_cli.audit.environments.stage import Offer, Stage, motion
+from xpl_cli.audit.environments.trial import Trial, difference
 
 
 @rule(code="XPL414", gate="offline", requirement="XPL-ENV-14", after=("env-plays",))

@@ -11,7 +11,8 @@ import numpy as np
 from xpl import _spec as sdk
 from xpl.simulator.process import EnvRaisedError
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Play, Stage, Trial, difference, motion
+from xpl_cli.audit.environments.stage import Offer, Play, Stage, motion
+from xpl_cli.audit.environments.trial import Trial, difference
 
 ACCIDENTS = frozenset(
     ("KeyError", "IndexError", "AttributeError", "TypeError", "NameError", "UnboundLocalError", "ZeroDivisionError")

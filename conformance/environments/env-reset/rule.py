@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import STEPS, Offer, Stage, difference
+from xpl_cli.audit.environments.stage import STEPS, Offer, Stage
+from xpl_cli.audit.environments.trial import difference
 
 SEED = 3
 

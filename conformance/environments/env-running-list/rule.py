@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from xpl.simulator.process import EnvRaisedError
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.environments.stage import Offer, Stage, Trial, difference, motion
+from xpl_cli.audit.environments.stage import Offer, Stage, motion
+from xpl_cli.audit.environments.trial import Trial, difference
 
 LIMIT = 4
 

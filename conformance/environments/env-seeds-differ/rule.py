@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, NotApplicable, rule
-from xpl_cli.audit.environments.stage import Offer, Stage, difference
+from xpl_cli.audit.environments.stage import Offer, Stage
+from xpl_cli.audit.environments.trial import difference
 
 SEEDS = (0, 1, 2, 3)
 
