@@ -5,29 +5,22 @@ The process leads a group of its own and ends with whoever started it, however t
 
 from __future__ import annotations
 
-import contextlib
-import os
-import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xpl.process import child, link
+from xpl.process import child, link, spawn
 from xpl.wire.frame import BODY_LIMIT, PackingError
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data
 
-_BUFFER = 1 << 22
 _LOOK_S = 0.5
 """How often a silent process is looked at: its children may hold the link open after it has ended."""
 _GRACE_S = 5.0
-_SIGNALLED = 128
-"""What a launcher adds to the number of the signal that ended what it had started."""
 
 
 class ProcessLostError(RuntimeError):
@@ -67,22 +60,17 @@ class Process:
         is_silent: bool = False,
         largest: int = BODY_LIMIT,
     ) -> None:
-        self._channel, theirs = socket.socketpair()
-        for end in (self._channel, theirs):
-            for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
-                end.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
-        variables = {**(os.environ if environment is None else environment), "PYTHONUNBUFFERED": "1"}
-        # Our own path settings must not leak into another interpreter.
-        variables.pop("PYTHONHOME", None)
-        sdk = str(Path(child.__file__).parents[1])
+        self._channel, theirs = spawn.link()
         with theirs:
             try:
                 self._process = subprocess.Popen(
-                    [*prefix, python or sys.executable, "-c", child.SDK_START + start, sdk, str(theirs.fileno())],
+                    spawn.command(
+                        python or sys.executable, child.SDK_START + start, str(theirs.fileno()), prefix=prefix
+                    ),
                     stdin=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL if is_silent else None,
                     pass_fds=[theirs.fileno()],
-                    env=variables,
+                    env=spawn.variables(environment),
                     start_new_session=True,
                 )
             except OSError:
@@ -150,8 +138,7 @@ class Process:
             return
         self._is_killed = True
         self._channel.close()
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.pid, signal.SIGKILL)
+        spawn.end_group(self.pid)
         self._process.wait()
 
     def _late(self) -> str:
@@ -163,12 +150,7 @@ class Process:
             code = self._process.wait(_GRACE_S)
         except subprocess.TimeoutExpired:
             return f"{self.name}'s process closed its link"
-        if self._is_launched and code > _SIGNALLED:
-            code = _SIGNALLED - code
-        if code >= 0:
-            return f"{self.name}'s process ended with exit code {code}"
-        names = {number.value: number.name for number in signal.Signals}
-        return f"{self.name}'s process was ended by signal {names.get(-code, -code)}"
+        return f"{self.name}'s process {spawn.how_it_ended(code, launched=self._is_launched)}"
 
     def _broken(self, error: Exception) -> ProcessLostError:
         return self._lost(f"the link to {self.name} broke: {error}")

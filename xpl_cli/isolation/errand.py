@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
 
-import xpl
 from xpl import _spec as sdk
+from xpl.process import spawn
 from xpl.process.child import SDK_START
 from xpl.wire import packed
 from xpl.worker.errand import ERROR, LENGTH
@@ -113,7 +113,7 @@ def run(module: str, order: Mapping[str, Any], place: Place) -> Done:
         asked, told = folder / "asked", folder / "answers"
         asked.write_bytes(b"".join(packed.encode(order)))
         start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
-        command = [*prefix, place.python, "-c", start, str(Path(xpl.__file__).parent), str(asked), str(told)]
+        command = spawn.command(place.python, start, str(asked), str(told), prefix=prefix)
         errand = _Run(command, place, environment, folder / "log", told)
         problem = errand.wait()
         try:
@@ -145,8 +145,7 @@ def _read(told: Path) -> list[Answer]:
 @contextlib.contextmanager
 def _room(place: Place) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
     """Yield what is put before a command, a folder that it may write to, and its environment; as a server has them."""
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    environment.pop("PYTHONHOME", None)
+    environment = spawn.variables()
     with (
         place.bounds.around(place.checkout) as kept,
         tempfile.TemporaryDirectory(prefix="xpl-") as own,
@@ -182,8 +181,7 @@ class _Run:
         try:
             return self._waited(process)
         finally:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(process.pid, signal.SIGKILL)
+            spawn.end_group(process.pid)
             process.wait()
             family.end_adopted(before)
 

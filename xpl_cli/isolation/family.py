@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from xpl.process import spawn
+
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Sequence
 
@@ -156,8 +158,7 @@ def end(leader: int) -> None:
     for number in with_descendants(leader):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(number, signal.SIGKILL)
-    with contextlib.suppress(ProcessLookupError, PermissionError):  # all that can be seen where there is no /proc
-        os.killpg(leader, signal.SIGKILL)
+    spawn.end_group(leader)  # all that can be seen where there is no /proc
 
 
 def end_descendants(before: Container[int]) -> list[Member]:

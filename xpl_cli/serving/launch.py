@@ -5,9 +5,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import json
-import os
 import selectors
-import signal
 import subprocess
 import sys
 import tempfile
@@ -17,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Self
 
+from xpl.process import spawn
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.serving import nursery
 
@@ -215,6 +214,5 @@ def _stop(process: Hosted) -> None:
         except subprocess.TimeoutExpired:
             pass
         finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+            spawn.end_group(process.pid)
             process.wait()

@@ -7,16 +7,15 @@ notice when this process is gone, however it ended, and end too.
 from __future__ import annotations
 
 import contextlib
-import os
 import platform
 import queue
-import signal
 import socket
 import subprocess
 import threading
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
+from xpl.process import spawn
 from xpl_cli.basics import again
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.backend import Job, Outcome, lost
@@ -234,10 +233,8 @@ class _LaneProcess:
         try:
             code = process.wait(_GRACE_S)
         except subprocess.TimeoutExpired:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+            spawn.end_group(process.pid)
             code = process.wait()
         assert process.stdin is not None  # noqa: S101 - for the type checker: PIPE was asked for
         process.stdin.close()
-        how = f"ended with exit code {code}" if code >= 0 else f"was ended by signal {signal.Signals(-code).name}"
-        return f"the process that played it {how}"
+        return f"the process that played it {spawn.how_it_ended(code)}"

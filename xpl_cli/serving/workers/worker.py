@@ -8,13 +8,10 @@ import collections
 import contextlib
 import os
 import signal
-import socket
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import xpl
-from xpl.process import link
+from xpl.process import link, spawn
 from xpl.process.child import KEPT_START, SDK_START
 from xpl.process.link import Inbox
 from xpl.wire.frame import PackingError
@@ -22,7 +19,9 @@ from xpl_cli.basics import exits
 from xpl_cli.isolation import family
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Callable, Coroutine, Sequence
+    from pathlib import Path
 
     from xpl.wire.arrays import Data
     from xpl_cli.isolation.sandbox import Isolation
@@ -30,11 +29,8 @@ if TYPE_CHECKING:
     Answered = Callable[[dict[str, Any], list[memoryview]], None]
 
 _BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
-_BUFFER = 1 << 22
 _LINE = 500
 """Characters of a printed line that clients are shown while the model loads."""
-_SIGNALLED = 128
-"""What a launcher adds to the number of the signal that ended what it had started."""
 
 
 class WorkerDiedError(Exception):
@@ -84,27 +80,17 @@ class WorkerProcess:
             label: put before every line that it prints.
             isolation: how it is kept apart, or None.
         """
-        ours, theirs = socket.socketpair()
+        ours, theirs = spawn.link()
         ours.settimeout(0.0)
-        for end in (ours, theirs):
-            for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
-                end.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-        # The tool's own path settings must not leak into the policy's interpreter.
-        environment.pop("PYTHONHOME", None)
+        environment = spawn.variables()
         if gpu is not None:
             environment["CUDA_VISIBLE_DEVICES"] = gpu
         if isolation is not None:
             environment = isolation.environment(environment)
-        sdk = str(Path(xpl.__file__).parent)
+        start, prefix = (KEPT_START + _BOOTSTRAP, ()) if isolation is None else (_BOOTSTRAP, isolation.prefix)
         with theirs:
             process = await asyncio.create_subprocess_exec(
-                *(() if isolation is None else isolation.prefix),
-                python,
-                "-c",
-                (KEPT_START if isolation is None else "") + _BOOTSTRAP,
-                sdk,
-                str(theirs.fileno()),
+                *spawn.command(python, start, str(theirs.fileno()), prefix=prefix),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.STDOUT,
@@ -180,12 +166,7 @@ class WorkerProcess:
     async def ended(self) -> str:
         """Wait for the process to end and return how it did."""
         code = await exits.exit_code(self._process)
-        if self._wrapped and code > _SIGNALLED:
-            code = _SIGNALLED - code
-        if code >= 0:
-            return f"the worker ended with exit code {code}"
-        names = {number.value: number.name for number in signal.Signals}
-        return f"the worker was ended by signal {names.get(-code, -code)}"
+        return f"the worker {spawn.how_it_ended(code, launched=self._wrapped)}"
 
     def _watched(self, task: asyncio.Task[None]) -> None:
         error = None if task.cancelled() else task.exception()
