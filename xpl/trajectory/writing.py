@@ -18,6 +18,7 @@ from xpl.observation import ObservationError, is_encoded
 from xpl.trajectory import index, names, storage
 from xpl.trajectory.columns import Blobs, Column, Listed, Rows, Steady, numbers
 from xpl.trajectory.errors import TrajectoryError
+from xpl.trajectory.image_columns import Depth, Encoded, Pixels, decoded, flat
 from xpl.trajectory.truth import Truth
 
 if TYPE_CHECKING:
@@ -176,7 +177,7 @@ class Writer:
         """
 
         def column(path: names.Place, first: Any) -> Column:
-            is_depth = not is_encoded(first) and _flat(first).ndim == 2
+            is_depth = not is_encoded(first) and flat(first).ndim == 2
             return self._depth(path, first) if is_depth else self._images(path, first)
 
         self._put(name, images, column)
@@ -303,16 +304,14 @@ class Writer:
         return Rows(self._file, path, numbers(value, "/".join(path)))
 
     def _depth(self, path: names.Place, value: Any) -> Column:
-        return _Depth(self._file, path, _flat(value), chunk=1, **_SMALL)
+        return Depth(self._file, path, flat(value), chunk=1, **_SMALL)
 
     def _images(self, path: names.Place, value: Any) -> Column:
         if self._form == RAW:
-            return _Pixels(self._file, path, _decoded(value), chunk=1, **_SMALL)
+            return Pixels(self._file, path, decoded(value), chunk=1, **_SMALL)
         size = codec.size_of(value)[::-1] if is_encoded(value) else np.shape(value)[:2]
         encode = codec.encode_png if self._form == PNG else self._jpeg
-        return _Encoded(
-            Blobs(self._file, path, padded=self._form == PADDED), encode, (int(size[0]), int(size[1])), path
-        )
+        return Encoded(Blobs(self._file, path, padded=self._form == PADDED), encode, (int(size[0]), int(size[1])), path)
 
     def _jpeg(self, image: Any) -> bytes:
         return codec.encode_jpeg(image, self._quality)
@@ -325,59 +324,6 @@ class Writer:
             raise TrajectoryError(f"{self.path} cannot be written: {error.strerror or error}") from None
         except ObservationError as error:
             raise TrajectoryError(f"{self.path}: step {self.steps}: {error}") from None
-
-
-class _Pixels(Rows):
-    """Colour images as pixels (T, H, W, 3)."""
-
-    def fitting(self, value: Any) -> np.ndarray:
-        """Return an image, (H, W, 3) uint8, of one that may be encoded."""
-        return super().fitting(_decoded(value))
-
-
-class _Depth(Rows):
-    """Depth (T, H, W)."""
-
-    def fitting(self, value: Any) -> np.ndarray:
-        """Return depth (H, W) of (H, W) or (H, W, 1)."""
-        return super().fitting(_flat(value))
-
-
-class _Encoded:
-    """Colour images, encoded."""
-
-    def __init__(self, blobs: Blobs, encode: Callable[[Any], bytes], size: tuple[int, int], path: names.Place) -> None:
-        self._blobs, self._encode, self._size, self._path = blobs, encode, size, path
-
-    def fitting(self, value: Any) -> bytes:
-        """Return an image as it is stored.
-
-        Raises:
-            TrajectoryError: it has another size than the first one.
-        """
-        if is_encoded(value):
-            return bytes(value)
-        image = np.asarray(value)
-        if image.shape[:2] != self._size:
-            raise TrajectoryError(f"{'/'.join(self._path)}: expected images of {self._size}, got {image.shape}")
-        return self._encode(image)
-
-    def add(self, value: bytes) -> None:
-        """Take the image of the next step."""
-        self._blobs.add(value)
-
-    def close(self) -> None:
-        """Write what is still in memory."""
-        self._blobs.close()
-
-
-def _decoded(value: Any) -> np.ndarray:
-    return codec.decode(value) if is_encoded(value) else np.asarray(value)
-
-
-def _flat(value: Any) -> np.ndarray:
-    depth = np.asarray(value)
-    return depth[:, :, 0] if depth.ndim == 3 and depth.shape[2] == 1 else depth
 
 
 def _leaves(value: Mapping[str, Any], path: names.Place) -> Iterator[tuple[names.Place, Any]]:
