@@ -8,117 +8,31 @@ against `spec/`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, Callable, TypeVar
+from dataclasses import dataclass, field
+from typing import Any
 
 from xpl import robots
 from xpl._spec import MODEL_CLASS
-
-__all__ = [
-    "CameraNeeds",
-    "Checkpoint",
-    "CheckpointFile",
-    "Claim",
-    "Document",
-    "EnvManifest",
-    "Gripper",
-    "GripperValues",
-    "HandOver",
-    "History",
-    "Inputs",
-    "Manifest",
-    "Native",
-    "PythonEnvironment",
-    "ResultFile",
-    "SeedRange",
-    "Serving",
-    "Shadow",
-    "Task",
-    "Temporal",
-    "Waiver",
-    "Workspace",
-]
-
-_READER = "reader"
-_DocumentT = TypeVar("_DocumentT", bound="Document")
-
-
-class Document:
-    """What is filled from a map as YAML or JSON has it."""
-
-    @classmethod
-    def parse(cls: type[_DocumentT], data: object) -> _DocumentT:  # noqa: PYI019 - Python 3.9 has no Self
-        """Return the object that a map describes; anything else than a map counts as an empty one."""
-        known: Mapping[Any, Any] = data if isinstance(data, Mapping) else {}
-        declared = fields(cls)  # type: ignore[arg-type]
-        found = {item.name: item.metadata[_READER](known.get(item.name)) for item in declared if item.metadata}
-        values = {name: value for name, value in found.items() if value is not None}
-        if any(item.name == "data" for item in declared):
-            values["data"] = known
-        return cls(**values)
-
-
-def _one(kind: type, default: Any = None) -> Any:
-    """Declare a value of one type; true and false are no numbers, and a whole number may stand for a float."""
-    return field(default=default, metadata={_READER: _reader(kind)})
-
-
-def _many(kind: type, default: tuple[Any, ...] = ()) -> Any:
-    """Declare a list, as a tuple of what has the type."""
-    one = _reader(kind)
-
-    def reader(value: object) -> tuple[Any, ...] | None:
-        if not isinstance(value, Sequence) or isinstance(value, (str, bytes)):
-            return None
-        return tuple(made for item in value if (made := one(item)) is not None)
-
-    return field(default=default, metadata={_READER: reader})
-
-
-def _named(kind: type) -> Any:
-    """Declare a map from names to what has the type."""
-    one = _reader(kind)
-
-    def reader(value: object) -> dict[str, Any] | None:
-        if not isinstance(value, Mapping):
-            return None
-        return {str(name): made for name, item in value.items() if (made := one(item)) is not None}
-
-    return field(default_factory=dict, metadata={_READER: reader})
-
-
-def _part(kind: type) -> Any:
-    """Declare a part that has its own defaults where the map does not have it."""
-    return field(default_factory=kind, metadata={_READER: _reader(kind)})
-
-
-def _reader(kind: type) -> Callable[[object], Any]:
-    if issubclass(kind, Document):
-        return lambda value: kind.parse(value) if isinstance(value, Mapping) else None
-    if kind is float:
-        return lambda value: value if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-    if kind is int:
-        return lambda value: value if isinstance(value, int) and not isinstance(value, bool) else None
-    return lambda value: value if isinstance(value, kind) else None
+from xpl.document import Document, many, named, one, part
 
 
 @dataclass(frozen=True)
 class Temporal(Document):
     """How past and future enter. `history` counts observations, `chunk` action steps of one answer."""
 
-    kind: str | None = _one(str)
-    chunk: int | None = _one(int)
-    history: int = _one(int, 1)
-    ensembling: float | None = _one(float)
+    kind: str | None = one(str)
+    chunk: int | None = one(int)
+    history: int = one(int, 1)
+    ensembling: float | None = one(float)
 
 
 @dataclass(frozen=True)
 class Inputs(Document):
     """Observation fields by name (`state.ee_pose`, `vision.cam_head`): needed, used where there, ignored."""
 
-    required: tuple[str, ...] = _many(str)
-    optional: tuple[str, ...] = _many(str)
-    unused: tuple[str, ...] = _many(str)
+    required: tuple[str, ...] = many(str)
+    optional: tuple[str, ...] = many(str)
+    unused: tuple[str, ...] = many(str)
 
     @property
     def read(self) -> tuple[str, ...]:
@@ -130,22 +44,22 @@ class Inputs(Document):
 class CheckpointFile(Document):
     """One file of a checkpoint: relative path, SHA-256 and bytes where declared."""
 
-    path: str = _one(str, "")
-    sha256: str | None = _one(str)
-    size: int | None = _one(int)
+    path: str = one(str, "")
+    sha256: str | None = one(str)
+    size: int | None = one(int)
 
 
 @dataclass(frozen=True)
 class Checkpoint(Document):
     """Weights that `xpl checkpoint fetch` brings; `data` is the entry as it is written."""
 
-    name: str = _one(str, "")
-    source: str = _one(str, "")
-    revision: str | None = _one(str)
-    sha256: str | None = _one(str)
-    size: int | None = _one(int)
-    license: str | None = _one(str)
-    files: tuple[CheckpointFile, ...] = _many(CheckpointFile)
+    name: str = one(str, "")
+    source: str = one(str, "")
+    revision: str | None = one(str)
+    sha256: str | None = one(str)
+    size: int | None = one(int)
+    license: str | None = one(str)
+    files: tuple[CheckpointFile, ...] = many(CheckpointFile)
     data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
 
@@ -153,86 +67,86 @@ class Checkpoint(Document):
 class PythonEnvironment(Document):
     """Where a package's interpreter comes from; manager `none` is the tool's own."""
 
-    manager: str = _one(str, "none")
-    python: str | None = _one(str)
-    name: str | None = _one(str)
-    requirements: tuple[str, ...] = _many(str)
-    lock: str | None = _one(str)
+    manager: str = one(str, "none")
+    python: str | None = one(str)
+    name: str | None = one(str)
+    requirements: tuple[str, ...] = many(str)
+    lock: str | None = one(str)
 
 
 @dataclass(frozen=True)
 class Serving(Document):
     """Whether several clients may share one model, and the largest batch of it (None: no limit)."""
 
-    shared: bool = _one(bool, default=False)
-    max_batch: int | None = _one(int)
+    shared: bool = one(bool, default=False)
+    max_batch: int | None = one(int)
 
 
 @dataclass(frozen=True)
 class Shadow(Document):
     """What `predict` returns without the model: shape (H, D) and range (low, high); empty where not declared."""
 
-    shape: tuple[int, ...] = _many(int)
-    range: tuple[float, ...] = _many(float)
+    shape: tuple[int, ...] = many(int)
+    range: tuple[float, ...] = many(float)
 
 
 @dataclass(frozen=True)
 class Claim(Document):
     """A success rate that the author claims, 0 to 1."""
 
-    environment: str = _one(str, "")
-    task: str = _one(str, "")
-    embodiment: str | None = _one(str)
-    action_type: str | None = _one(str)
-    setting: str | None = _one(str)
-    success_rate: float = _one(float, 0.0)
-    episodes: int | None = _one(int)
+    environment: str = one(str, "")
+    task: str = one(str, "")
+    embodiment: str | None = one(str)
+    action_type: str | None = one(str)
+    setting: str | None = one(str)
+    success_rate: float = one(float, 0.0)
+    episodes: int | None = one(int)
 
 
 @dataclass(frozen=True)
 class Waiver(Document):
     """A rule whose findings the author accepts, with the reason."""
 
-    rule: str = _one(str, "")
-    reason: str = _one(str, "")
-    message: str | None = _one(str)
+    rule: str = one(str, "")
+    reason: str = one(str, "")
+    message: str | None = one(str)
 
 
 @dataclass(frozen=True)
 class CameraNeeds(Document):
     """The smallest image, in pixels, that a policy can work with; None: any will do. `exact`: this size only."""
 
-    width: int | None = _one(int)
-    height: int | None = _one(int)
-    exact: bool = _one(bool, default=False)
+    width: int | None = one(int)
+    height: int | None = one(int)
+    exact: bool = one(bool, default=False)
 
 
 @dataclass(frozen=True)
 class GripperValues(Document):
     """The model's values of a closed and an open gripper, in `unit`."""
 
-    closed: float | None = _one(float)
-    open: float | None = _one(float)
-    unit: str | None = _one(str)
+    closed: float | None = one(float)
+    open: float | None = one(float)
+    unit: str | None = one(str)
 
 
 @dataclass(frozen=True)
 class Gripper(Document):
     """What the policy's gripper commands mean: `position` or `binary`."""
 
-    command: str | None = _one(str)
-    native: GripperValues | None = _one(GripperValues)
+    command: str | None = one(str)
+    native: GripperValues | None = one(GripperValues)
 
 
 @dataclass(frozen=True)
 class History(Document):
     """Earlier observations that the model sees, too; what is open has its default."""
 
-    length: int = _one(int, 1)
-    stride: int = _one(int, 1)
-    pad: str = _one(str, "repeat")
-    mask: str | None = _one(str)
-    of: tuple[str, ...] = _many(str, ("images", "state"))
+    length: int = one(int, 1)
+    stride: int = one(int, 1)
+    pad: str = one(str, "repeat")
+    mask: str | None = one(str)
+    of: tuple[str, ...] = many(str, ("images", "state"))
 
     @property
     def reach(self) -> int:
@@ -248,16 +162,16 @@ class Native(Document):
         sampling, recurrent: a map where the author says that it is unknown.
     """
 
-    images: tuple[Mapping[str, Any], ...] = _many(Mapping)
-    state: tuple[Mapping[str, Any], ...] = _many(Mapping)
-    instruction: object = _one(object)
-    history: History | None = _one(History)
-    action: Mapping[str, Any] = _named(object)
-    sampling: object = _one(object, "none")
-    tolerance: float = _one(float, 0.001)
-    recurrent: object = _one(object, default=False)
-    samples: tuple[Mapping[str, Any], ...] = _many(Mapping)
-    code: tuple[str, ...] = _many(str)
+    images: tuple[Mapping[str, Any], ...] = many(Mapping)
+    state: tuple[Mapping[str, Any], ...] = many(Mapping)
+    instruction: object = one(object)
+    history: History | None = one(History)
+    action: Mapping[str, Any] = named(object)
+    sampling: object = one(object, "none")
+    tolerance: float = one(float, 0.001)
+    recurrent: object = one(object, default=False)
+    samples: tuple[Mapping[str, Any], ...] = many(Mapping)
+    code: tuple[str, ...] = many(str)
     data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __bool__(self) -> bool:
@@ -288,32 +202,32 @@ class Manifest(Document):
         data: the whole map as it is written.
     """
 
-    spec: str | None = _one(str)
-    name: str | None = _one(str)
-    summary: str | None = _one(str)
-    family: str | None = _one(str)
-    paper: Mapping[str, Any] | None = _one(Mapping)
-    upstream: Mapping[str, Any] | None = _one(Mapping)
-    license: str | None = _one(str)
-    temporal: Temporal = _part(Temporal)
-    control_frequency: float | None = _one(float)
-    inputs: Inputs | None = _one(Inputs)
-    embodiments: tuple[str, ...] = _many(str)
-    action_types: tuple[str, ...] = _many(str)
-    deterministic: bool = _one(bool, default=True)
-    evaluation_only: bool = _one(bool, default=False)
-    checkpoints: tuple[Checkpoint, ...] = _many(Checkpoint)
-    environment: PythonEnvironment = _part(PythonEnvironment)
-    model_class: str = _one(str, MODEL_CLASS)
-    variants: Mapping[str, Mapping[str, Any]] = _named(Mapping)
-    methods: tuple[str, ...] = _many(str)
-    serving: Serving = _part(Serving)
-    shadow: Shadow = _part(Shadow)
-    claims: tuple[Claim, ...] = _many(Claim)
-    waivers: tuple[Waiver, ...] = _many(Waiver)
-    cameras: Mapping[str, CameraNeeds] = _named(CameraNeeds)
-    gripper: Gripper | None = _one(Gripper)
-    native: Native | None = _one(Native)
+    spec: str | None = one(str)
+    name: str | None = one(str)
+    summary: str | None = one(str)
+    family: str | None = one(str)
+    paper: Mapping[str, Any] | None = one(Mapping)
+    upstream: Mapping[str, Any] | None = one(Mapping)
+    license: str | None = one(str)
+    temporal: Temporal = part(Temporal)
+    control_frequency: float | None = one(float)
+    inputs: Inputs | None = one(Inputs)
+    embodiments: tuple[str, ...] = many(str)
+    action_types: tuple[str, ...] = many(str)
+    deterministic: bool = one(bool, default=True)
+    evaluation_only: bool = one(bool, default=False)
+    checkpoints: tuple[Checkpoint, ...] = many(Checkpoint)
+    environment: PythonEnvironment = part(PythonEnvironment)
+    model_class: str = one(str, MODEL_CLASS)
+    variants: Mapping[str, Mapping[str, Any]] = named(Mapping)
+    methods: tuple[str, ...] = many(str)
+    serving: Serving = part(Serving)
+    shadow: Shadow = part(Shadow)
+    claims: tuple[Claim, ...] = many(Claim)
+    waivers: tuple[Waiver, ...] = many(Waiver)
+    cameras: Mapping[str, CameraNeeds] = named(CameraNeeds)
+    gripper: Gripper | None = one(Gripper)
+    native: Native | None = one(Native)
     data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __bool__(self) -> bool:
@@ -348,14 +262,14 @@ class Task(Document):
         data: the whole entry as it is written, with what only this environment reads.
     """
 
-    instruction: str = _one(str, "")
-    max_steps: int = _one(int, 0)
-    stages: Mapping[str, float] = _named(float)
-    dimension: str | None = _one(str)
-    arms: tuple[int, ...] = _many(int)
-    unsupported: Mapping[str, str] = _named(str)
-    control_frequency: float | None = _one(float)
-    success_means: str | None = _one(str)
+    instruction: str = one(str, "")
+    max_steps: int = one(int, 0)
+    stages: Mapping[str, float] = named(float)
+    dimension: str | None = one(str)
+    arms: tuple[int, ...] = many(int)
+    unsupported: Mapping[str, str] = named(str)
+    control_frequency: float | None = one(float)
+    success_means: str | None = one(str)
     data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
 
@@ -363,24 +277,24 @@ class Task(Document):
 class SeedRange(Document):
     """Seeds that a benchmark freezes for its evaluation: `count` of them from `first` on."""
 
-    first: int = _one(int, 0)
-    count: int = _one(int, 0)
+    first: int = one(int, 0)
+    count: int = one(int, 0)
 
 
 @dataclass(frozen=True)
 class Workspace(Document):
     """A benchmark's folder: the environment variable that names it, and what has to be in it."""
 
-    variable: str = _one(str, "")
-    files: tuple[str, ...] = _many(str)
+    variable: str = one(str, "")
+    files: tuple[str, ...] = many(str)
 
 
 @dataclass(frozen=True)
 class ResultFile(Document):
     """Where a benchmark's result lies below its workspace: `*` stands for a name that only the benchmark knows."""
 
-    form: str = _one(str, "")
-    file: str = _one(str, "")
+    form: str = one(str, "")
+    file: str = one(str, "")
 
 
 @dataclass(frozen=True)
@@ -395,13 +309,13 @@ class HandOver(Document):
         randomized: how names of tasks of the randomized setting end; None where names do not tell.
     """
 
-    bench_name: str = _one(str, "")
-    workspace: Workspace = _part(Workspace)
-    command: tuple[str, ...] = _many(str)
-    rehearsal: tuple[str, ...] = _many(str)
-    variables: Mapping[str, str] = _named(str)
-    result: ResultFile = _part(ResultFile)
-    randomized: str | None = _one(str)
+    bench_name: str = one(str, "")
+    workspace: Workspace = part(Workspace)
+    command: tuple[str, ...] = many(str)
+    rehearsal: tuple[str, ...] = many(str)
+    variables: Mapping[str, str] = named(str)
+    result: ResultFile = part(ResultFile)
+    randomized: str | None = one(str)
 
 
 @dataclass(frozen=True)
@@ -421,31 +335,31 @@ class EnvManifest(Document):
         data: the whole map as it is written, with what only this environment reads.
     """
 
-    spec: str | None = _one(str)
-    name: str = _one(str, "")
-    title: str = _one(str, "")
-    summary: str | None = _one(str)
-    client: str = _one(str, "client.py")
-    embodiments: tuple[str, ...] = _many(str)
-    any_embodiment: bool = _one(bool, default=False)
-    action_types: tuple[str, ...] = _many(str)
-    cameras: Mapping[str, Mapping[str, Any]] = _named(Mapping)
-    control_frequency: float = _one(float, 0.0)
-    real_time: bool | None = _one(bool)
-    pose_frame: str | None = _one(str)
-    privileged: bool = _one(bool, default=False)
-    scripted: bool = _one(bool, default=False)
-    settings: tuple[str, ...] = _many(str, ("clean",))
-    renderers: tuple[str, ...] = _many(str)
-    environment: PythonEnvironment = _part(PythonEnvironment)
-    expert: str | None = _one(str)
-    splits: Mapping[str, Sequence[str]] = _named(list)
-    evaluation_seeds: SeedRange | None = _one(SeedRange)
-    success_means: str | None = _one(str)
-    hand_over: HandOver | None = _one(HandOver)
-    stand_in: str | None = _one(str)
-    robot: Mapping[str, Any] | None = _one(Mapping)
-    tasks: Mapping[str, Task] = _named(Task)
+    spec: str | None = one(str)
+    name: str = one(str, "")
+    title: str = one(str, "")
+    summary: str | None = one(str)
+    client: str = one(str, "client.py")
+    embodiments: tuple[str, ...] = many(str)
+    any_embodiment: bool = one(bool, default=False)
+    action_types: tuple[str, ...] = many(str)
+    cameras: Mapping[str, Mapping[str, Any]] = named(Mapping)
+    control_frequency: float = one(float, 0.0)
+    real_time: bool | None = one(bool)
+    pose_frame: str | None = one(str)
+    privileged: bool = one(bool, default=False)
+    scripted: bool = one(bool, default=False)
+    settings: tuple[str, ...] = many(str, ("clean",))
+    renderers: tuple[str, ...] = many(str)
+    environment: PythonEnvironment = part(PythonEnvironment)
+    expert: str | None = one(str)
+    splits: Mapping[str, Sequence[str]] = named(list)
+    evaluation_seeds: SeedRange | None = one(SeedRange)
+    success_means: str | None = one(str)
+    hand_over: HandOver | None = one(HandOver)
+    stand_in: str | None = one(str)
+    robot: Mapping[str, Any] | None = one(Mapping)
+    tasks: Mapping[str, Task] = named(Task)
     data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def frequency(self, task: str | None) -> float:
