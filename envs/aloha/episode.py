@@ -16,9 +16,10 @@ from xpl.environment import Episode, Setup
 from xpl.episode import Simulated
 from xpl.kinematics import Chain
 from xpl.poses import pose
+from xpl.rendering import choose_opengl
 
 from .expert import Expert
-from .pictures import Pictures, choose_renderer
+from .pictures import Pictures
 from .touching import Touching
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class AlohaEpisode(Episode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        choose_renderer()
+        choose_opengl()
         from gym_aloha.env import AlohaEnv
 
         self._env = AlohaEnv(task=setup.task, obs_type="pixels_agent_pos")

@@ -2,31 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from ctypes.util import find_library
 from typing import Any
 
 import numpy as np
 
-from xpl import _spec as spec
 from xpl.environment import Setup
+from xpl.rendering import RendererMissingError, mujoco_view
 
-_VARIABLE = "MUJOCO_GL"
-_OPENCV = np.diag([1.0, -1.0, -1.0])
-_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 _FAST = "fast"
-
-
-class RendererMissingError(RuntimeError):
-    """This machine lacks what the environment draws with."""
-
-
-def choose_renderer() -> None:
-    """Let dm_control draw without a screen, unless `MUJOCO_GL` says how; it has to be said before it is imported."""
-    for name, library in _LIBRARIES.items():
-        if find_library(library):
-            os.environ.setdefault(_VARIABLE, name)
 
 
 class Pictures:
@@ -68,25 +52,11 @@ class Pictures:
         try:
             color: np.ndarray = self._physics.render(height=height, width=width, camera_id=source)
         except Exception as error:
-            raise RendererMissingError(
-                f"MuJoCo cannot draw here ({type(error).__name__}: {error}); policies without cameras still run"
-            ) from error
+            raise RendererMissingError.of("MuJoCo", error) from error
         return color
 
     def _view(self, source: str, facts: Mapping[str, Any]) -> dict[str, Any]:
         height, width = self._size or (facts["height"], facts["width"])
-        model, data = self._physics.model, self._physics.data
+        model = self._physics.model
         color = self.drawn(source, height, width)
-        camera = model.name2id(source, "camera")
-        # MuJoCo's cameras look along -z with y up, the standard's along z with y down.
-        turn = _OPENCV @ data.cam_xmat[camera].reshape(3, 3).T
-        focal = height / 2 / np.tan(np.radians(model.cam_fovy[camera]) / 2)
-        extrinsics = np.eye(4)
-        extrinsics[:3, :3], extrinsics[:3, 3] = turn, -turn @ data.cam_xpos[camera]
-        return {
-            spec.Camera.COLOR: color,
-            spec.Camera.INTRINSIC_MATRIX: np.array(
-                [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
-            ),
-            spec.Camera.EXTRINSICS_MATRIX: extrinsics,
-        }
+        return mujoco_view(model, self._physics.data, model.name2id(source, "camera"), color)

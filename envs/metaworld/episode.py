@@ -13,6 +13,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl.environment import Episode, Setup
 from xpl.episode import SUCCESS_SCORE, Simulated
+from xpl.rendering import choose_opengl
 from xpl.rotation import angle_between
 from xpl.simulator.changes import COMMANDED, MEASURED, Changes, bounded
 
@@ -63,7 +64,7 @@ class MetaWorldEpisode(Episode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        Pictures.choose_renderer()
+        choose_opengl()
         from metaworld.env_dict import ALL_V3_ENVIRONMENTS
         from metaworld.policies import ENV_POLICY_MAP
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from xpl.rendering import RendererMissingError
+
 from .camera import Camera, Frame
 
 if TYPE_CHECKING:
@@ -23,10 +25,6 @@ _MOST_GEOMS = 2000
 _SHADOW_PIXELS, _SHADOW_HALF = 2048, 1.2  # of the shadow map; m around the axis of the light
 _PLATFORM = "PYOPENGL_PLATFORM"
 _NEEDS = {"egl": "libEGL (Debian: libegl1)", "osmesa": "libOSMesa (Debian: libosmesa6)"}
-
-
-class RendererMissingError(RuntimeError):
-    """This machine cannot draw with the renderer that was asked for."""
 
 
 class Stage:

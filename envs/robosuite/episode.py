@@ -12,10 +12,11 @@ from xpl import _spec as spec
 from xpl import rotation
 from xpl.environment import Episode, Setup
 from xpl.episode import SUCCESS_SCORE, Simulated
+from xpl.rendering import choose_opengl
 from xpl.simulator.changes import COMMANDED, MEASURED
 
 from .arm import Arm
-from .drawing import Pictures, choose_renderer
+from .drawing import Pictures
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,7 +36,7 @@ class RobosuiteEpisode(Episode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        choose_renderer()
+        choose_opengl()
         logging.disable(logging.WARNING)  # it warns of what is not installed, and tells of each episode what it loads
         import robosuite
         from robosuite.controllers import load_composite_controller_config

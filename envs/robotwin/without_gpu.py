@@ -9,34 +9,22 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.util
-import os
 import sys
 import tempfile
 import types
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from xpl.environment import require
+from xpl.rendering import VULKAN_COMPLAINTS, choose_vulkan, no_vulkan
 
 from . import stand_in_robot
 from .own import Own, quiet
 
-MESA = "XPL_MESA"
-"""Variable with the folder that envs/maniskill/mesa.sh filled."""
-_DEFAULT = "~/.cache/xpl/mesa"
-_SCRIPT = 'bash "$(xpl env path maniskill)/mesa.sh"'
-_DRIVER = "lvp_icd.json"
-_OWN = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")  # Vulkan's variables, the second by its older name
 _UNUSED = ("open3d",)  # of point clouds, which no setting here asks for
 _NO_WAY = {"status": "Fail"}
 _SEARCH = 1  # seed of every search for a way
-_COMPLAINTS = ("rendering device", "vk::")  # of SAPIEN where Vulkan has no device, or no driver
-
-
-class RendererMissingError(RuntimeError):
-    """This machine lacks what the environment draws with."""
 
 
 class WithStandIn(Own):
@@ -51,7 +39,7 @@ class WithStandIn(Own):
 
     def __init__(self) -> None:
         require("robotwin", __file__)
-        choose_driver()
+        choose_vulkan()
         for name in _UNUSED:
             if name not in sys.modules and importlib.util.find_spec(name) is None:
                 sys.modules[name] = types.ModuleType(name)
@@ -86,23 +74,6 @@ class WithStandIn(Own):
         return {**told, "planner_backend": "mplib"}
 
 
-def choose_driver() -> None:
-    """Let Vulkan find Mesa's driver for processors where mesa.sh put one, unless Vulkan's own variables name another.
-
-    Raises:
-        RendererMissingError: `XPL_MESA` names a folder without a driver.
-    """
-    warnings.filterwarnings("ignore", message="Failed to find system libvulkan")  # SAPIEN brings one
-    if any(os.environ.get(name) for name in _OWN):
-        return
-    named = os.environ.get(MESA)
-    driver = Path(named or _DEFAULT).expanduser() / _DRIVER
-    if driver.is_file():
-        os.environ[_OWN[1]] = str(driver)
-    elif named:
-        raise RendererMissingError(f"{MESA} names {named}, which has no {_DRIVER}: {_SCRIPT} makes one")
-
-
 def _steady(plan: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
     """Return a planner that finds the same way for the same question, and none to where an arm is.
 
@@ -132,9 +103,5 @@ def _assets() -> tempfile.TemporaryDirectory[str]:
 
 
 def _explained(error: RuntimeError) -> RuntimeError:
-    if not any(complaint in str(error) for complaint in _COMPLAINTS):
-        return error
-    return RendererMissingError(
-        f"RoboTwin needs a Vulkan device even without cameras, and SAPIEN found none that it can use ({error}): "
-        f"without a GPU, `{_SCRIPT}` gets Mesa's driver for processors (Debian 12 has one that is too old)"
-    )
+    is_about_vulkan = any(complaint in str(error) for complaint in VULKAN_COMPLAINTS)
+    return no_vulkan("RoboTwin", error) if is_about_vulkan else error

@@ -27,6 +27,7 @@ LAZY = {
     "msgpack": {"xpl.openpi.codec", "xpl.wire.codec"},
     "websockets": {"xpl.client.aio", "xpl.client.connection"},
     "PIL": {"xpl.images"},
+    "robosuite": {"xpl.rendering.robosuite"},
     "yaml": {
         "xpl.ecosystem.offered.load_file",
         "xpl.environment",

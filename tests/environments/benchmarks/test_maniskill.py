@@ -20,6 +20,7 @@ from xpl.kinematics import Chain
 from xpl.manifest import EnvManifest
 from xpl.poses import compose
 from xpl.process.modules import load_module
+from xpl.rendering import VULKAN_COMPLAINTS, RendererMissingError, choose_vulkan
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages import environments
 
@@ -29,9 +30,9 @@ PANDA, STICK, SO100, PAIR = MANIFEST["embodiments"]
 PYTHON = build.interpreter("maniskill", locks=ENV)
 _ASKED = """
 import sys
-sys.path.insert(0, {envs!r})
-from maniskill import vulkan
-vulkan.choose_driver()
+sys.path.insert(0, {root!r})
+from xpl.rendering import choose_vulkan
+choose_vulkan()
 import sapien
 sapien.render.RenderMaterial()
 """
@@ -41,10 +42,10 @@ def _why_not() -> str | None:
     """Return why nothing of ManiSkill can be played here, or None if it can."""
     if PYTHON is None:
         return "maniskill is not installed from envs/maniskill/maniskill.lock.txt; `./dev peers` does so"
-    program = _ASKED.format(envs=str(ENV.parent))
+    program = _ASKED.format(root=str(build.ROOT))
     command = [str(PYTHON), "-c", program]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=peers.LIMIT_S)
-    if done.returncode and any(complaint in done.stderr for complaint in load_module(ENV / "vulkan.py").COMPLAINTS):
+    if done.returncode and any(complaint in done.stderr for complaint in VULKAN_COMPLAINTS):
         return "there is no Vulkan device; envs/maniskill/mesa.sh gets a driver"
     assert done.returncode == 0, done.stderr
     return None
@@ -89,19 +90,18 @@ def test_a_driver_is_taken_from_the_named_folder_and_never_instead_of_vulkans_ow
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """XPL_MESA names a folder that mesa.sh filled; a wrong one is an error that names it."""
-    vulkan = load_module(ENV / "vulkan.py")
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv(vulkan.MESA, str(tmp_path))
-    with pytest.raises(vulkan.RendererMissingError, match=str(tmp_path)):
-        vulkan.choose_driver()
+    monkeypatch.setenv("XPL_MESA", str(tmp_path))
+    with pytest.raises(RendererMissingError, match=str(tmp_path)):
+        choose_vulkan()
     (tmp_path / "lvp_icd.json").touch()
     monkeypatch.setenv("VK_DRIVER_FILES", "theirs")
-    vulkan.choose_driver()
+    choose_vulkan()
     assert "VK_ICD_FILENAMES" not in os.environ
     monkeypatch.delenv("VK_DRIVER_FILES")
     monkeypatch.setenv("VK_ICD_FILENAMES", "")
-    vulkan.choose_driver()
+    choose_vulkan()
     assert os.environ["VK_ICD_FILENAMES"] == str(tmp_path / "lvp_icd.json")
 
 
