@@ -275,12 +275,7 @@ class ArmEpisode(Episode):
 
     def _judge_motion(self) -> None:
         """End the episode where the arm does not follow, or a camera shows the past."""
-        far = max(
-            float(np.abs(self._present.state[key] - target).max())
-            for key, target in (self._target or {}).items()
-            if key.endswith(spec.State.ARM_JOINT_STATE)
-        )
-        self._behind = self._behind + 1 if far > self.care.follow_rad else 0
+        self._behind = self._behind + 1 if self._lag() > self.care.follow_rad else 0
         if self._behind >= self.care.follow_steps:
             self._ended = NOT_FOLLOWING
         now = time.monotonic()
@@ -289,10 +284,21 @@ class ArmEpisode(Episode):
         ):
             self._ended = OLD_PICTURE
         if self._ended is not None:
-            with self._lock:
-                if self._driver is not None:
-                    self._driver.hold()
+            self._hold()
             self._target = dict(self._present.state)
+
+    def _lag(self) -> float:
+        """Return how far a joint is behind its target, rad; the one that is farthest."""
+        return max(
+            float(np.abs(self._present.state[key] - target).max())
+            for key, target in (self._target or {}).items()
+            if key.endswith(spec.State.ARM_JOINT_STATE)
+        )
+
+    def _hold(self) -> None:
+        with self._lock:
+            if self._driver is not None:
+                self._driver.hold()
 
     def _go_home(self) -> None:
         """Go to the home pose slowly, and wait until the arm is there.
@@ -318,16 +324,10 @@ class ArmEpisode(Episode):
                 self._command(targets)
             time.sleep(period)
             self._read(cameras=bool(self.setup.cameras))
-            far = max(
-                float(np.abs(self._present.state[key] - value).max())
-                for key, value in (self._target or {}).items()
-                if key.endswith(spec.State.ARM_JOINT_STATE)
-            )
+            far = self._lag()
             late = late + 1 if far > self.care.follow_rad else 0
             if late >= self.care.follow_steps:
-                with self._lock:
-                    if self._driver is not None:
-                        self._driver.hold()
+                self._hold()
                 raise DriverError(f"the arm does not follow on its way home: {far:.2f} rad behind its target")
             if left < 1e-6 and far < self.care.follow_rad:
                 return
