@@ -139,20 +139,27 @@ class Gripper(Part):
         return np.asarray(opening)[..., None]
 
 
-class Position(Part):
+class _OfPose(Part):
+    """A part of the pose of an arm's point."""
+
+    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+        super().__init__(f"{self.kind} {entry['arm']}")
+        arm = embodiment.arms[side_index(embodiment, entry["arm"])]
+        self.key = arm.prefix + spec.State.EE_POSE
+        self.frame = Frame(embodiment, entry["arm"], entry.get("point", "flange"), entry.get("frame", "world"))
+        self.reference = entry.get("reference")
+        self.applied = entry.get("applied", "fixed")
+
+
+class Position(_OfPose):
     """Where a point of an arm is."""
 
     kind = "position"
     width = spec.POSITION_DIM
 
     def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
-        super().__init__(f"position {entry['arm']}")
-        arm = embodiment.arms[side_index(embodiment, entry["arm"])]
-        self.key = arm.prefix + spec.State.EE_POSE
-        self.frame = Frame(embodiment, entry["arm"], entry.get("point", "flange"), entry.get("frame", "world"))
+        super().__init__(entry, embodiment)
         self.unit = _UNITS[entry.get("unit", "m")]
-        self.reference = entry.get("reference")
-        self.applied = entry.get("applied", "fixed")
 
     def read(self, state: State) -> Numbers:
         """Return the numbers (width,) of a state."""
@@ -167,16 +174,13 @@ class Position(Part):
         return rotation.rotate(quaternion, change)
 
 
-class Rotation(Part):
+class Rotation(_OfPose):
     """How a point of an arm is turned."""
 
     kind = "rotation"
 
     def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
-        super().__init__(f"rotation {entry['arm']}")
-        arm = embodiment.arms[side_index(embodiment, entry["arm"])]
-        self.key = arm.prefix + spec.State.EE_POSE
-        self.frame = Frame(embodiment, entry["arm"], entry.get("point", "flange"), entry.get("frame", "world"))
+        super().__init__(entry, embodiment)
         self.form: str = entry["form"]
         self._euler = entry.get("euler")
         self.width = rotations.WIDTHS[self.form]
@@ -186,8 +190,6 @@ class Rotation(Part):
         axes = str(self._euler or "").lower()
         if any(one == two for one, two in zip(axes, axes[1:])):
             raise NativeError(f"euler {self._euler} turns about one axis twice in a row; say such as xyz")
-        self.reference = entry.get("reference")
-        self.applied = entry.get("applied", "fixed")
 
     def read(self, state: State) -> Numbers:
         """Return the numbers (width,) of a state."""

@@ -36,10 +36,7 @@ def opened(path: Path, most: int = MOST_BYTES) -> IO[bytes]:
     Raises:
         OSError: it cannot be opened, is no regular file, or is too large; `strerror` is fit for a sentence.
     """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except ValueError:  # a name that holds NUL
-        raise OSError(errno.EINVAL, "no file can have that name", str(path)) from None
+    descriptor = _descriptor(path)
     stream = os.fdopen(descriptor, "rb") if is_regular(descriptor) else None
     if stream is None:
         mode = os.fstat(descriptor).st_mode
@@ -69,10 +66,7 @@ def given(path: Path, most: int = MOST_BYTES) -> bytes:
     Raises:
         OSError: as `opened`; or nobody writes to the pipe, or too much.
     """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except ValueError:
-        raise OSError(errno.EINVAL, "no file can have that name", str(path)) from None
+    descriptor = _descriptor(path)
     with os.fdopen(descriptor, "rb", buffering=0) as stream:
         if not stat.S_ISFIFO(os.fstat(descriptor).st_mode):
             return content(path, most)
@@ -85,6 +79,13 @@ def given(path: Path, most: int = MOST_BYTES) -> bytes:
             if len(read) > most:
                 raise OSError(errno.EFBIG, f"more than {told_size(most)} came out of it", str(path))
         raise OSError(errno.ETIMEDOUT, f"nobody wrote to the pipe within {_PATIENCE_S:g} s", str(path))
+
+
+def _descriptor(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError:  # a name that holds NUL
+        raise OSError(errno.EINVAL, "no file can have that name", str(path)) from None
 
 
 def is_regular(descriptor: int) -> bool:
