@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Union
 
 from xpl import _spec as spec
 from xpl.convert.errors import NativeError
+from xpl.nested import written
 
 if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
@@ -56,7 +57,7 @@ class Gap:
     @property
     def where(self) -> str:
         """Its place as people read it: `images[0].channels`."""
-        return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self.path).lstrip(".")
+        return written(self.path)
 
 
 def gaps(native: Any) -> list[Gap]:

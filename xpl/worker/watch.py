@@ -10,13 +10,14 @@ import functools
 import hashlib
 import inspect
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from types import ModuleType
 from typing import Any, Callable
 
 import numpy as np
 
 from xpl import _spec as spec
+from xpl.nested import Place, leaves, written
 from xpl.worker.copies import own
 
 CHANGED, SHARED, SWALLOWED = "changed", "shared", "swallowed"
@@ -28,8 +29,6 @@ _WATCHED = (*_SHOWING, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
 _REMEMBERED = 8
 """Observations that are looked at after every operation: the newest ones, which a model may still read."""
 _PARTS = (spec.Method.RESET, "clear")
-
-Key = tuple[Any, ...]
 
 
 class Watched:
@@ -94,7 +93,7 @@ class Watched:
             for seen in self._seen:
                 shared = seen.sharing(array)
                 if shared is not None:
-                    self._note(SHARED, name, _written(key), **{"with": shared})
+                    self._note(SHARED, name, written(key), **{"with": shared})
         return result
 
     def _note(self, what: str, method: str, key: str, **more: str) -> None:
@@ -115,13 +114,13 @@ class _Seen:
         now = _prints(self._obs)
         changed = [key for key in {**self._held, **now} if self._held.get(key) != now.get(key)]
         self._held = now
-        return sorted(map(_written, changed))
+        return sorted(map(written, changed))
 
     def sharing(self, array: np.ndarray) -> str | None:
         """Return the key of an array here that shares memory with another array."""
         for key, held in _arrays(self._obs):
             if np.may_share_memory(held, array) and np.shares_memory(held, array):
-                return _written(key)
+                return written(key)
         return None
 
 
@@ -167,20 +166,9 @@ def _broken(owner: Any, name: str) -> Iterator[list[str]]:
             delattr(owner, name)
 
 
-def _leaves(value: Any, key: Key = ()) -> Iterator[tuple[Key, Any]]:
-    if isinstance(value, Mapping):
-        for name, item in value.items():
-            yield from _leaves(item, (*key, name))
-    elif isinstance(value, (list, tuple)):
-        for place, item in enumerate(value):
-            yield from _leaves(item, (*key, place))
-    else:
-        yield key, value
-
-
-def _arrays(value: Any) -> Iterator[tuple[Key, np.ndarray]]:
+def _arrays(value: Any) -> Iterator[tuple[Place, np.ndarray]]:
     """Yield every array in a value, and the memory of every tensor that lies where an array can see it."""
-    for key, leaf in _leaves(value):
+    for key, leaf in leaves(value):
         if isinstance(leaf, np.ndarray):
             yield key, leaf
         elif hasattr(leaf, "detach"):
@@ -188,17 +176,11 @@ def _arrays(value: Any) -> Iterator[tuple[Key, np.ndarray]]:
                 yield key, leaf.detach().numpy()
 
 
-def _prints(obs: Any) -> dict[Key, str]:
+def _prints(obs: Any) -> dict[Place, str]:
     """Return a short text for every value of an observation, equal as long as the value is."""
     return {
         key: f"{leaf.dtype.str}{leaf.shape}{hashlib.sha256(leaf.tobytes()).hexdigest()}"
         if isinstance(leaf, np.ndarray)
         else repr(leaf)
-        for key, leaf in _leaves(obs)
+        for key, leaf in leaves(obs)
     }
-
-
-def _written(key: Key) -> str:
-    """Return a key as people write it: `state.left_ee_pose`, `[0].left_ee_pose`."""
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key)
-    return text.removeprefix(".")

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from xpl.nested import written
+
 _Error = Any
 """A `jsonschema.ValidationError`; its own annotations call every attribute possibly unset."""
 
@@ -43,7 +45,7 @@ class Problem:
     def where(self) -> str:
         """Where it is: the file's line and column as far as known, then the path."""
         position = [str(part) for part in (self.file, self.line, self.column) if part is not None]
-        return " ".join(filter(None, [":".join(position), path_text(self.path)]))
+        return " ".join(filter(None, [":".join(position), written(self.path)]))
 
     @property
     def told(self) -> str:
@@ -56,13 +58,7 @@ class Problem:
 
 def problem_json(problem: Problem) -> dict[str, Any]:
     """Return a problem as JSON tells it, with its key as people write it."""
-    return {**asdict(problem), "path": [str(part) for part in problem.path], "key": path_text(problem.path)}
-
-
-def path_text(path: tuple[str | int, ...]) -> str:
-    """Write a path the way it is read: `vision.cam_head.color`, `tasks[0].name`."""
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
-    return text.removeprefix(".")
+    return {**asdict(problem), "path": [str(part) for part in problem.path], "key": written(problem.path)}
 
 
 def explain(error: _Error) -> Iterator[Problem]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as sdk
+from xpl.nested import written
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,13 +28,12 @@ def problems(stage: Stage, offer: Offer, obs: Observation) -> Iterator[str]:
         offer: what is played.
         obs: the observation of its only environment.
     """
-    from xpl_cli.standard.problems import path_text
     from xpl_cli.standard.validate import validate
 
     arm = offer.robot.arms[0]
     sizes = {"DOF": arm.dof, "EEF": arm.ee_dim}
     found = validate(obs, "observation", bindings=sizes)
-    yield from (f"{path_text(problem.path) or 'the observation'}: {problem.message}" for problem in found)
+    yield from (f"{written(problem.path) or 'the observation'}: {problem.message}" for problem in found)
     if found:
         return
     yield from _labels(stage, offer, obs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from xpl.nested import written
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, Location
 from xpl_cli.standard import spec
 
@@ -25,12 +26,11 @@ def schema_findings(source: Source, name: str, schema: str, consequence: str) ->
         schema: name of the schema.
         consequence: what a problem means, with `{}` for the key or file it lies in.
     """
-    from xpl_cli.standard.problems import path_text
     from xpl_cli.standard.validate import validate_yaml_file
 
     for problem in validate_yaml_file(source.path / name, schema):
         yield Finding(
-            f"{consequence.format(path_text(problem.path) or name)}: {problem.told.partition(': expected ')[0]}",
+            f"{consequence.format(written(problem.path) or name)}: {problem.told.partition(': expected ')[0]}",
             path=name,
             line=problem.line,
             column=problem.column,

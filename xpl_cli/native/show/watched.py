@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import _spec as sdk
+from xpl.nested import leaves, written
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.isolation import errand
 from xpl_cli.lifecycle import interpreter
@@ -96,7 +97,7 @@ def told(inputs: Any) -> list[str]:
         f"{name}: {value!r}"
         if isinstance(value, (str, int, float))
         else f"{name}: {value.shape} {value.dtype}, {_range(value)}"
-        for name, value in _leaves(unbatched(inputs), "")
+        for name, value in _values(inputs)
     ]
 
 
@@ -108,7 +109,7 @@ def pictures(inputs: Any, observation: Mapping[str, Any]) -> list[View]:
         if sdk.Camera.COLOR in entry
     }
     found: list[View] = []
-    for name, value in _leaves(unbatched(inputs), ""):
+    for name, value in _values(inputs):
         for place, values in enumerate(_planes(value)) if isinstance(value, np.ndarray) else ():
             if len(found) == _MOST_PICTURES or not taken:
                 return found
@@ -138,15 +139,9 @@ def _guessed(name: str, place: int, values: np.ndarray, value: np.ndarray, taken
     )
 
 
-def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict):
-        for key, item in value.items():
-            yield from _leaves(item, f"{name}.{key}" if name else str(key))
-    elif isinstance(value, list):
-        for place, item in enumerate(value):
-            yield from _leaves(item, f"{name}[{place}]")
-    elif value is not None:
-        yield name, value
+def _values(inputs: Any) -> Iterator[tuple[str, Any]]:
+    """Yield every value among inputs with its place."""
+    yield from ((written(place), value) for place, value in leaves(unbatched(inputs)) if value is not None)
 
 
 def _planes(value: np.ndarray) -> Iterator[np.ndarray]:
