@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import typer
 
+from xpl_cli.commands.options import JSON
+
 
 def answers(
     name: str | None = typer.Argument(None, metavar="[NAME]", help="An answer, such as xpl.audit/1, or a command."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """List the JSON answers of all commands. With NAME print the JSON Schema of one."""
     import json

@@ -7,16 +7,16 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON
 
 app = typer.Typer(help="Skills for coding agents: list, read, install, check.", no_args_is_help=True)
 
 _NAMES = typer.Argument([], metavar="[NAME]...", help="Skills; all by default.")
-_JSON = typer.Option(False, "--json", help="Print a JSON object.")
 _DIR = typer.Option(None, "--dir", metavar="DIR", help="Top of the project; that of the work tree by default.")
 
 
 @app.command("list")
-def list_(as_json: bool = _JSON) -> None:
+def list_(as_json: bool = JSON) -> None:
     """List the skills: what each is for."""
     from xpl_cli import __version__
     from xpl_cli.agents.skills.bundle import bundles
@@ -44,7 +44,7 @@ def list_(as_json: bool = _JSON) -> None:
 def get(
     name: str = typer.Argument(..., metavar="NAME", help="Skill."),
     full: bool = typer.Option(False, "--full", help="With all its references."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Print the text of a skill as it belongs to this version; works offline, and whether it is installed or not."""
     from xpl_cli import __version__
@@ -78,7 +78,7 @@ def install(
     bare: bool = typer.Option(False, "--no-instructions", help="Leave AGENTS.md and CLAUDE.md alone."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace skills that were edited after installation."),
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be done."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Put the skills where Cursor, Claude Code and Codex find them. What is not ours is left as it is."""
     from xpl_cli import __version__
@@ -118,7 +118,7 @@ def install(
 
 @app.command()
 @ends(clean="agents get them", findings="they do not", not_found="none is installed")
-def check(project: Path | None = _DIR, as_json: bool = _JSON) -> None:
+def check(project: Path | None = _DIR, as_json: bool = JSON) -> None:
     """Find out whether agents get the skills of this version: stale copies, broken links, silent drops, the budget.
 
     Looks at the project and at the user's own folders.

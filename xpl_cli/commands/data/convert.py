@@ -8,6 +8,7 @@ import typer
 
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.data.listing import SET
+from xpl_cli.commands.options import JSON
 
 
 @ends(
@@ -33,7 +34,7 @@ def convert(
     crf: int = typer.Option(30, min=0, max=63, help="Quality of videos; smaller is better and larger."),
     file_mb: float | None = typer.Option(None, min=1.0, help="Size of a file that joins episodes."),
     workers: int | None = typer.Option(None, min=1, help="Processes; as many as there are cores by default."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Convert demonstrations; the same command goes on where an earlier one was interrupted."""
     from xpl_cli.basics import console

@@ -7,13 +7,14 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON
 
 
 @ends(clean="written", not_found="no such policy, or no demonstrations there")
 def declare(
     policy: Path = typer.Argument(..., metavar="POLICY", help="Folder of the policy."),
     demonstrations: Path = typer.Argument(..., metavar="PATH", help="Folder of episodes in the standard's form."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Write demonstrations.yml: which recorded episodes audits hold a policy against, with their digests."""
     from xpl_cli.audit.offline.demonstrations import declared

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON
 
 SET = typer.Argument(..., metavar="SET", help="File or folder of demonstrations; its format is found by looking.")
 
@@ -14,7 +15,7 @@ SET = typer.Argument(..., metavar="SET", help="File or folder of demonstrations;
 @ends(clean="listed", not_found="no demonstrations there", not_run="they are damaged, or a library is missing")
 def list_(
     demonstrations: Path = SET,
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """List a set's episodes, and the columns and cameras that they have."""
     from xpl_cli.basics import console

@@ -9,6 +9,7 @@ import typer
 
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.data.listing import SET
+from xpl_cli.commands.options import JSON
 
 if TYPE_CHECKING:
     from xpl_cli.data.probe.answer import Answer
@@ -25,7 +26,7 @@ def probe(
     robot: str | None = typer.Option(None, metavar="NAME", help="The robot, where you know it (`xpl spec show`)."),
     explain: Path | None = typer.Option(None, metavar="FILE.html", help="Write a page with the lines that show it."),
     write: Path | None = typer.Option(None, metavar="DRAFT.yml", help="Write a draft of `native` and of the robot."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Measure the conventions of demonstrations instead of believing a README: each with evidence and margin."""
     from xpl_cli.basics import console, output

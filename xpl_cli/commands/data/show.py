@@ -8,6 +8,7 @@ import typer
 
 from xpl_cli.basics.endings import ends
 from xpl_cli.commands.data.listing import SET
+from xpl_cli.commands.options import JSON
 
 
 @ends(
@@ -23,7 +24,7 @@ def show(
     ),
     frames: int = typer.Option(8, min=1, max=64, help="Frames of each camera."),
     rerun: Path | None = typer.Option(None, metavar="FILE", help="Write an .rrd for Rerun's viewer too."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Show an episode: frames of its cameras, and curves of its states and actions."""
     from xpl_cli.basics import console

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from xpl_cli.basics.errors import ExitCode, UserError, no_such, one_of
+from xpl_cli.commands.options import JSON
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Show, check and compile the standard.", no_args_is_help=True)
 
 _TRAJECTORY = "trajectory"
-_JSON = typer.Option(False, "--json", help="Print a JSON object.")
 
 
 @app.command()
@@ -25,7 +25,7 @@ def show(
     name: str | None = typer.Argument(
         None, metavar="[NAME]", help="A schema, embodiment, requirement, or part of the standard."
     ),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Show a part of the standard; without NAME, list what there is."""
     from xpl_cli.basics import console
@@ -49,7 +49,7 @@ def validate(
     schema: str | None = typer.Option(
         None, metavar="NAME", help="Schema to validate by; the file's name decides by default."
     ),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Check files against the standard, or the standard against itself."""
     from xpl_cli.basics import console
@@ -70,7 +70,7 @@ def validate(
 
 
 @app.command()
-def check(as_json: bool = _JSON) -> None:
+def check(as_json: bool = JSON) -> None:
     """Check the standard against itself, with the robots and the zoo."""
     validate(None, schema=None, as_json=as_json)
 
@@ -79,7 +79,7 @@ def check(as_json: bool = _JSON) -> None:
 def compile_(
     context: typer.Context,
     check: bool = typer.Option(False, "--check", help="Write nothing; fail if something is out of date."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Write what is generated: the SDK's constants, and pages on standard, rules and commands (in a checkout only)."""
     from xpl_cli.basics import atomic, console
@@ -116,7 +116,7 @@ def schemas(
         None, metavar="[FOLDER]...", help="Packages whose manifests editors shall complete; none: print one schema."
     ),
     name: str = typer.Option("policy", "--schema", metavar="NAME", help="Schema to print."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Write JSON Schemas into packages, by which editors complete and check deploy.yml, policy.yml and env.yml."""
     import json

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.formats import REPORTS_HELP
-from xpl_cli.commands.run.serve import ISOLATE_HELP, MEMORY_HELP, PATIENCE_HELP
+from xpl_cli.commands.options import ISOLATE_OR_FAIL_HELP, JSON, MEMORY_HELP, PATIENCE_HELP, PYTHON, TIME_HELP
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 _GATES = ("static", "offline", "mujoco")
 _FAIL_ON = ("fail", "warn")
 _PROFILES = ("full", "shadow")
-TIME_HELP = "Most time for one package: 90s, 60m, 2h or none. What is not done then is reported as not run."
 
 
 def audit(
@@ -109,15 +108,13 @@ def audit(
         rich_help_panel="Physics and demonstrations",
     ),
     memory_limit: str = typer.Option("80%", metavar="SIZE", help=MEMORY_HELP, rich_help_panel="Bounds"),
-    isolate: bool = typer.Option(
-        False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had.", rich_help_panel="Bounds"
-    ),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_OR_FAIL_HELP, rich_help_panel="Bounds"),
     time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP, rich_help_panel="Bounds"),
     patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP, rich_help_panel="Bounds"),
     settings: list[str] = typer.Option(
         [], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml.", rich_help_panel="Adapter"
     ),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter.", rich_help_panel="Adapter"),
+    python: str | None = PYTHON,
     policy_env: str | None = typer.Option(
         None, "--policy-env", help="conda:NAME, uv:DIR, venv:DIR or none.", rich_help_panel="Adapter"
     ),
@@ -271,7 +268,7 @@ def _repeated(option: str, values: list[str]) -> tuple[str, ...]:
 
 def explain(
     names: list[str] = typer.Argument(..., metavar="RULE...", help="Codes or slugs of rules, such as XPL101 XPL203."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Explain rules: what each checks, why, and what to do instead. Of retired ones it says what proves the same."""
     from xpl_cli.audit.rules.retired import Retired
@@ -334,7 +331,7 @@ def _explained(rule: Rule | type[Check] | Retired, requirement: Requirement | No
     }
 
 
-def rules(as_json: bool = typer.Option(False, "--json", help="Print a JSON object.")) -> None:
+def rules(as_json: bool = JSON) -> None:
     """List every rule with its code, gate, requirement and summary. Those of demonstrations are among them."""
     from xpl_cli.audit.demonstrations.catalogue import CHECKS
     from xpl_cli.audit.rules.gates import DEMONSTRATIONS

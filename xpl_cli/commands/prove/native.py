@@ -9,7 +9,7 @@ import typer
 
 from xpl import _spec as sdk
 from xpl_cli.basics.endings import ends
-from xpl_cli.commands.run.serve import PATIENCE_HELP, POLICY, POLICY_ENV, SETTINGS
+from xpl_cli.commands.options import JSON, PATIENCE_HELP, POLICY, POLICY_ENV, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
     from xpl_cli.native.record import Recorded
@@ -30,7 +30,7 @@ def record(
     python: str | None = typer.Option(None, help="Interpreter that runs native.py."),
     policy_env: str | None = POLICY_ENV,
     patience: float = typer.Option(300.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Ask native.py about scripted episodes and write its answers into the package, for audits to compare with."""
     import shlex
@@ -108,7 +108,7 @@ def show(
     seed: int = typer.Option(0, min=0, help="Of its episode."),
     image: list[str] = typer.Option([], metavar="CAMERA=FILE", help="Show a camera this picture."),
     settings: list[str] = SETTINGS,
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    python: str | None = PYTHON,
     policy_env: str | None = POLICY_ENV,
     patience: float = typer.Option(300.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP),
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object with all numbers."),
@@ -166,7 +166,7 @@ def _photos(image: list[str]) -> dict[str, Path]:
 @ends(clean="agrees", findings="differs", not_run="nothing to judge by")
 def kinematics(
     policy: str = POLICY,
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Let the robot's kinematics judge the rows that native.samples names: forms, points, frames, units, order."""
     from xpl.convert import NativeError

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON, TIME_HELP
 from xpl_cli.commands.plain import PlainGroup
-from xpl_cli.commands.prove.audit import TIME_HELP
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -18,7 +18,6 @@ _GATES = ("static", "offline")
 _READ = ("embodiments", "action_types")
 """Keys of the manifest that a proof writes down."""
 _DEFAULT = "list"
-_JSON = typer.Option(False, "--json", help="Print a JSON object.")
 _NAME = typer.Argument(..., metavar="NAME", help="Policy; `xpl zoo` lists them.")
 
 
@@ -41,7 +40,7 @@ def list_(
     family: str | None = typer.Option(None, metavar="NAME", help="Policies of this family."),
     robot: str | None = typer.Option(None, metavar="NAME", help="Policies for this robot."),
     level: int = typer.Option(0, min=0, max=4, help="Policies of this level, or a higher one."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """List the policies of the field: what is known of each, and how far it was proven to run. `xpl zoo` does, too."""
     from xpl_cli.basics import console
@@ -58,7 +57,7 @@ def list_(
 
 
 @app.command()
-def show(name: str = _NAME, as_json: bool = _JSON) -> None:
+def show(name: str = _NAME, as_json: bool = JSON) -> None:
     """Show one policy: every fact with its source, or with why it is not known, and what was proven of it."""
     from xpl_cli.basics import console
     from xpl_cli.standard.zoo import policies
@@ -86,7 +85,7 @@ def prove(
     isolate: bool = typer.Option(False, "--isolate", help="Keep it from the network and from writing."),
     time_limit: str = typer.Option("10m", metavar="TIME", help=TIME_HELP),
     dry_run: bool = typer.Option(False, "--dry-run", help="Only print it, and write no proof."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Audit the adapter of a policy in a checkout, and write down how far it runs (in a checkout of xpl only)."""
     from xpl_cli.adopt import files

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON
 from xpl_cli.commands.report import reading
 from xpl_cli.commands.report.reading import SKIP_BAD_LINES
 
@@ -16,7 +17,7 @@ def compare(
     first: Path = typer.Argument(..., metavar="A", help="Folder of a run, such as runs/foo."),
     second: Path = typer.Argument(..., metavar="B", help="Folder of another run."),
     skip_bad_lines: bool = SKIP_BAD_LINES,
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Tell which of two runs is better, and how sure that is. Counted are the episodes that both played."""
     import shlex

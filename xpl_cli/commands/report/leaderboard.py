@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON
 from xpl_cli.commands.report import reading
 from xpl_cli.commands.report.reading import SKIP_BAD_LINES
 
@@ -30,7 +31,7 @@ def leaderboard(
     robodojo: Path | None = typer.Option(None, metavar="DIR", help="Write each run's _result.json as RoboDojo does."),
     robotwin: Path | None = typer.Option(None, metavar="DIR", help="Write each run's _result.txt as RoboTwin does."),
     skip_bad_lines: bool = SKIP_BAD_LINES,
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Rank runs by success rate. Names those that these episodes do not tell apart."""
     import shlex

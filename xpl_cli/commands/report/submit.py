@@ -11,7 +11,7 @@ import typer
 
 from xpl_cli.basics.endings import ends
 from xpl_cli.basics.strangers import one_line
-from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY, POLICY_ENV
+from xpl_cli.commands.options import ISOLATE_OR_FAIL_HELP, JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON
 
 if TYPE_CHECKING:
     from xpl_cli.submission.claims import Claim
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 SCHEMA = "xpl.submit/1"
 _EVAL_ENV = typer.Option(None, help="Python of the environment, as for --policy-env; env.yml's if unsaid.")
-_PYTHON = typer.Option(None, help="Interpreter that runs the adapter.")
 _SHOWN = 20
 
 
@@ -36,10 +35,10 @@ def submit(
     check: bool = typer.Option(False, "--check", help="Check what a submission needs, and write the bundle."),
     out: Path | None = typer.Option(None, metavar="FILE", help="The bundle; POLICY.xpl.zip here by default."),
     extras: list[str] = typer.Option([], "--with", metavar="KIND", help="Pack these, too: trace, film."),
-    python: str | None = _PYTHON,
-    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
+    python: str | None = PYTHON,
+    policy_env: str | None = POLICY_ENV,
     eval_env: str | None = _EVAL_ENV,
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Make a bundle of runs that others can check. It holds records, adapter, audit, checkpoint, environment, digests.
 
@@ -87,12 +86,12 @@ def verify(
     policy: Path | None = typer.Option(None, metavar="DIR", help="Play this adapter, whose files must be the same."),
     unpack: Path | None = typer.Option(None, metavar="DIR", help="New folder to unpack into, and leave there."),
     max_size: str = typer.Option("10GB", metavar="SIZE", help="Most bytes that are unpacked."),
-    python: str | None = _PYTHON,
-    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
-    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
+    python: str | None = PYTHON,
+    policy_env: str | None = POLICY_ENV,
+    policy_gpu: str | None = POLICY_GPU,
     eval_env: str | None = _EVAL_ENV,
-    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_OR_FAIL_HELP),
+    as_json: bool = JSON,
 ) -> None:
     """Check a bundle, and play a sample of its episodes again.
 

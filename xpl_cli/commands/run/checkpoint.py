@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.commands.run.serve import POLICY, SETTINGS
+from xpl_cli.commands.options import JSON, POLICY, SETTINGS
 
 if TYPE_CHECKING:
     from xpl_cli.lifecycle.checkpoints.specification import Specification
@@ -18,7 +18,6 @@ app = typer.Typer(help="The checkpoints that policy.yml specifies.", no_args_is_
 
 _NAME = typer.Argument(None, metavar="[NAME]", help="Checkpoint; ckpt_name of deploy.yml or the only one by default.")
 _ALL = typer.Option(False, "--all", help="All checkpoints of the adapter.")
-_JSON = typer.Option(False, "--json", help="Print a JSON object.")
 
 
 @app.callback()
@@ -34,7 +33,7 @@ def fetch(
     settings: list[str] = SETTINGS,
     force: bool = typer.Option(False, "--force", help="Have the hub's client bring it again although it is there."),
     unverified: bool = typer.Option(False, "--unverified", help="Take what comes where no sha256 is given; prints it."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Bring a checkpoint, check it, and make it what its name means in this adapter; prints where it is."""
     from xpl_cli.basics import console
@@ -64,7 +63,7 @@ def verify(
     name: str | None = _NAME,
     every: bool = _ALL,
     settings: list[str] = SETTINGS,
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Read a fetched checkpoint again and compare it with policy.yml."""
     from xpl_cli.basics import console
@@ -102,7 +101,7 @@ def verify(
 @app.command("path")
 @ends(not_found="not fetched")
 def path_of(
-    policy: str = POLICY, name: str | None = _NAME, settings: list[str] = SETTINGS, as_json: bool = _JSON
+    policy: str = POLICY, name: str | None = _NAME, settings: list[str] = SETTINGS, as_json: bool = JSON
 ) -> None:
     """Print where a fetched checkpoint is."""
     from xpl_cli.basics import console

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import typer
 
-from xpl_cli.commands.run.serve import POLICY
+from xpl_cli.commands.options import JSON, POLICY
 
 
 def container(
     policy: str = POLICY,
     write: bool = typer.Option(False, "--write", help="Put Dockerfile and .dockerignore into the adapter's folder."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Print a Dockerfile that builds a policy server. --write puts it into the adapter's folder."""
     import shlex

@@ -5,10 +5,11 @@ from __future__ import annotations
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON
 
 
 @ends(clean="nothing is broken", findings="something is broken")
-def doctor(as_json: bool = typer.Option(False, "--json", help="Print a JSON object.")) -> None:
+def doctor(as_json: bool = JSON) -> None:
     """Try what this machine can run, and say how to mend the rest.
 
     What is merely absent is needed by some policies only.

@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
+from xpl_cli.commands.options import JSON
 from xpl_cli.commands.run.hand_over import hand_over
 
 app = typer.Typer(help="List, check and look at environments.", no_args_is_help=True)
@@ -19,13 +20,12 @@ _SETTING = typer.Option(None, help="Setting; the first by default.")
 _SEED = typer.Option(0, min=0, help="Seed of the episode.")
 _CAMERA = typer.Option(None, help="Camera of env.yml; the view for people by default.")
 _RENDERER = typer.Option(None, help="Renderer; that of the environment by default.")
-_JSON = typer.Option(False, "--json", help="Print a JSON object.")
 
 
 @app.command("list")
 def list_(
     name: str | None = typer.Argument(None, metavar="[NAME]", help="One environment; all by default."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
     as_markdown: bool = typer.Option(False, "--markdown", help="Print the tasks as a table in Markdown."),
 ) -> None:
     """List environments with their tasks, embodiments and settings."""
@@ -43,7 +43,7 @@ def list_(
 
 
 @app.command()
-def path(name: str = _NAME, as_json: bool = _JSON) -> None:
+def path(name: str = _NAME, as_json: bool = JSON) -> None:
     """Print the folder of an environment package, where its README and its scripts lie."""
     from xpl_cli.basics import console
     from xpl_cli.packages import environments
@@ -67,7 +67,7 @@ def check(
     episodes: int | None = typer.Option(None, min=1, help="Seeds of each task; all frozen ones by default."),
     action_type: str | None = typer.Option(None, help="Control in which the expert plays; the first by default."),
     workers: int | None = typer.Option(None, min=1, help="Processes; as many as there are cores by default."),
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Play the frozen evaluation seeds: the expert must solve all, random actions none. Seeds are never replaced."""
     from xpl_cli.basics import console
@@ -96,7 +96,7 @@ def render(
     seed: int = _SEED,
     camera: str | None = _CAMERA,
     renderer: str | None = _RENDERER,
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Write what a camera sees when an episode begins."""
     from xpl_cli.basics import console
@@ -121,7 +121,7 @@ def sheet(
     seed: int = _SEED,
     camera: str | None = _CAMERA,
     renderer: str | None = _RENDERER,
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Write one picture of how an episode of every task begins."""
     from xpl_cli.basics import console
@@ -149,7 +149,7 @@ def play(
     seed: int = _SEED,
     camera: str | None = _CAMERA,
     renderer: str | None = _RENDERER,
-    as_json: bool = _JSON,
+    as_json: bool = JSON,
 ) -> None:
     """Write a film of an episode, and say how it ended."""
     from xpl_cli.basics import console

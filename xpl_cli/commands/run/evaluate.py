@@ -9,14 +9,22 @@ from typing import TYPE_CHECKING
 import typer
 
 from xpl_cli.commands import values
+from xpl_cli.commands.options import (
+    EVAL_ENV,
+    ISOLATE,
+    JSON,
+    POLICY,
+    POLICY_ENV,
+    POLICY_GPU,
+    PRIVILEGED_HELP,
+    PYTHON,
+    SETTINGS,
+)
 from xpl_cli.commands.run import hand_over
-from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY, POLICY_ENV, SETTINGS
 
 if TYPE_CHECKING:
     from xpl_cli.evaluation.runs import evaluate as suite
     from xpl_cli.evaluation.runs import look
-
-PRIVILEGED_HELP = "Keep what the simulator tells privileged policies, too: its numbers, for policies that may know."
 
 
 def evaluate(
@@ -112,23 +120,15 @@ def evaluate(
     info: str | None = typer.Option(
         None, metavar="K=V,...", help="Further overrides in the launchers' form.", rich_help_panel="Adapter"
     ),
-    policy_env: str | None = typer.Option(
-        None, "--policy-env", metavar="ENV", help=POLICY_ENV.help, rich_help_panel="Adapter"
-    ),
-    eval_env: str | None = typer.Option(
-        None,
-        help="Python of the environment, as for --policy-env; env.yml's if unsaid.",
-        rich_help_panel="Environment's process",
-    ),
-    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter.", rich_help_panel="Adapter"),
-    isolate: bool = typer.Option(
-        False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had.", rich_help_panel="Adapter"
-    ),
+    policy_env: str | None = POLICY_ENV,
+    eval_env: str | None = EVAL_ENV,
+    policy_gpu: str | None = POLICY_GPU,
+    isolate: bool = ISOLATE,
     env_gpu: str | None = typer.Option(
         None, help="Device of the simulator; ours need none.", rich_help_panel="Environment's process"
     ),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter.", rich_help_panel="Adapter"),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    python: str | None = PYTHON,
+    as_json: bool = JSON,
 ) -> None:
     """Play episodes in an environment; report success and score. Serves the policy for it; --out records all of it."""
     from xpl import _spec as spec

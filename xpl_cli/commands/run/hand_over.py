@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.commands.run.serve import POLICY, POLICY_ENV, SETTINGS
+from xpl_cli.commands.options import JSON, POLICY, POLICY_ENV, POLICY_GPU, PYTHON, SETTINGS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -38,15 +38,15 @@ def hand_over(
     connect: str | None = typer.Option(None, metavar="URL", help="Use a server that already runs at ws://host:port."),
     dry_run: bool = typer.Option(False, "--dry-run", help="Print the command line, and start nothing."),
     settings: list[str] = SETTINGS,
-    policy_env: str | None = typer.Option(None, "--policy-env", metavar="ENV", help=POLICY_ENV.help),
-    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter."),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter."),
+    policy_env: str | None = POLICY_ENV,
+    policy_gpu: str | None = POLICY_GPU,
+    python: str | None = PYTHON,
     eval_env: str | None = typer.Option(
         None, help="Environment whose python the launcher finds first, as for --policy-env."
     ),
     env_gpu: str = typer.Option("0", help="Device of the simulator, as the launcher is told it."),
     hours: float = typer.Option(72.0, min=0.001, help="End the launcher after so long."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Evaluate a policy with a benchmark's own launcher: serve it, call the launcher, read its result back."""
     from xpl import _spec as spec

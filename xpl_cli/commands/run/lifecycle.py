@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.commands.run.serve import POLICY, SETTINGS
+from xpl_cli.commands.options import JSON, POLICY, SETTINGS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,7 @@ def install(
     name: str = typer.Argument(..., metavar="PACKAGE", help="Adapter or environment, or its folder."),
     check: bool = typer.Option(False, "--check", help="Install nothing; say whether all is as declared."),
     force: bool = typer.Option(False, "--force", help="Make the environment anew although it is there."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Make the Python environment that a manifest declares. Prints its interpreter."""
     import shlex

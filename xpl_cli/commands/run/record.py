@@ -8,8 +8,17 @@ from pathlib import Path
 import typer
 
 from xpl_cli.basics.endings import ends
-from xpl_cli.commands.run.evaluate import PRIVILEGED_HELP, desk
-from xpl_cli.commands.run.serve import ISOLATE_HELP, POLICY_ENV, SETTINGS
+from xpl_cli.commands.options import (
+    EVAL_ENV,
+    ISOLATE,
+    JSON,
+    POLICY_ENV,
+    POLICY_GPU,
+    PRIVILEGED_HELP,
+    PYTHON,
+    SETTINGS,
+)
+from xpl_cli.commands.run.evaluate import desk
 
 _IMAGES = "HxW of all cameras, `own` for the environment's sizes, or `none`; what the policy reads, or own, by default."
 
@@ -59,20 +68,12 @@ def record(
     workers: str = typer.Option("1", metavar="N|auto", help="Episodes at once; auto: one a core."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the set in --out; it may also grow so."),
     settings: list[str] = SETTINGS,
-    policy_env: str | None = typer.Option(
-        None, "--policy-env", metavar="ENV", help=POLICY_ENV.help, rich_help_panel="Adapter"
-    ),
-    eval_env: str | None = typer.Option(
-        None,
-        help="Python of the environment, as for --policy-env; env.yml's if unsaid.",
-        rich_help_panel="Environment's process",
-    ),
-    policy_gpu: str | None = typer.Option(None, help="Device made visible to the adapter.", rich_help_panel="Adapter"),
-    isolate: bool = typer.Option(
-        False, "--isolate", help=ISOLATE_HELP + " Exit code 4 where that cannot be had.", rich_help_panel="Adapter"
-    ),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter.", rich_help_panel="Adapter"),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    policy_env: str | None = POLICY_ENV,
+    eval_env: str | None = EVAL_ENV,
+    policy_gpu: str | None = POLICY_GPU,
+    isolate: bool = ISOLATE,
+    python: str | None = PYTHON,
+    as_json: bool = JSON,
 ) -> None:
     """Record demonstrations as trajectories (HDF5). They are played on seeds that no evaluation uses."""
     from dataclasses import asdict

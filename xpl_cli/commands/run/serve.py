@@ -7,28 +7,20 @@ from pathlib import Path
 import typer
 
 from xpl_cli.commands import values
-
-POLICY = typer.Argument(..., metavar="POLICY", help="Folder of the adapter, or its name below policy/.")
-SETTINGS = typer.Option(
-    [], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml; the value is YAML.", rich_help_panel="Adapter"
-)
-POLICY_ENV = typer.Option(
-    None,
-    "--policy-env",
-    "--env",
-    metavar="ENV",
-    help="conda:NAME, uv:DIR, venv:DIR or none (this interpreter).",
-    rich_help_panel="Adapter",
+from xpl_cli.commands.options import (
+    ISOLATE_HELP,
+    MEMORY_HELP,
+    PATIENCE_HELP,
+    POLICY,
+    POLICY_ENV,
+    PYTHON,
+    SETTINGS,
 )
 
-MEMORY_HELP = "Most memory that the adapter's processes may hold: 8GB, 80% (of the machine's) or none."
 ALSO_HELP = (
     "Also serve clients of another wire, such as openpi: NAME, or NAME:PORT; without PORT the system chooses one."
 )
-ISOLATE_HELP = "Run the adapter without network, and with nothing to write to but a temporary folder."
 APART_HELP = "Run the adapter where it sees and signals no process but its own; --isolate does so, too."
-
-PATIENCE_HELP = "End an adapter that is silent for so long while it loads or answers: no processor time, input, output."
 
 
 def serve(
@@ -36,7 +28,7 @@ def serve(
     settings: list[str] = SETTINGS,
     host: str | None = typer.Option(None, help="Address to listen on; deploy.yml's by default."),
     port: int | None = typer.Option(None, help="TCP port; 0 lets the system choose."),
-    python: str | None = typer.Option(None, help="Interpreter that runs the adapter.", rich_help_panel="Adapter"),
+    python: str | None = PYTHON,
     policy_env: str | None = POLICY_ENV,
     gpu: list[str] = typer.Option(
         [], metavar="ID", help="Device made visible; workers take several in turn.", rich_help_panel="Adapter"

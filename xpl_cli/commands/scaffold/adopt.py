@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from xpl_cli.commands.options import JSON
 from xpl_cli.commands.scaffold.from_checkpoint import CAMERA, GRIPPER, STATISTICS
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def adopt(
     camera: list[str] = CAMERA,
     statistics: str | None = STATISTICS,
     dry_run: bool = typer.Option(False, "--dry-run", help="Print what would be written, and write nothing."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Write the manifest that an adapter lacks. What its files do not state is unknown; nothing else is changed."""
     from xpl_cli.adopt.package import Trained, adoption

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from xpl_cli.commands.options import JSON
 from xpl_cli.commands.scaffold import new_package
 
 _KINDS = ("simulation", "robot")
@@ -21,7 +22,7 @@ def new_env(
     driver: str = typer.Option("lerobot", metavar="DRIVER", help="What drives a robot: lerobot, arx or own."),
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that differ; files of your own are kept."),
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Scaffold an environment from the standard. It is a toy that passes its audit, until your simulator is in."""
     import shlex

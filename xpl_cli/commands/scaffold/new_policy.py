@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from xpl_cli.commands.options import JSON
 from xpl_cli.commands.scaffold import from_checkpoint, new_package
 from xpl_cli.commands.scaffold.from_checkpoint import CAMERA, GRIPPER, STATISTICS
 
@@ -54,7 +55,7 @@ def new_policy(
     statistics: str | None = STATISTICS,
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace files that differ; files of your own are kept."),
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be written."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Scaffold an adapter from the standard. It runs at once; `xpl audit` lists what is yours to fill in."""
     from xpl_cli.packages import robots

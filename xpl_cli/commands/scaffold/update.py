@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from xpl_cli.commands.options import JSON
+
 if TYPE_CHECKING:
     from xpl_cli.scaffold.update import Plan
 
@@ -17,7 +19,7 @@ def update(
     policy: Path = typer.Argument(..., metavar="PACKAGE", help="Adapter or environment, or its folder."),
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would change."),
     force: bool = typer.Option(False, "--force", help="Also where version control has not recorded all changes."),
-    as_json: bool = typer.Option(False, "--json", help="Print a JSON object."),
+    as_json: bool = JSON,
 ) -> None:
     """Bring a package to today's template. Its author's edits are kept."""
     import shlex
