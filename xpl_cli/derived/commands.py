@@ -50,8 +50,9 @@ def _members(commands: dict[str, Any], parent: Any) -> Iterator[str]:
         parameters = [one for one in command.get_params(context) if not getattr(one, "hidden", False)]
         taken = [_argument(parameter) for parameter in parameters if parameter.param_type_name == "argument"]
         yield from ("```text", " ".join([context.command_path, "[OPTION]...", *taken]), "```", "")
-        rows = [(f"`{_name(parameter)}`", _meaning(parameter, context)) for parameter in parameters]
-        yield from (*table(("argument or option", "meaning"), rows), "")
+        for panel in dict.fromkeys(map(_panel, parameters)):  # what has none comes first, as in --help
+            rows = [(f"`{_name(one)}`", _meaning(one, context)) for one in parameters if _panel(one) == panel]
+            yield from (*table((panel or "argument or option", "meaning"), rows), "")
         yield from _ends(command, context)
 
 
@@ -62,6 +63,11 @@ def _ends(command: Any, context: Any) -> Iterator[str]:
         yield from (f"With `--json`: {' or '.join(f'`{name}`' for name in names)}.", "")
     if own_meanings(command.callback):
         yield from (endings(command.callback), "")
+
+
+def _panel(parameter: Any) -> str:
+    """Return the heading below which --help shows a parameter, empty for none of its own."""
+    return str(getattr(parameter, "rich_help_panel", None) or "")
 
 
 def _paragraphs(text: str) -> Iterator[str]:

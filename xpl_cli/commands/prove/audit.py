@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from xpl_cli.basics.formats import REPORTS_HELP
-from xpl_cli.commands.options import ISOLATE_OR_FAIL_HELP, JSON, MEMORY_HELP, PATIENCE_HELP, PYTHON, TIME_HELP
+from xpl_cli.commands.options import (
+    ISOLATE_OR_FAIL_HELP,
+    JSON,
+    MEMORY_HELP,
+    PATIENCE_HELP,
+    POLICY_ENV,
+    PYTHON,
+    SETTINGS,
+    TIME_HELP,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -111,13 +120,9 @@ def audit(
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_OR_FAIL_HELP, rich_help_panel="Bounds"),
     time_limit: str = typer.Option("60m", metavar="TIME", help=TIME_HELP, rich_help_panel="Bounds"),
     patience: float = typer.Option(30.0, min=0.1, metavar="SECONDS", help=PATIENCE_HELP, rich_help_panel="Bounds"),
-    settings: list[str] = typer.Option(
-        [], "--set", metavar="KEY=VALUE", help="Override a key of deploy.yml.", rich_help_panel="Adapter"
-    ),
+    settings: list[str] = SETTINGS,
     python: str | None = PYTHON,
-    policy_env: str | None = typer.Option(
-        None, "--policy-env", help="conda:NAME, uv:DIR, venv:DIR or none.", rich_help_panel="Adapter"
-    ),
+    policy_env: str | None = POLICY_ENV,
 ) -> None:
     """Audit packages in three gates: static, offline, MuJoCo."""
     from xpl_cli.audit.engine import cache
