@@ -133,7 +133,8 @@ class Installation:
         self.env = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
         self.env["PATH"] = f"{self.scripts}{os.pathsep}{self.env['PATH']}"
         pip: list[str | Path] = [sys.executable, "-m", "pip", "--python", python, "install", "--no-index", "--no-deps"]
-        _run(*pip, *options, distribution, cwd=folder, env=self.env)
+        # Modules are compiled as they are imported, which few of them are.
+        _run(*pip, "--no-compile", *options, distribution, cwd=folder, env=self.env)
 
     def run(self, *command: str | Path) -> subprocess.CompletedProcess[str]:
         """Run a command of the environment in the empty folder; it has to succeed."""
