@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,9 +35,11 @@ def _changes(robot: str) -> list[Change]:
     return [change for made in (arms.joints, arms.grippers, arms.sides, poses.poses) for change in made(body)]
 
 
-def _signals(robot: str = "franka", action_type: str = "joint", **more: Any) -> list[Signal]:
+@cache
+def _signals(robot: str = "franka", action_type: str = "joint", **more: Any) -> tuple[Signal, ...]:
+    """Return all signals around an adapter; they keep nothing, and finding them is what takes the time here."""
     told: dict[str, Any] = {"cameras": CAMERAS, "history": 3, "instructions": ("Do it.", "Leave it."), **more}
-    return list(signals(get_embodiment(robot), action_type, **told))
+    return tuple(signals(get_embodiment(robot), action_type, **told))
 
 
 def _episode(robot: str = "franka", count: int = 4) -> list[dict[str, Any]]:
