@@ -50,20 +50,6 @@ def test_a_set_is_recorded_and_is_valid(tmp_path: Path) -> None:
     assert (found.episode["policy"], found.episode["seed"]) == ("demo_policy", 0)
 
 
-@pytest.mark.slow
-def test_a_set_grows_and_nothing_of_it_is_played_again(tmp_path: Path) -> None:
-    """More may be wanted later, and fewer: what is too much is put aside, and comes back."""
-    demos = tmp_path / "demos"
-    place = ("record", *PLAIN, "--out", demos)
-    _json(*place, "--episodes", "2")
-    first = (demos / "episode_0000000.hdf5").stat().st_mtime_ns
-    for wanted in (1, 3):
-        assert _json(*place, "--episodes", str(wanted), "--resume")["episodes"] == wanted
-        assert len(trajectory.open_folder(demos)) == wanted
-    assert (demos / "episode_0000000.hdf5").stat().st_mtime_ns == first
-    assert len(records.read(demos / "run").attempts) == 3
-
-
 def test_practice_leaves_the_evaluation_seeds_alone() -> None:
     """Whoever trains on what is evaluated measures memory."""
     folder = environments.find("mujoco")

@@ -7,12 +7,12 @@ import os
 import shutil
 import subprocess
 import sys
-import textwrap
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.support.adapters import drill
 from tests.support.peer import xpl
 from tests.support.places import ROOT
 from tests.support.recordings.runs import episode
@@ -31,38 +31,18 @@ if TYPE_CHECKING:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", ["lift_cube", "handover_block"])
-def test_expert_20_of_20_and_demo_policy_0_of_20(tmp_path: Path, task: str) -> None:
-    """The tasks are solvable, and not by standing still."""
-    for policy, won in (("scripted_expert", 20), ("demo_policy", 0)):
-        options = ["--env", "mujoco", "--task", task, "--episodes", "20", "--json"]
+def test_the_expert_solves_20_of_20_episodes_of_each_task_and_the_demo_policy_none(tmp_path: Path) -> None:
+    """The tasks are solvable, and not by standing still; one server plays both, and seeds begin anew with each."""
+    tasks = ["lift_cube", "handover_block"]
+    options = ["--env", "mujoco", "--task", ",".join(tasks), "--episodes", "20", "--json"]
+    for policy, won in (("scripted_expert", 40), ("demo_policy", 0)):
         done = xpl("eval", policy, *options, cwd=tmp_path)
         assert done.returncode == ExitCode.CLEAN, done.stderr
-        assert json.loads(done.stdout)["successes"] == won
-
-
-@pytest.mark.slow
-def test_a_batch_of_environments_runs_as_many_episodes_as_asked_for(tmp_path: Path) -> None:
-    """Three episodes, two at a time, each with its own seed."""
-    options = ["--env", "mujoco", "--task", "lift_cube", "--episodes", "3", "--num-envs", "2", "--seed", "5", "--json"]
-    report = json.loads(xpl("eval", "scripted_expert", *options, cwd=tmp_path).stdout)
-    assert [episode["seed"] for episode in report["episodes"]] == [5, 6, 7]
-    assert report["successes"] == 3
-
-
-@pytest.mark.slow
-def test_several_tasks_are_played_by_one_server_and_told_apart(tmp_path: Path) -> None:
-    """A list, as splits are; seeds begin anew with each task, and the report is of all."""
-    options = ["--env", "mujoco", "--task", "lift_cube,push_block", "--set", "env_cfg_type=arx_x5_single"]
-    said = xpl("eval", "scripted_expert", *options, cwd=tmp_path)
-    assert said.stdout.splitlines()[1:3] == ["  lift_cube: 1 of 1", "  push_block: 1 of 1"]
-    done = xpl("eval", "scripted_expert", *options, "--json", cwd=tmp_path)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
-    report = json.loads(done.stdout)
-    assert validate(report, "evaluation") == []
-    assert report["task"] == "lift_cube,push_block"
-    played = [(episode["task"], episode["seed"], episode["success"]) for episode in report["episodes"]]
-    assert played == [("lift_cube", 0, True), ("push_block", 0, True)]
+        report = json.loads(done.stdout)
+        assert validate(report, "evaluation") == []
+        assert (report["task"], report["successes"]) == (",".join(tasks), won)
+        played = [(episode["task"], episode["seed"]) for episode in report["episodes"]]
+        assert played == [(task, seed) for task in tasks for seed in range(20)]
 
 
 @pytest.mark.slow
@@ -101,174 +81,54 @@ def test_what_cannot_be_evaluated_is_refused_in_one_sentence(
     assert "Traceback" not in done.stderr
 
 
-BREAKS_ONCE = """
-    import os, signal
-    from pathlib import Path
-    import numpy as np
-
-    class Model:
-        def __init__(self, config):
-            self.config = config
-            self.calls = 0
-
-        def reset(self): pass
-        def update_obs(self, obs): self.state = obs["state"]
-        def update_obs_batch(self, obs_list): self.update_obs(obs_list[-1])
-
-        def get_action(self):
-            self.calls += 1
-            left = int(Path(self.config["marks"]).read_text())
-            if self.calls == 3 and left:
-                Path(self.config["marks"]).write_text(str(left - 1))
-                os.kill(os.getpid(), signal.SIGKILL)
-            keys = ("arm_joint_state", "ee_joint_state")
-            return [{key: np.asarray(self.state[key], np.float32) for key in keys}]
-"""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("deaths", [1, 9])
-def test_a_policy_whose_process_dies_is_asked_again_and_has_failed_in_the_end(
-    write_adapter: Callable[..., Path], tmp_path: Path, deaths: int
-) -> None:
-    """It is played again with a new server; who dies in every attempt has failed, which ends the evaluation."""
-    adapter = write_adapter(BREAKS_ONCE)
-    deploy = {"env_cfg_type": "franka_single", "marks": str(tmp_path / "marks")}
-    (adapter / "deploy.yml").write_text(json.dumps(deploy), encoding="utf-8")
-    shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
-    (tmp_path / "marks").write_text(str(deaths), encoding="utf-8")
-    done = xpl("eval", str(adapter), "--env", "offline", "--episodes", "2", "--json", cwd=tmp_path)
-    assert "SIGKILL" in done.stderr
+def test_a_policy_whose_process_dies_in_every_attempt_has_failed(frail: Path, tmp_path: Path) -> None:
+    """It is played again with a new server, as often as a run does, before that ends the evaluation."""
+    drill.adapter(tmp_path)
+    drill.mark(tmp_path, "policy-dies-0", 9)
+    done = xpl("eval", "Drilled", *HOLD, cwd=tmp_path)
     answer = json.loads(done.stdout)
-    if deaths == 1:
-        assert done.returncode == ExitCode.CLEAN, done.stderr
-        assert validate(answer, "evaluation") == []
-        assert [(episode["seed"], episode["attempts"]) for episode in answer["episodes"]] == [(0, 2), (1, 1)]
-        assert answer["infrastructure_failures"] == 0
-    else:
-        assert (done.returncode, answer["schema"]) == (ExitCode.FINDINGS, "xpl.error/1")
-        assert "episode with seed 0: " in answer["message"]
-        assert "SIGKILL" in answer["message"]
-
-
-def test_a_policy_that_does_not_fit_is_refused_before_the_first_step(
-    write_adapter: Callable[..., Path], tmp_path: Path
-) -> None:
-    """The manifest asks for another rate than the environment has."""
-    adapter = write_adapter(BREAKS_ONCE, control_frequency=50, inputs={"required": ["state.mobile"]})
-    shutil.copy(ROOT / "policy" / "demo_policy" / "deploy.py", adapter)
-    done = xpl("eval", str(adapter), "--env", "offline", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
-    assert "50 Hz" in done.stderr
-    assert "state.mobile" in done.stderr
+    assert (done.returncode, answer["schema"]) == (ExitCode.FINDINGS, "xpl.error/1")
+    assert "SIGKILL" in answer["message"]
+    assert (tmp_path / "policy-dies-0").read_text() == "6"
 
 
 # -- environments in processes -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", ["0", "2"])
-def test_the_record_of_an_episode_does_not_depend_on_who_plays_it(tmp_path: Path, workers: str) -> None:
+def test_the_record_of_an_episode_does_not_depend_on_who_plays_it(tmp_path: Path) -> None:
     """Seed, layout, wording, steps and digest are equal here and in other processes; the report is as specified."""
-    options = [
-        "--env",
-        "mujoco",
-        "--task",
-        "lift_cube",
-        "--setting",
-        "randomized",
-        "--episodes",
-        "2",
-        "--num-envs",
-        "2",
-    ]
-    done = xpl("eval", "scripted_expert", *options, "--workers", workers, "--horizon", "5", "--json", cwd=tmp_path)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
-    report = json.loads(done.stdout)
-    assert validate(report, "evaluation") == []
-    assert (report["setting"], report["horizon"], report["workers"]) == ("randomized", 5, int(workers))
-    played = environments.make(
-        "mujoco",
-        {"task": "lift_cube", "embodiment": "arx_x5", "num_envs": 2, "cameras": False, "setting": "randomized"},
-    )
+    place = ["--env", "mujoco", "--task", "lift_cube", "--setting", "randomized", "--episodes", "2", "--num-envs", "2"]
+    config = {"task": "lift_cube", "embodiment": "arx_x5", "num_envs": 2, "cameras": False, "setting": "randomized"}
+    played = environments.make("mujoco", config)
     played.reset([0, 1])
-    for record, fresh in zip(report["episodes"], played.results(), strict=True):
-        told = {key: record[key] for key in ("seed", "setting", "instruction", "layout")}
-        assert told == {key: fresh[key] for key in told}
-        assert (record["end_reason"], record["attempts"], record["corrections"]) == ("success", 1, {})
-    pair = [[record[key] for key in ("steps", "digest")] for record in report["episodes"]]
-    assert _same_for_all.setdefault("pair", pair) == pair
-
-
-_same_for_all: dict[str, object] = {}
-
-FRAIL = """
-    import os, signal
-    from pathlib import Path
-    import numpy as np
-
-    class Env:
-        def __init__(self, config):
-            self.count = config["num_envs"]
-
-        def reset(self, seed=None, options=None):
-            self.seeds, self.steps = list(seed), [0] * self.count
-
-        def get_obs(self):
-            return self.get_obs_batch([0])[0]
-
-        def get_obs_batch(self, env_idx_list=None):
-            joints = np.array([0, 0, 0, -1, 0, 1, 0], np.float32)
-            state = {"arm_joint_state": joints, "ee_joint_state": np.ones(1, np.float32)}
-            return [{"env_idx": env, "instruction": "hold on", "state": dict(state)} for env in env_idx_list]
-
-        def take_action(self, action):
-            self.take_action_batch([action], [0])
-
-        def take_action_batch(self, actions, env_idx_list):
-            for env in env_idx_list:
-                self.steps[env] += 1
-                deaths = Path(__file__).with_name(f"deaths-{self.seeds[env]}")
-                if self.steps[env] == 3 and deaths.exists() and int(deaths.read_text()):
-                    deaths.write_text(str(int(deaths.read_text()) - 1))
-                    os.kill(os.getpid(), signal.SIGKILL)
-
-        def is_episode_end(self):
-            return not self.get_running_env_idx_list()
-
-        def get_running_env_idx_list(self):
-            return [env for env, steps in enumerate(self.steps) if steps < 4]
-
-        def results(self):
-            return [
-                {"env_idx": env, "seed": seed, "success": True, "score": 1.0, "steps": steps, "end_reason": "success"}
-                for env, (seed, steps) in enumerate(zip(self.seeds, self.steps, strict=True))
-            ]
-
-        def close(self):
-            pass
-
-    def make(config):
-        return Env(config)
-"""
+    pairs = []
+    for workers in (0, 2):
+        options = ["--workers", str(workers), "--horizon", "5", "--json"]
+        done = xpl("eval", "scripted_expert", *place, *options, cwd=tmp_path)
+        assert done.returncode == ExitCode.CLEAN, done.stderr
+        report = json.loads(done.stdout)
+        assert validate(report, "evaluation") == []
+        assert (report["setting"], report["horizon"], report["workers"]) == ("randomized", 5, workers)
+        for record, fresh in zip(report["episodes"], played.results(), strict=True):
+            told = {key: record[key] for key in ("seed", "setting", "instruction", "layout")}
+            assert told == {key: fresh[key] for key in told}
+            assert (record["end_reason"], record["attempts"], record["corrections"]) == ("success", 1, {})
+        pairs.append([[record[key] for key in ("steps", "digest")] for record in report["episodes"]])
+    assert pairs[0] == pairs[1]
 
 
 @pytest.fixture
 def frail(tmp_path: Path) -> Path:
-    """Return an environment that does not keep its robot's limits, and dies as often as a file tells."""
-    folder = tmp_path / "envs" / "frail"
-    folder.mkdir(parents=True)
-    task = {"instruction": "hold on", "max_steps": 4}
-    facts = {
-        "spec": "v1", "name": "frail", "title": "Frail", "embodiments": ["franka_single"], "action_types": ["joint"],
-        "cameras": {}, "control_frequency": 25, "tasks": {"hold": task}, "client": "client.py",
-    }  # fmt: skip
-    (folder / "env.yml").write_text(json.dumps(facts), encoding="utf-8")
-    (folder / "client.py").write_text(textwrap.dedent(FRAIL), encoding="utf-8")
+    """Return an environment that does not keep its robot's limits."""
+    folder = drill.environment(tmp_path)
+    client = folder / "client.py"
+    client.write_text(client.read_text().replace("guarded = True", "guarded = False"))
     return folder
 
 
-HOLD = ["--env", "frail", "--set", "env_cfg_type=franka_single", "--json"]
+HOLD = ["--env", "drill", "--set", "env_cfg_type=franka_single", "--json"]
 
 
 WILD = """
@@ -335,7 +195,7 @@ SLOW = WILD.replace("def get_action(self):", "def get_action(self):\n           
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("real_time", "held"), [(True, 4), (False, None)])
+@pytest.mark.parametrize(("real_time", "held"), [(True, drill.STEPS), (False, None)])
 def test_actions_age_unless_the_environment_waits(
     frail: Path, write_adapter: Callable[..., Path], tmp_path: Path, *, real_time: bool, held: int | None
 ) -> None:
@@ -411,8 +271,7 @@ def test_environments_and_workers(num_envs: int | None, workers: str, wanted: tu
     assert look.places(num_envs, workers) == wanted
 
 
-def test_automatic_workers_are_as_many_as_cores() -> None:
-    """And no more than there are environments."""
+def test_automatic_workers_are_as_many_as_cores_and_no_more_than_environments() -> None:
     cores = len(os.sched_getaffinity(0))
     assert look.places(None, "auto") == (cores, cores)
     assert look.places(cores + 5, "auto") == (cores + 5, cores)
@@ -446,11 +305,7 @@ SEES = """
 """
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("environment", ["offline", "mujoco"])
-def test_an_environment_renders_what_the_policy_declares(
-    write_adapter: Callable[..., Path], tmp_path: Path, environment: str
-) -> None:
+def test_an_environment_renders_what_the_policy_declares(write_adapter: Callable[..., Path], tmp_path: Path) -> None:
     """Images of the declared size; where one environment cannot show all, the handshake names the one that is wrong."""
     adapter = write_adapter(SEES)
     manifest = {
@@ -459,14 +314,13 @@ def test_an_environment_renders_what_the_policy_declares(
         "cameras": {"cam_head": {"width": 128, "height": 96, "exact": True}},
     }
     (adapter / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
-    options = ["--env", environment, "--horizon", "1", "--set", "env_cfg_type=franka_single", "--json"]
-    short = ["--task", "echo"] if environment == "offline" else ["--task", "lift_cube"]
-    done = xpl("eval", str(adapter), *options, *short, cwd=tmp_path)
+    options = ["--env", "offline", "--task", "echo", "--horizon", "1", "--set", "env_cfg_type=franka_single"]
+    done = xpl("eval", str(adapter), *options, cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stderr
 
     manifest["cameras"]["cam_wrist"] = {"width": 256, "height": 96, "exact": True}
     (adapter / "policy.yml").write_text(json.dumps(manifest), encoding="utf-8")
-    done = xpl("eval", str(adapter), *options, *short, cwd=tmp_path)
+    done = xpl("eval", str(adapter), *options, cwd=tmp_path)
     assert done.returncode == ExitCode.USAGE
     assert "the policy needs cam_head 128 x 96, the environment shows 256 x 96" in done.stderr
 

@@ -125,14 +125,7 @@ def test_a_policy_is_told_what_another_episode_is_about(room: Path) -> None:
     assert manner.of(run.plan) == Manner(instruction=manner.SWAP)
     assert [(line.seed, line.failure) for line in run.finals.values()] == [(0, "policy"), (1, None)]
     # Whoever sees the figures sees that they are not the policy's own.
-    warning = "The policy was told what another episode is about"
-    assert warning in done.stdout
-    made = xpl("report", "run", cwd=room)
-    assert made.returncode == 0, made.stderr
-    for name in ("index.html", "report.md"):
-        text = (room / "run" / "report" / name).read_text(encoding="utf-8")
-        assert warning in text
-        assert "2 episodes planned, told what another episode is about." in text
+    assert "The policy was told what another episode is about" in done.stdout
 
 
 @pytest.mark.parametrize(

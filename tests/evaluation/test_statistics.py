@@ -11,7 +11,6 @@ import pytest
 from xpl_cli.evaluation.statistics import intervals as statistics
 from xpl_cli.evaluation.statistics.intervals import (
     Estimate,
-    Interval,
     Pairs,
     bootstrap,
     difference,
@@ -38,35 +37,6 @@ def test_intervals_of_a_share_are_those_of_published_tables(
     """Newcombe, Two-sided confidence intervals for the single proportion, Stat. Med. 17 (1998), table I."""
     assert wilson(successes / count, count) == pytest.approx(by_score, abs=5e-5)
     assert exact(successes, count) == pytest.approx(by_tails, abs=5e-5)
-
-
-def test_the_score_interval_of_counts_is_that_of_the_library() -> None:
-    """The formula is written out because means need it too; where both apply they agree."""
-    from scipy import stats
-
-    for count in (1, 2, 17, 400):
-        for successes in {0, 1, count // 2, count - 1, count}:
-            theirs = stats.binomtest(successes, count).proportion_ci(0.95, method="wilson")
-            assert wilson(successes / count, count) == pytest.approx((theirs.low, theirs.high), abs=1e-12)
-
-
-def test_successes_and_failures_mirror_each_other() -> None:
-    """What is sure of one is sure of the other, and neither leaves 0..1."""
-    for count in (1, 3, 50):
-        for successes in range(count + 1):
-            low, high = wilson(successes / count, count)
-            assert wilson(1 - successes / count, count) == pytest.approx((1 - high, 1 - low))
-            assert 0.0 <= low <= successes / count <= high <= 1.0
-
-
-def test_an_interval_holds_what_lies_in_it() -> None:
-    """Its ends included."""
-    interval = Interval(0.25, 0.5)
-    assert 0.25 in interval
-    assert 0.5 in interval
-    assert 0.51 not in interval
-    assert interval.width == 0.25
-    assert str(interval) == "25% to 50%"
 
 
 @pytest.mark.parametrize(("mean", "count"), [(0.5, 0), (1.1, 3), (float("nan"), 3)])

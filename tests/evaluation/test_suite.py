@@ -97,24 +97,13 @@ def test_a_suite_is_recorded_and_does_not_depend_on_how_many_play_it(
     assert _outcomes(other) == _outcomes(run)
     assert _table(other) == _table(run)
     assert [line.trace.digest for line in other.finals.values()] == [line.trace.digest for line in run.finals.values()]
-
-
-@pytest.mark.slow
-def test_a_trace_holds_what_was_seen_and_commanded(room: Path) -> None:
-    """Curves under the names of the standard, without pickles; chunks begin where the policy was asked."""
-    done = _eval(room, "--episodes", "1", "--film", "0")  # the adapter's own loop
-    assert done.returncode == ExitCode.CLEAN, done.stderr
     with np.load(room / "run" / "traces" / "0.npz", allow_pickle=False) as trace:
         curves = dict(trace)
-    assert curves["frequency"] == 25
-    assert curves["chunk_starts"].tolist() == [0, 2, 4]
-    assert curves["action.arm_joint_state"].shape == (drill.STEPS, 7)
-    assert curves["action.ee_joint_state"].shape == (drill.STEPS, 1)
-    seen = curves["state.arm_joint_state"]
-    assert seen.shape == (len(curves["state_steps"]), 7)
+    assert (curves["frequency"], curves["chunk_starts"].tolist()) == (25, [0, 2, 4])
+    commanded, seen = curves["action.arm_joint_state"], curves["state.arm_joint_state"]
+    assert (commanded.shape, seen.shape) == ((drill.STEPS, 7), (len(curves["state_steps"]), 7))
     assert {value.dtype for name, value in curves.items() if "." in name} == {np.dtype(np.float32)}
-    executed = curves["action.arm_joint_state"][curves["state_steps"][1:] - 1]
-    np.testing.assert_array_equal(seen[1:], executed)  # this environment goes where it is told
+    np.testing.assert_array_equal(seen[1:], commanded[curves["state_steps"][1:] - 1])  # it goes where it is told
 
 
 @pytest.mark.slow
@@ -152,7 +141,7 @@ def test_failures_are_told_apart_and_those_of_the_infrastructure_are_played_agai
 def test_a_run_that_is_there_is_only_continued_if_asked_and_by_the_same_plan(
     played: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
-    """What is recorded is not overwritten; other episodes are another run; an adapter that changed is another one."""
+    """What is recorded is not overwritten; other episodes are another run, and so is an adapter that changed."""
     room, _ = played
     before = (room / "run" / records.FILE).read_bytes()
     again = _eval(room, "--episodes", "1")
@@ -183,8 +172,9 @@ def _request(place: Path, wishes: plan.Wishes | None, **more: Any) -> evaluate.R
         ({"wishes": plan.Wishes(), "overrides": {"env_cfg_type": "piper_single"}}, "has no piper_single"),
     ],
 )
-def test_what_cannot_be_played_is_refused_in_one_sentence(room: Path, given: dict[str, Any], said: str) -> None:
-    """Before anything is recorded."""
+def test_what_cannot_be_played_is_refused_before_anything_is_recorded(
+    room: Path, given: dict[str, Any], said: str
+) -> None:
     with pytest.raises(UserError, match=said):
         evaluate.evaluate(_request(room, **given))
     assert not (room / "run").exists()
@@ -192,15 +182,13 @@ def test_what_cannot_be_played_is_refused_in_one_sentence(room: Path, given: dic
 
 @pytest.mark.parametrize("options", [["--until-width", "0.2"], ["--out", "run", "--workers", "0"], ["--resume"]])
 def test_options_that_do_not_go_together_are_refused(room: Path, options: list[str]) -> None:
-    """As wrong usage, with the option's name."""
     done = xpl("eval", "Drilled", "--env", "drill", *options, cwd=room)
     assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
     assert options[-2 if len(options) > 1 else 0] in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_a_policy_that_does_not_fit_ends_the_run(room: Path) -> None:
-    """With the reason, and without an episode."""
+def test_a_policy_that_does_not_fit_ends_the_run_before_its_first_episode(room: Path) -> None:
     (room / "policy" / "Drilled" / "policy.yml").write_text(json.dumps({"control_frequency": 50}))
     done = _eval(room)
     assert (done.returncode, "50 Hz" in done.stderr) == (ExitCode.USAGE, True)
@@ -267,12 +255,11 @@ def _agree(killed: Path, whole: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kills", [1, pytest.param(3, marks=pytest.mark.slow)])
-def test_a_run_that_is_killed_ends_with_the_same_table(room: Path, kills: int) -> None:
+def test_a_run_that_is_killed_ends_with_the_same_table(room: Path) -> None:
     """And no process survives it."""
     command = [sys.executable, "-m", "xpl_cli", "eval", "Drilled", "--env", "drill", "--task", "all", "--horizon", "2"]
     command += ["--episodes", "6", "--out"]
-    _killed_again_and_again(room, [*command, "killed"], kills, 20261121, 0.2)
+    _killed_again_and_again(room, [*command, "killed"], 3, 20261121, 0.2)
     whole = subprocess.run([*command, "whole"], cwd=room, capture_output=True, text=True, check=False)
     assert whole.returncode == ExitCode.CLEAN, whole.stderr
     _agree(room / "killed", room / "whole")
@@ -321,13 +308,12 @@ def test_a_lane_whose_server_does_not_start_any_more_leaves_its_episodes_to_othe
     drill.environment(tmp_path)
     drill.adapter(tmp_path)
     drill.mark(tmp_path, "policy-dies-for-good", 1)
-    done = _eval(tmp_path, "--episodes", "60", "--workers", "2")
+    done = _eval(tmp_path, "--episodes", "20", "--workers", "2")
     assert done.returncode == ExitCode.CLEAN, done.stderr
     run = records.read(tmp_path / "run")
     # Who ends its own process is not spared the episode.
     assert [line.failure for line in run.attempts if line.failure not in {None, "task"}] == ["policy"]
-    assert "counted as failed" in done.stdout
-    assert [line.success for line in run.finals.values()] == [seed % 3 != 2 for seed in range(60)]
+    assert [line.success for line in run.finals.values()] == [seed % 3 != 2 for seed in range(20)]
     drill.mark(tmp_path, "policy-dies-for-good", 1)
     alone = xpl("eval", "Drilled", "--env", "drill", "--out", "alone", "--episodes", "2", cwd=tmp_path)
     assert (alone.returncode, "the weights are gone" in alone.stderr) == (ExitCode.NOT_RUN, True)
@@ -335,13 +321,12 @@ def test_a_lane_whose_server_does_not_start_any_more_leaves_its_episodes_to_othe
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_a_run_in_physics_that_is_killed_twenty_times_ends_with_the_same_table(tmp_path: Path) -> None:
-    """At random moments, with two lanes, four cells and 60 episodes."""
+def test_a_run_in_physics_that_is_killed_eight_times_ends_with_the_same_table(tmp_path: Path) -> None:
+    """At random moments, with two lanes and four cells."""
     command = [sys.executable, "-m", "xpl_cli", "eval", "scripted_expert", "--env", "mujoco", "--horizon", "1"]
-    command += ["--task", "lift_cube,push_block", "--setting", "clean,randomized", "--episodes", "15", "--film", "0"]
+    command += ["--task", "lift_cube,push_block", "--setting", "clean,randomized", "--episodes", "6", "--film", "0"]
     command += ["--workers", "2", "--out"]
-    _killed_again_and_again(tmp_path, [*command, "killed"], 20, 8, 1.5)
+    _killed_again_and_again(tmp_path, [*command, "killed"], 8, 8, 1.5)
     whole = subprocess.run([*command, "whole"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert whole.returncode == ExitCode.CLEAN, whole.stderr
     _agree(tmp_path / "killed", tmp_path / "whole")

@@ -62,18 +62,6 @@ def test_rows_count_what_was_played(tmp_path: Path) -> None:
     assert {row["setting"] for row in found["tasks"]} == {None}
 
 
-def test_with_equal_counts_the_mean_of_cells_is_the_share_of_all(tmp_path: Path) -> None:
-    """Over one cell, a row is that cell's; over several, the interval is narrower than any of theirs."""
-    found = summary_of(synthetic(tmp_path / "run", episodes=30))
-    overall = found["overall"]
-    assert overall["success_rate"] == pytest.approx(overall["successes"] / 120)
-    for row in found["cells"]:
-        assert row["success_interval"] == pytest.approx(list(intervals.wilson(row["success_rate"], 30)))
-    low, high = overall["success_interval"]
-    assert high - low < min(row["success_interval"][1] - row["success_interval"][0] for row in found["cells"])
-    assert found["dimensions"][0]["success_interval"] == found["tasks"][0]["success_interval"]
-
-
 def test_the_exact_interval_is_at_hand(tmp_path: Path) -> None:
     """It is the wider one."""
     folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])

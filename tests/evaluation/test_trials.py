@@ -45,12 +45,8 @@ def _evaluated(folder: Path, *options: str, **config: Any) -> tuple[Any, list[An
     return done, [json.loads(line) for line in marks.read_text().splitlines()] if marks.exists() else []
 
 
-@pytest.mark.parametrize(
-    "options", [["--horizon", "2"], pytest.param(["--out", "run"], marks=pytest.mark.slow)], ids=["look", "recorded"]
-)
-def test_a_policy_hears_of_every_trial(tmp_path: Path, options: list[str]) -> None:
-    """In this order, and nothing by which it could look up what is played."""
-    done, told = _evaluated(tmp_path, "--episodes", "3", *options)
+def test_a_policy_hears_of_every_trial_and_nothing_by_which_it_could_look_it_up(tmp_path: Path) -> None:
+    done, told = _evaluated(tmp_path, "--episodes", "3", "--horizon", "2")
     assert done.returncode == 0, done.stderr
     assert [what for what, _ in told] == ["prepare_case", "reset", "on_trial_end"] * 3
     cases, results = ([content for what, content in told if what == hook] for hook in ("prepare_case", "on_trial_end"))
@@ -63,7 +59,6 @@ def test_a_policy_hears_of_every_trial(tmp_path: Path, options: list[str]) -> No
 
 @pytest.mark.slow
 def test_a_case_that_the_policy_refuses_is_its_failure(tmp_path: Path) -> None:
-    """As whatever else it raises."""
     done, told = _evaluated(tmp_path, fails="prepare_case")
     assert done.returncode == ExitCode.FINDINGS
     assert "prepare_case cannot be" in done.stderr
