@@ -21,7 +21,6 @@ POLICY = ROOT / "policy/demo_policy"
 
 
 def test_a_server_in_the_background_is_asked_and_ended(tmp_path: Path) -> None:
-    """It says where it answers, the scratch file of the skill gets an answer, and afterwards no process is left."""
     start, end = [block.text for block in pages.blocks([PAGE]) if block.language == "bash"]
     scratch = next(block.text for block in pages.blocks([PAGE]) if block.text.startswith("# scratch.py"))
     start = start.replace("POLICY", f"'{POLICY}' --set env_cfg_type=franka_single")
@@ -44,7 +43,6 @@ def test_a_server_in_the_background_is_asked_and_ended(tmp_path: Path) -> None:
 
 
 def test_a_server_that_cannot_start_ends_the_wait(tmp_path: Path) -> None:
-    """What it printed says so, and the last line of its log says why."""
     start, _ = [block.text for block in pages.blocks([PAGE]) if block.language == "bash"]
     told = _bash(start.replace("POLICY", str(tmp_path / "Nowhere")), tmp_path)
     assert '"event": "ready"' not in told

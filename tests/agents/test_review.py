@@ -40,7 +40,6 @@ STATIC = ("--base", "main", "--gate", "static")
 
 
 def git(folder: Path, *arguments: str) -> str:
-    """Run git as somebody."""
     who = ["-c", "user.name=Somebody", "-c", "user.email=somebody@example.org", "-c", "commit.gpgsign=false"]
     command = [str(shutil.which("git")), *who, *arguments]
     done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL)
@@ -63,12 +62,10 @@ def started(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def repository(started: Path, tmp_path: Path) -> Path:
-    """A copy of it, on a branch of its own."""
     return shutil.copytree(started, tmp_path / "repository")
 
 
 def add_policy(folder: Path, name: str = "Bar") -> Path:
-    """Add a copy of the adapter under another name."""
     package = shutil.copytree(folder / "policy/Foo", folder / "policy" / name)
     for file in package.rglob("*"):
         if file.is_file():
@@ -77,7 +74,6 @@ def add_policy(folder: Path, name: str = "Bar") -> Path:
 
 
 def spoil(package: Path, text: str = SWALLOWS) -> None:
-    """Add a method to an adapter."""
     with (package / "model.py").open("a", encoding="utf-8") as model:
         model.write(text)
 
@@ -95,7 +91,6 @@ def reviewed(folder: Path, *options: str) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_packages_that_came_changed_or_went_are_told_and_others_left_alone(repository: Path) -> None:
-    """Committed or not; files of no package are counted, and what main did meanwhile is not part of the change."""
     add_policy(repository, "Old")
     add_policy(repository, "Quiet")
     git(repository, "add", ".")
@@ -116,7 +111,6 @@ def test_packages_that_came_changed_or_went_are_told_and_others_left_alone(repos
 
 
 def test_a_change_of_no_package_is_reviewed_at_once(repository: Path) -> None:
-    """Exit code 0, a sentence, and no table."""
     (repository / "README.md").write_text("about\n", encoding="utf-8")
     done = xpl("review", *STATIC, cwd=repository)
     assert done.returncode == ExitCode.CLEAN
@@ -125,7 +119,6 @@ def test_a_change_of_no_package_is_reviewed_at_once(repository: Path) -> None:
 
 
 def test_it_may_be_called_from_a_folder_below(repository: Path) -> None:
-    """The whole repository is looked at, and commands that are offered work from there."""
     spoil(repository / "policy/Foo")
     found = reviewed(repository / "policy")
     assert [entry["name"] for entry in found["packages"]] == ["Foo"]
@@ -134,7 +127,6 @@ def test_it_may_be_called_from_a_folder_below(repository: Path) -> None:
 
 @pytest.mark.parametrize("ref", ["nowhere", "--output=trace", ""])
 def test_a_commit_that_is_not_there_is_told(repository: Path, ref: str) -> None:
-    """Neither taken for an option of git nor for no change."""
     done = xpl("review", f"--base={ref}", cwd=repository)
     assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
     assert "has no commit" in done.stderr
@@ -142,7 +134,6 @@ def test_a_commit_that_is_not_there_is_told(repository: Path, ref: str) -> None:
 
 
 def test_outside_of_git_nobody_knows_what_changed(tmp_path: Path) -> None:
-    """One sentence, and no traceback."""
     done = xpl("review", "--base", "main", cwd=tmp_path)
     assert done.returncode == ExitCode.USAGE
     assert "needs a git repository" in done.stderr
@@ -152,7 +143,6 @@ def test_outside_of_git_nobody_knows_what_changed(tmp_path: Path) -> None:
 
 
 def test_what_the_base_has_already_is_marked(repository: Path) -> None:
-    """A fault that came with this change stands before one that was there, wherever its lines have moved."""
     spoil(
         repository / "policy/Foo",
         "\n    def old(self):\n        try:\n            return 1\n        except:\n            return 0\n",
@@ -174,7 +164,6 @@ def test_what_the_base_has_already_is_marked(repository: Path) -> None:
 
 
 def test_a_package_may_be_the_whole_repository(started: Path, tmp_path: Path) -> None:
-    """What the base has is known there, too, also where a message names the folder."""
     package = shutil.copytree(started / "policy/Foo", tmp_path / "Renamed")
     git(package, "init", "--quiet", "--initial-branch=main")
     git(package, "add", ".")
@@ -187,7 +176,6 @@ def test_a_package_may_be_the_whole_repository(started: Path, tmp_path: Path) ->
 
 
 def test_the_whole_audit_is_in_every_format_of_it(repository: Path) -> None:
-    """The review on stdout or in a file, and any format of the audit besides."""
     spoil(repository / "policy/Foo")
     written = ("--output", "sarif=a.sarif", "--output", "github=a.txt", "--output", "review.md")
     done = xpl("review", *STATIC, *written, cwd=repository)
@@ -203,7 +191,6 @@ def test_the_whole_audit_is_in_every_format_of_it(repository: Path) -> None:
 
 @pytest.mark.slow
 def test_without_weights_the_shadow_is_audited(repository: Path) -> None:
-    """The offline gate serves what is there, and the review says what stood in for the model."""
     package = add_policy(repository)
     shutil.rmtree(repository / "policy/Foo")
     model = (package / "model.py").read_text(encoding="utf-8")
@@ -262,7 +249,6 @@ def of_results(*results: Result) -> review.Review:
 
 
 def test_ten_findings_are_told_in_order_of_harm() -> None:
-    """What fails before what warns, then what does more harm; a rule counts once, and the rest is named."""
     made = of_results(
         *(finding(100 + number, "XPL-PKG-5", Outcome.FAIL) for number in range(10)),
         finding(120, "XPL-PKG-3", Outcome.WARN),
@@ -281,7 +267,6 @@ def test_ten_findings_are_told_in_order_of_harm() -> None:
 
 
 def test_a_review_fits_into_a_comment_and_calls_nobody() -> None:
-    """However long a message is, and whatever a stranger writes into it."""
     made = of_results(
         finding(101, "XPL-ACT-1", Outcome.FAIL, "ask @everyone ![x](http://example.org/x) <b>now</b>"),
         finding(102, "XPL-ACT-2", Outcome.FAIL, "long " * 20_000),
@@ -307,7 +292,6 @@ def filled(finish: list[str]) -> str:
 
 
 def test_the_form_is_complete_once_it_is_filled_in() -> None:
-    """As it comes it is open everywhere, filled in nowhere; comments fill in nothing."""
     assert form.sections(FORM).keys() >= {"What it is", "What was proved", "What was not proved"}
     asked = form.sections(FORM).values()
     places = sum(len(section.fields) + len(section.boxes) for section in asked)
@@ -322,7 +306,6 @@ def test_the_form_is_complete_once_it_is_filled_in() -> None:
 
 @pytest.mark.slow
 def test_a_policy_needs_a_description_that_belongs_to_its_files(repository: Path) -> None:
-    """Each gate's finish line, with the model, of the state that is reviewed; then nothing is left to mend."""
     package = add_policy(repository)
     done = xpl("audit", "policy/Bar", "--gate", "static", "--json", cwd=repository)
     (gate,) = json.loads(done.stdout)["targets"][0]["gates"]
@@ -354,7 +337,6 @@ def test_a_policy_needs_a_description_that_belongs_to_its_files(repository: Path
 
 @pytest.mark.slow
 def test_a_description_is_held_against_the_form_of_the_base(repository: Path) -> None:
-    """A change that takes a box out of the form is held to it all the same."""
     add_policy(repository)
     box = next(line for line in FORM.splitlines() if line.startswith("- [ ]"))
     (repository / TEMPLATE).write_text(FORM.replace(f"{box}\n", ""), encoding="utf-8")
@@ -374,7 +356,6 @@ def test_a_description_is_held_against_the_form_of_the_base(repository: Path) ->
 
 
 def test_a_small_change_needs_no_form(repository: Path) -> None:
-    """Only what brings a policy, or was begun with the form, is held against it."""
     (repository / "policy/Foo/notes.txt").write_text("a note\n", encoding="utf-8")
     text = repository / "description.md"
     text.write_text("Adds a note.\n", encoding="utf-8")
@@ -389,7 +370,6 @@ def test_a_small_change_needs_no_form(repository: Path) -> None:
 
 
 def test_what_was_there_before_makes_no_review_red_unless_asked(repository: Path) -> None:
-    """A typo in a README is mended in a package that fails; a finding that is new counts, and an old one by request."""
     bad = "\n    def get_action_batch(self, wrong, order):\n        return []\n"
     spoil(repository / "policy/Foo", bad)
     git(repository, "commit", "--quiet", "-am", "a fault")
@@ -408,7 +388,6 @@ def test_what_was_there_before_makes_no_review_red_unless_asked(repository: Path
 
 
 def test_only_documents_leave_what_was_not_proved_before_open(repository: Path) -> None:
-    """Whatever a served gate says of code that the change does not touch was so before."""
     (repository / "policy/Foo/README.md").write_text("about\n", encoding="utf-8")
     change = change_since("main", Repository.of(repository))
     assert [touched.documents_only for touched in change.packages] == [True]
@@ -430,7 +409,6 @@ def test_only_documents_leave_what_was_not_proved_before_open(repository: Path) 
 def test_a_description_that_is_no_text_is_refused(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    """In one sentence, and without reading what has no end."""
     monkeypatch.setattr(files, "_PATIENCE_S", 0.2)  # nobody ever writes to this pipe
     file = tmp_path / "description"
     if kind == "device":
@@ -449,7 +427,6 @@ def test_a_description_that_is_no_text_is_refused(
 
 @given(text=st.text(min_size=1))
 def test_markdown_shows_a_text_as_it_is(text: str) -> None:
-    """No character of it becomes markup, in a sentence or in a code span; a platform notifies nobody whom it names."""
     reader = MarkdownIt("commonmark").enable("table").enable("strikethrough")
     plain = one_line(text)
     if plain:

@@ -68,7 +68,6 @@ def _make(case: Query | Task, agent: Agent | None, condition: str = "skills", li
 
 @each_task
 def test_a_task_can_be_set_and_understood(task: Task) -> None:
-    """Its commands parse, the prompt gives no skill away, and asks for the report that is judged."""
     for line in task.setup:
         pages.parse(shlex.split(line)[1:])
     assert not any(name in task.prompt for name in NAMES)
@@ -80,7 +79,6 @@ def test_a_task_can_be_set_and_understood(task: Task) -> None:
 
 @each_task
 def test_what_a_task_gives_is_not_in_what_an_agent_installs(task: Task) -> None:
-    """Nothing of the evaluations gets into a project with the skills."""
     from xpl_cli.agents.skills.bundle import contents
 
     assert not any(cases.EVALS in Path(name).parts for name in contents(task.folder.parent))
@@ -90,7 +88,6 @@ def test_what_a_task_gives_is_not_in_what_an_agent_installs(task: Task) -> None:
 @pytest.mark.timeout(600)
 @each_task
 def test_a_task_is_not_done_before_anybody_did_it(task: Task) -> None:
-    """On the untouched project a check fails."""
     with project(task, "none") as place:
         assert not all(grade.passed for grade in graders.grades(task, place))
 
@@ -105,7 +102,6 @@ def test_a_task_is_not_done_before_anybody_did_it(task: Task) -> None:
     ],
 )
 def test_tasks_of_another_form_are_refused(text: str, told: str, tmp_path: Path) -> None:
-    """With the file and what is wrong."""
     (tmp_path / cases.EVALS).mkdir()
     (tmp_path / cases.EVALS / "tasks.yml").write_text(text, encoding="utf-8")
     with pytest.raises(cases.CaseError, match=told):
@@ -116,7 +112,6 @@ def test_tasks_of_another_form_are_refused(text: str, told: str, tmp_path: Path)
 
 
 def test_without_an_agent_everything_is_recorded_as_not_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each query and each task under each condition has its place, with the reason, and no figure is made up."""
     path = tmp_path / "found.json"
     assert main("", ["--json", str(path)]) == 0
     found = json.loads(path.read_text(encoding="utf-8"))
@@ -130,7 +125,6 @@ def test_without_an_agent_everything_is_recorded_as_not_run(tmp_path: Path, caps
 
 
 def test_what_options_leave_out_is_recorded_too(tmp_path: Path) -> None:
-    """A narrowed evaluation says what it did not look at."""
     path = tmp_path / "found.json"
     main("", ["--json", str(path), "--part", "tasks", "--skill", "xpl-debug-policy", "--condition", "docs"])
     reasons = {run["reason"] for run in json.loads(path.read_text(encoding="utf-8"))["runs"]}
@@ -144,21 +138,18 @@ def test_what_options_leave_out_is_recorded_too(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_agent_that_is_not_there_is_no_failure_of_the_skill(task: Task) -> None:
-    """Neither a missing program nor one that ends at once without having done anything counts as a run."""
     result = _make(task, Agent("nobody", ("no-such-agent", "{prompt}")))
     assert (result.status, result.passed) == ("not run", None)
     assert "no-such-agent" in str(result.reason)
 
 
 def test_an_agent_that_refuses_is_no_failure_of_the_skill(task: Task, program: Callable[[str], Agent]) -> None:
-    """What it said is the reason."""
     result = _make(task, program("sys.exit('please log in')"))
     assert (result.status, result.passed) == ("not run", None)
     assert "please log in" in str(result.reason)
 
 
 def test_after_an_interruption_the_rest_is_not_run(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C keeps what there is."""
     begun = []
 
     def interrupted(*_: Any) -> None:
@@ -188,7 +179,6 @@ def test_a_query_is_judged_by_the_skill_that_is_named(program: Callable[[str], A
 
 
 def test_every_description_is_in_the_question(program: Callable[[str], Agent]) -> None:
-    """An agent chooses by what it would see in its list."""
     names = json.dumps(sorted(skill.description for skill in SKILLS))
     agent = program(f"print('none' if all(text in sys.argv[1] for text in {names}) else 'broken')")
     assert _make(Query("xpl-audit-policy", "Bake a cake.", None), agent).passed
@@ -196,7 +186,6 @@ def test_every_description_is_in_the_question(program: Callable[[str], Agent]) -
 
 @pytest.mark.slow
 def test_a_task_is_judged_by_the_audit_and_not_by_what_is_said(task: Task, program: Callable[[str], Agent]) -> None:
-    """The same claim with and without the deed."""
     claim = "pathlib.Path('REPORT.md').write_text('Everything is green.')\n"
     assert not _make(task, program(claim)).passed
     deed = (
@@ -215,7 +204,6 @@ def test_a_task_is_judged_by_the_audit_and_not_by_what_is_said(task: Task, progr
 
 @pytest.mark.slow
 def test_what_was_given_and_is_changed_is_noticed(task: Task, program: Callable[[str], Agent]) -> None:
-    """The check names the file."""
     result = _make(task, program("pathlib.Path('upstream/code.py').write_text('')"))
     assert [check["told"] for check in result.checks if "unchanged" in check["check"]] == ["changed: upstream/code.py"]
 
@@ -224,7 +212,6 @@ def test_what_was_given_and_is_changed_is_noticed(task: Task, program: Callable[
 def test_an_agent_that_takes_too_long_is_ended_with_all_that_it_started(
     task: Task, program: Callable[[str], Agent]
 ) -> None:
-    """It ran, it did not pass, and nothing of it goes on."""
     agent = program("subprocess.run(['sleep', '600'])")
     result = _make(task, agent, limit_s=1.0)
     assert (result.status, result.passed, result.in_time) == ("ran", False, False)
@@ -242,7 +229,6 @@ def test_an_agent_that_takes_too_long_is_ended_with_all_that_it_started(
     ],
 )
 def test_conditions_differ_in_what_an_agent_finds(task: Task, condition: str, has: list[str], lacks: list[str]) -> None:
-    """And the text of the skills cannot be had by another way."""
     with project(task, condition) as place:
         assert all((place.folder / name).exists() for name in has)
         assert not any((place.folder / name).exists() for name in lacks)
@@ -266,13 +252,11 @@ def test_conditions_differ_in_what_an_agent_finds(task: Task, condition: str, ha
     ],
 )
 def test_a_rollout_is_known_by_the_finish_line(line: str, played: bool) -> None:
-    """A shadow has not played, and neither has another gate."""
     assert bool(witness._PLAYED.search(line)) == played
 
 
 @pytest.mark.slow
 def test_lines_that_were_given_are_not_counted_as_written(task: Task) -> None:
-    """Neither the scaffold's nor those of a file of the task that is copied."""
     with project(task, "none") as place:
         assert effort.written_lines(task, place.folder) == 0
         package = place.folder / "policy" / "Here"
@@ -285,14 +269,12 @@ def test_lines_that_were_given_are_not_counted_as_written(task: Task) -> None:
 
 @pytest.mark.parametrize("text", ["claude", "=claude -p", "claude="])
 def test_an_agent_has_a_name_and_a_command(text: str) -> None:
-    """Anything else is told to the one who wrote it."""
     with pytest.raises(ValueError, match="NAME=COMMAND"):
         Agent.read(text)
     assert Agent.read("a=agent --print").words == ("agent", "--print", agents.PROMPT)
 
 
 def test_blank_lines_comments_and_docstrings_do_not_count() -> None:
-    """What remains are the lines that hold code."""
     model = '''
         """Of the module,
         over lines."""
@@ -319,5 +301,4 @@ def test_blank_lines_comments_and_docstrings_do_not_count() -> None:
 
 
 def test_code_beside_a_docstring_counts() -> None:
-    """A docstring does not hide its line."""
     assert effort.code_lines('def f(): "doc"\nclass A: "doc"; x = 1\n"not a docstring"\n') == 3

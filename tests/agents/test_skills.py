@@ -41,7 +41,6 @@ class Answer:
 
     @property
     def json(self) -> Any:
-        """Its standard output as JSON."""
         return json.loads(self.out)
 
 
@@ -75,7 +74,6 @@ def skills(project: Path, home: Path, monkeypatch: pytest.MonkeyPatch) -> Callab
 
 
 def _tree(folder: Path) -> dict[str, bytes | str]:
-    """Return all files and links below a folder."""
     found: dict[str, bytes | str] = {}
     for path in folder.rglob("*"):
         if path.is_symlink():
@@ -95,7 +93,6 @@ def test_there_are_five_skills() -> None:
 
 @each_skill
 def test_a_skill_is_valid(skill: bundles.Bundle) -> None:
-    """Nothing that the specification, or an agent that reads it, refuses."""
     assert specification.problems(skill.folder) == []
 
 
@@ -140,7 +137,6 @@ def test_every_reference_is_reached_from_the_body(skill: bundles.Bundle) -> None
     ],
 )
 def test_what_is_wrong_with_a_skill_is_said(tmp_path: Path, text: str, told: str) -> None:
-    """Each way in which the specification can be missed has its sentence."""
     folder = tmp_path / "my-skill"
     (folder / "references" / "deep").mkdir(parents=True)
     (folder / "references" / "deep" / "a.md").write_text("", encoding="utf-8")
@@ -159,7 +155,6 @@ def test_a_misspelt_file_name_is_told(tmp_path: Path) -> None:
 
 
 def test_skills_are_listed_and_printed(skills: Callable[..., Answer]) -> None:
-    """`get` prints the body, `--full` the references too; without a project, an installation or a network."""
     listed = skills("list", "--json").json
     assert [entry["name"] for entry in listed["skills"]] == NAMES
     short, full = skills("get", NAMES[0]), skills("get", NAMES[0], "--full")
@@ -172,7 +167,6 @@ def test_skills_are_listed_and_printed(skills: Callable[..., Answer]) -> None:
 
 
 def test_an_unknown_skill_names_the_nearest(skills: Callable[..., Answer]) -> None:
-    """A misspelt name is answered with the one that was meant."""
     done = skills("get", "xpl-audit-polcy")
     assert done.code == 3
     assert "did you mean xpl-audit-policy?" in done.err
@@ -182,7 +176,6 @@ def test_an_unknown_skill_names_the_nearest(skills: Callable[..., Answer]) -> No
 
 
 def test_skills_lie_where_agents_look(skills: Callable[..., Answer], project: Path) -> None:
-    """Files in .agents/skills, a relative link for each in .claude/skills, and nothing of how skills are tested."""
     assert skills("install").code == 0
     for name in NAMES:
         stored, link = project / ".agents/skills" / name, project / ".claude/skills" / name
@@ -195,7 +188,6 @@ def test_skills_lie_where_agents_look(skills: Callable[..., Answer], project: Pa
 
 
 def test_installing_again_changes_nothing(skills: Callable[..., Answer], project: Path) -> None:
-    """The second call finds all in its place."""
     skills("install")
     before = _tree(project)
     again = skills("install", "--json")
@@ -205,7 +197,6 @@ def test_installing_again_changes_nothing(skills: Callable[..., Answer], project
 
 
 def test_skills_go_to_the_top_of_the_work_tree(skills: Callable[..., Answer], project: Path) -> None:
-    """Agents look there, wherever in the project the command runs."""
     inside = project / "policy" / "Foo"
     inside.mkdir(parents=True)
     assert skills("install", cwd=inside).code == 0
@@ -214,14 +205,12 @@ def test_skills_go_to_the_top_of_the_work_tree(skills: Callable[..., Answer], pr
 
 
 def test_only_what_is_named_is_installed(skills: Callable[..., Answer], project: Path) -> None:
-    """One skill for one agent."""
     assert skills("install", NAMES[1], "--agent", "codex").code == 0
     assert [path.name for path in (project / ".agents/skills").iterdir()] == [NAMES[1]]
     assert not (project / ".claude").exists()
 
 
 def test_skills_for_all_projects_of_a_user(skills: Callable[..., Answer], project: Path, home: Path) -> None:
-    """Below the home, and no instructions: these belong to projects."""
     assert skills("install", "--user").code == 0
     assert (home / ".claude/skills" / NAMES[0] / bundles.FILE).is_file()
     assert (home / ".agents/skills" / NAMES[0] / bundles.FILE).is_file()
@@ -233,14 +222,12 @@ def test_skills_for_all_projects_of_a_user(skills: Callable[..., Answer], projec
 def test_claude_codes_own_folder_is_found(
     skills: Callable[..., Answer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its variable moves its folder of the user, and the link follows."""
     monkeypatch.setenv("CLAUDE_CONFIG_DIR", str(tmp_path / "elsewhere"))
     assert skills("install", "--user").code == 0
     assert (tmp_path / "elsewhere/skills" / NAMES[0] / bundles.FILE).is_file()
 
 
 def test_a_trial_run_writes_nothing(skills: Callable[..., Answer], project: Path) -> None:
-    """It tells what would be done."""
     (project / "CLAUDE.md").write_text("# Mine\n", encoding="utf-8")
     before = _tree(project)
     done = skills("install", "--dry-run", "--json")
@@ -249,7 +236,6 @@ def test_a_trial_run_writes_nothing(skills: Callable[..., Answer], project: Path
 
 
 def test_copies_instead_of_links(skills: Callable[..., Answer], project: Path) -> None:
-    """A copy is renewed like any other place."""
     assert skills("install", "--copy").code == 0
     copy = project / ".claude/skills" / NAMES[0]
     assert not copy.is_symlink()
@@ -281,7 +267,6 @@ def _age(place: Path) -> None:
 
 
 def test_an_older_copy_is_renewed(skills: Callable[..., Answer], project: Path) -> None:
-    """What was written by an earlier version, and left as it was, is ours to replace."""
     skills("install")
     place = project / ".agents/skills" / NAMES[0]
     _age(place)
@@ -293,7 +278,6 @@ def test_an_older_copy_is_renewed(skills: Callable[..., Answer], project: Path) 
 
 
 def test_an_edited_copy_is_its_users(skills: Callable[..., Answer], project: Path) -> None:
-    """It is left alone until that is asked for."""
     skills("install")
     path = project / ".agents/skills" / NAMES[0] / bundles.FILE
     path.write_text("mine", encoding="utf-8")
@@ -307,7 +291,6 @@ def test_an_edited_copy_is_its_users(skills: Callable[..., Answer], project: Pat
 
 @pytest.mark.parametrize("folder", [".agents/skills", ".claude/skills"])
 def test_what_is_not_ours_is_never_replaced(skills: Callable[..., Answer], project: Path, folder: str) -> None:
-    """A skill of the same name from somewhere else stays, whatever is asked for; the others are installed."""
     path = project / folder / NAMES[0] / bundles.FILE
     path.parent.mkdir(parents=True)
     path.write_text("somebody else's", encoding="utf-8")
@@ -318,7 +301,6 @@ def test_what_is_not_ours_is_never_replaced(skills: Callable[..., Answer], proje
 
 
 def test_a_link_to_elsewhere_is_left(skills: Callable[..., Answer], project: Path, tmp_path: Path) -> None:
-    """A link that somebody made, to another folder or to nowhere, is not ours."""
     links = project / ".claude/skills"
     links.mkdir(parents=True)
     (links / NAMES[0]).symlink_to(tmp_path / "nowhere")
@@ -327,7 +309,6 @@ def test_a_link_to_elsewhere_is_left(skills: Callable[..., Answer], project: Pat
 
 
 def test_a_place_that_cannot_be_written_is_told(skills: Callable[..., Answer], project: Path) -> None:
-    """With the path, and no traceback."""
     (project / ".agents").write_text("a file", encoding="utf-8")
     done = skills("install")
     assert done.code == 4
@@ -335,7 +316,6 @@ def test_a_place_that_cannot_be_written_is_told(skills: Callable[..., Answer], p
 
 
 def test_one_link_for_the_whole_folder_is_as_good(skills: Callable[..., Answer], project: Path) -> None:
-    """Some projects link .claude/skills as a whole; then there is nothing to link."""
     (project / ".claude").mkdir()
     (project / ".claude/skills").symlink_to("../.agents/skills")
     assert skills("install").code == 0
@@ -348,7 +328,6 @@ def test_one_link_for_the_whole_folder_is_as_good(skills: Callable[..., Answer],
     [(["--agent", "emacs"], 2), (["--user", "--dir", "."], 2), (["--dir", "nowhere"], 3), (["xpl-nothing"], 3)],
 )
 def test_wrong_calls_are_refused(skills: Callable[..., Answer], arguments: list[str], code: int) -> None:
-    """With one sentence and the code of usage or of what is not there."""
     done = skills("install", *arguments)
     assert done.code == code
     assert done.err
@@ -359,14 +338,12 @@ def test_wrong_calls_are_refused(skills: Callable[..., Answer], arguments: list[
 
 
 def test_instructions_are_written_and_imported(skills: Callable[..., Answer], project: Path) -> None:
-    """AGENTS.md for all, and a CLAUDE.md that imports it."""
     skills("install")
     assert (project / "AGENTS.md").read_text(encoding="utf-8") == instructions.block() + "\n"
     assert (project / "CLAUDE.md").read_text(encoding="utf-8") == "@AGENTS.md\n"
 
 
 def test_around_the_block_nothing_changes(skills: Callable[..., Answer], project: Path) -> None:
-    """What a project says itself stays to the byte, before and after; an old block is renewed in its place."""
     path = project / "AGENTS.md"
     before, after = b"# Mine\r\n\nUse tabs, caf\xe9.\n\n", b"\n\nAnd spaces.  \n"
     path.write_bytes(before + b"<!-- xpl: begin. Written long ago. -->\nold\n<!-- xpl: end -->" + after)
@@ -378,7 +355,6 @@ def test_around_the_block_nothing_changes(skills: Callable[..., Answer], project
 
 
 def test_a_project_keeps_its_own_agents_file(skills: Callable[..., Answer], project: Path) -> None:
-    """The block is added at its end."""
     path = project / "AGENTS.md"
     path.write_text("# Mine\n", encoding="utf-8")
     skills("install")
@@ -386,7 +362,6 @@ def test_a_project_keeps_its_own_agents_file(skills: Callable[..., Answer], proj
 
 
 def test_somebodys_own_claude_file_is_left(skills: Callable[..., Answer], project: Path) -> None:
-    """It is told which line it lacks, and `check` notes it without failing."""
     path = project / "CLAUDE.md"
     path.write_text("# Mine\n", encoding="utf-8")
     done = skills("install")
@@ -404,7 +379,6 @@ def test_somebodys_own_claude_file_is_left(skills: Callable[..., Answer], projec
 def test_other_ways_to_import_are_understood(
     skills: Callable[..., Answer], project: Path, memory: str, text: str | None
 ) -> None:
-    """Claude Code's other place for instructions, and a link to AGENTS.md."""
     (project / "AGENTS.md").write_text("# Mine\n", encoding="utf-8")
     (project / ".claude").mkdir()
     path = project / memory
@@ -416,7 +390,6 @@ def test_other_ways_to_import_are_understood(
 
 
 def test_instructions_may_be_left_out(skills: Callable[..., Answer], project: Path) -> None:
-    """Only the skills, on demand."""
     assert skills("install", "--no-instructions").code == 0
     assert not list(project.glob("*.md"))
     assert skills("check").code == 0
@@ -426,7 +399,6 @@ def test_instructions_may_be_left_out(skills: Callable[..., Answer], project: Pa
 
 
 def test_nothing_to_check(skills: Callable[..., Answer]) -> None:
-    """Where no skill is installed the command says how to have them."""
     done = skills("check")
     assert done.code == 3
     assert "xpl skills install" in done.err
@@ -482,7 +454,6 @@ def _old_rules(project: Path) -> None:
 def test_what_keeps_a_skill_from_agents_is_found(
     skills: Callable[..., Answer], project: Path, spoil: Callable[[Path], None], kind: str
 ) -> None:
-    """Each fault by itself, with the way out, and exit code 1."""
     skills("install")
     assert skills("check").code == 0
     spoil(project)
@@ -495,7 +466,6 @@ def test_what_keeps_a_skill_from_agents_is_found(
 
 
 def test_other_peoples_skills_are_told_and_fail_nothing(skills: Callable[..., Answer], project: Path) -> None:
-    """A skill that agents drop, a link into nothing, and a list that is too long for them."""
     skills("install")
     folder = project / ".agents/skills"
     for number in range(12):
@@ -514,7 +484,6 @@ def test_other_peoples_skills_are_told_and_fail_nothing(skills: Callable[..., An
 
 
 def test_a_skill_counts_once_in_an_agents_list(skills: Callable[..., Answer]) -> None:
-    """A link and the file behind it are one skill."""
     skills("install")
     for listing in skills("check", "--json").json["listings"]:
         assert listing["skills"] == len(NAMES)
@@ -524,7 +493,6 @@ def test_a_skill_counts_once_in_an_agents_list(skills: Callable[..., Answer]) ->
 
 
 def test_this_repository_follows_its_own_rules(home: Path) -> None:
-    """Its AGENTS.md has the present block, and its links lead to the skills."""
     from xpl_cli.agents.skills.check import Check
 
     assert Check(ROOT, home).findings() == []

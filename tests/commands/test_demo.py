@@ -30,7 +30,6 @@ class Brief(Demo):
 
 
 def test_the_route_leads_from_a_green_scaffold_to_a_caught_copy(tmp_path: Path) -> None:
-    """Every step ends as it should; the copy is caught before it is served."""
     said: list[str] = []
     demo = Brief(tmp_path, said.append, quiet=True)
     assert demo.play()
@@ -40,7 +39,6 @@ def test_the_route_leads_from_a_green_scaffold_to_a_caught_copy(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_the_demo_shows_a_green_scaffold_and_a_caught_copy(tmp_path: Path) -> None:
-    """It leaves nothing behind in the working directory, and its JSON form lists every step with its exit code."""
     done = subprocess.run(
         [sys.executable, "-m", "xpl_cli", "demo", "--json"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
@@ -53,7 +51,6 @@ def test_the_demo_shows_a_green_scaffold_and_a_caught_copy(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_on_a_terminal_the_demo_asks_nothing_and_ends_with_the_next_commands(tmp_path: Path) -> None:
-    """A newcomer types one command; what it prints comes in the order in which it happens."""
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
         [sys.executable, "-m", "xpl_cli", "demo"], cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs

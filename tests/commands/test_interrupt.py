@@ -82,7 +82,6 @@ def in_the_middle(process: subprocess.Popen[bytes], mark: str, said: bytes) -> N
 def test_a_signal_ends_a_command_and_everything_it_started(
     workspace: Path, command: str, number: signal.Signals
 ) -> None:
-    """Ctrl-C reaches the whole foreground group, a supervisor's signal only the command; both leave nothing."""
     args, said = COMMANDS[command]
     with started([command, *args], workspace) as (process, mark):
         in_the_middle(process, mark, said)
@@ -102,7 +101,6 @@ def test_a_signal_ends_a_command_and_everything_it_started(
     "command", [pytest.param(name, marks=pytest.mark.slow if name == "demo" else ()) for name in COMMANDS]
 )
 def test_even_a_killed_command_leaves_no_process(workspace: Path, command: str) -> None:
-    """After kill -9 nothing can clean up: servers and workers notice by themselves that nobody is there."""
     args, said = COMMANDS[command]
     with started([command, *args], workspace) as (process, mark):
         in_the_middle(process, mark, said)
@@ -112,7 +110,6 @@ def test_even_a_killed_command_leaves_no_process(workspace: Path, command: str) 
 
 
 def test_an_interrupted_scaffold_leaves_nothing(tmp_path: Path) -> None:
-    """At whatever moment the signal comes, the folder is whole or not there."""
     for delay in (0.02, 0.1, 0.2, 0.3, 0.4, 0.5):
         with started(["new-policy", "Foo"], tmp_path) as (process, _):
             with contextlib.suppress(subprocess.TimeoutExpired):

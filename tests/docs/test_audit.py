@@ -31,18 +31,15 @@ CI = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
 
 
 def blocks(language: str, page: str = PAGE) -> list[str]:
-    """Return the examples of a language."""
     return re.findall(rf"```{language}\n(.*?)```", page, flags=re.DOTALL)
 
 
 def commands(text: str) -> list[list[str]]:
-    """Return the commands of an example, without comments."""
     return [shlex.split(line, comments=True)[1:] for line in text.splitlines() if line.startswith("xpl ")]
 
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Path:
-    """A folder with a fresh adapter."""
     (tmp_path / "policy").mkdir()
     made_adapter(tmp_path / "policy" / "Foo")
     return tmp_path
@@ -63,7 +60,6 @@ def _examples() -> Iterator[Any]:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("example", list(_examples()))
 def test_every_command_of_the_page_runs(workspace: Path, example: str) -> None:
-    """Line by line, in one folder."""
     found = commands(example)
     assert found
     for command in found:
@@ -72,7 +68,6 @@ def test_every_command_of_the_page_runs(workspace: Path, example: str) -> None:
 
 
 def test_the_waiver_of_the_page_waives(workspace: Path) -> None:
-    """It names a rule and the beginning of its message."""
     folder = workspace / "policy" / "Foo"
     with (folder / "eval.sh").open("a") as script:
         script.write("\nsleep 5\n")
@@ -90,7 +85,6 @@ def test_the_waiver_of_the_page_waives(workspace: Path) -> None:
 
 
 def test_the_claim_of_the_page_is_one(workspace: Path) -> None:
-    """The manifest's schema allows it, and the physics gate would measure it."""
     (example,) = (block for block in blocks("yaml") if "claims" in block)
     folder = workspace / "policy" / "Bar"
     shutil.copytree(workspace / "policy" / "Foo", folder)
@@ -103,7 +97,6 @@ def test_the_claim_of_the_page_is_one(workspace: Path) -> None:
 
 
 def test_the_page_knows_every_format_option_and_code(tmp_path: Path) -> None:
-    """Tables are complete."""
     assert set(re.findall(r"^\| `([a-z]+)` \|", PAGE, flags=re.MULTILINE)) >= set(REPORTS)
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", PAGE, flags=re.MULTILINE)} == set(ExitCode)
     told = set(re.findall(r"--[a-z][a-z-]+", PAGE))
@@ -113,7 +106,6 @@ def test_the_page_knows_every_format_option_and_code(tmp_path: Path) -> None:
 
 
 def test_the_page_on_integration_uses_the_action_that_is_there() -> None:
-    """Every example is YAML, its action lies at its path, and the tables know each input and output."""
     action = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
     examples = [yaml.safe_load(example) for example in blocks("yaml", CI)]
     steps = examples[0]["jobs"]["audit"]["steps"]

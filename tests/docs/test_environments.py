@@ -20,14 +20,12 @@ PAGE = (DOCS / "environments.md").read_text(encoding="utf-8")
 
 
 def test_the_table_of_tasks_is_that_of_the_manifest() -> None:
-    """It is pasted from `xpl env list mujoco --markdown`."""
     shown = PAGE.split("a test compares them -->")[1].split("<!-- /tasks -->")[0].strip()
     assert shown == listing.markdown(listing.offers("mujoco"))
 
 
 @pytest.mark.slow
 def test_the_first_commands_work(tmp_path: Path) -> None:
-    """Line by line, in an empty folder."""
     block = re.findall(r"```console\n(.*?)```", PAGE, flags=re.DOTALL)[0]
     for line in block.splitlines():
         done = xpl(*shlex.split(line)[1:], cwd=tmp_path)

@@ -35,7 +35,6 @@ def _arguments() -> list[str]:
 
 
 def test_the_command_plays_what_the_table_shows() -> None:
-    """Its options are known, and lead to the tasks, settings and episodes of the table."""
     name, *arguments = _arguments()
     command = typer.main.get_command(app).get_command(None, name)  # type: ignore[attr-defined]
     given = command.make_context(name, arguments).params
@@ -52,7 +51,6 @@ def test_the_command_plays_what_the_table_shows() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_command_reproduces_the_table(tmp_path: Path) -> None:
-    """What is printed here is what the page shows, to the letter."""
     arguments = _arguments()
     arguments[arguments.index("--out") + 1] = str(tmp_path / "run")
     done = subprocess.run(

@@ -52,7 +52,6 @@ def _follow(folder: Path, blocks: list[pages.Block], *, gates: set[str]) -> list
 
 
 def test_the_first_steps_go_as_they_say(tmp_path: Path) -> None:
-    """The scaffold and the model are clean, and the mistake is caught by the rule that is named."""
     done = _follow(tmp_path, TUTORIAL, gates={Gate.STATIC, Gate.OFFLINE})
     assert [code for _, code in done] == [ExitCode.CLEAN, ExitCode.CLEAN, ExitCode.FINDINGS]
     assert done[-1][0][-1] == "batch-order"
@@ -61,7 +60,6 @@ def test_the_first_steps_go_as_they_say(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_model_of_the_first_steps_passes_all_gates_and_plays(tmp_path: Path) -> None:
-    """Up to the mistake, and then an evaluation, as the page ends."""
     mistake = next(place for place, block in enumerate(TUTORIAL) if block.language == "diff")
     done = _follow(tmp_path, [*TUTORIAL[:mistake], TUTORIAL[-1]], gates={Gate.STATIC, "all"})
     assert [(words[0], code) for words, code in done] == [("new-policy", 0), ("audit", 0), ("audit", 0), ("eval", 0)]
@@ -90,7 +88,6 @@ def _served(words: list[str], folder: Path) -> None:
 
 
 def test_the_tour_of_the_readme_begins_as_written(tmp_path: Path) -> None:
-    """The package is made and its files are clean; the slow test goes all the way."""
     made, audited, *_ = _tour()
     assert xpl(*made, cwd=tmp_path).returncode == ExitCode.CLEAN
     done = xpl(*audited, "--gate", "static", cwd=tmp_path)
@@ -100,7 +97,6 @@ def test_the_tour_of_the_readme_begins_as_written(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_the_tour_of_the_readme_runs_as_written(tmp_path: Path) -> None:
-    """Every command, in order."""
     *commands, served = _tour()
     for words in commands:
         done = xpl(*words, cwd=tmp_path)
@@ -117,7 +113,6 @@ def url() -> Any:
 
 @pytest.mark.parametrize("block", SERVED, ids=str)
 def test_a_client_of_the_pages_gets_its_answer(block: pages.Block, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The code runs as it is, but for the server's address; what the page takes as given is an observation."""
     arms = {f"{side}_arm_joint_state": [0.0] * 6 for side in ("left", "right")}
     grippers = {f"{side}_ee_joint_state": [1.0] for side in ("left", "right")}
     names: dict[str, Any] = {"observation": {"state": {**arms, **grippers}}}

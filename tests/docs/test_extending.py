@@ -123,7 +123,6 @@ def server(site: Path, write_adapter: Callable[..., Path]) -> Iterator[dict[str,
 
 @pytest.mark.usefixtures("installed")
 def test_a_wire_of_a_package_is_served_and_spoken(server: dict[str, Any]) -> None:
-    """Chunks, errors and resets travel; by the address, and by the keys of deploy.yml."""
     url = server["also"]["tiny"]
     with Client(f"tiny+{url}") as policy:
         for _ in range(2):
@@ -143,7 +142,6 @@ def test_a_wire_of_a_package_is_served_and_spoken(server: dict[str, Any]) -> Non
 
 
 def test_a_rule_of_a_package_is_listed_explained_and_run(xpl: Run, write_adapter: Callable[..., Path]) -> None:
-    """As ours are; by its own letters, too."""
     listed = json.loads(xpl("rules", "--json").stdout)["rules"]
     assert [(rule["slug"], rule["gate"]) for rule in listed if rule["code"] == "TINY101"] == [
         ("says-who-wrote-it", "static")
@@ -161,7 +159,6 @@ def test_a_rule_of_a_package_is_listed_explained_and_run(xpl: Run, write_adapter
 
 
 def test_a_rule_of_a_package_changes_no_digest(xpl: Run, write_adapter: Callable[..., Path]) -> None:
-    """Others need not have it."""
     folder = write_adapter("")
     (folder / "README.md").write_text("# Subject\n")
     digests = []
@@ -175,7 +172,6 @@ def test_a_rule_of_a_package_changes_no_digest(xpl: Run, write_adapter: Callable
 
 
 def test_a_robot_of_a_package_is_shown_and_scaffolded_and_its_environment_played(xpl: Run, tmp_path: Path) -> None:
-    """By name, in an empty folder: the policy is told of the robot, and so is the environment's process."""
     assert "of xpl-tiny 1.0" in xpl("spec", "show").stdout
     assert "tiny_arm" in xpl("spec", "show", "tiny_arm").stdout
     offered = json.loads(xpl("env", "list", "tiny_desk", "--json").stdout)
@@ -192,7 +188,6 @@ def test_a_robot_of_a_package_is_shown_and_scaffolded_and_its_environment_played
 
 @pytest.mark.usefixtures("installed")
 def test_a_robot_of_a_package_is_known_to_programs() -> None:
-    """Without the tool."""
     assert get_embodiment("tiny_arm").arms[0].dof == 2
 
 
@@ -200,7 +195,6 @@ def test_a_robot_of_a_package_is_known_to_programs() -> None:
 
 
 def test_a_report_format_of_a_package_is_written(xpl: Run, write_adapter: Callable[..., Path], tmp_path: Path) -> None:
-    """As ours are: by --format, beside another by --output, and named where a name is none."""
     folder = write_adapter("")
     (folder / "README.md").write_text("# Subject\n")
     chosen = ("--gate", "static", "--select", "TINY", "--fail-on", "warn")
@@ -213,7 +207,6 @@ def test_a_report_format_of_a_package_is_written(xpl: Run, write_adapter: Callab
 
 
 def test_demonstrations_in_a_format_of_a_package_are_listed_and_converted(xpl: Run, tmp_path: Path) -> None:
-    """Found by looking, and written in a format of ours with the same numbers and images."""
     (tmp_path / "demos").mkdir()
     draw = np.random.default_rng(0)
     action = draw.normal(size=(6, 7)).astype(np.float32)

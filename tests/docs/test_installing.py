@@ -22,7 +22,6 @@ def _texts() -> list[Path]:
 
 
 def test_nothing_tells_to_install_a_name_that_is_on_no_index() -> None:
-    """Clones and wheels are what there is."""
     paths = _texts()
     assert len(paths) > 300
     told = [str(path) for path in paths if _BY_NAME.search(path.read_text(encoding="utf-8", errors="replace"))]
@@ -40,11 +39,9 @@ def test_nothing_tells_to_install_a_name_that_is_on_no_index() -> None:
     ],
 )
 def test_a_bare_name_is_told_from_a_file(line: str, *, is_bare: bool) -> None:
-    """What is to be found is found, and nothing else."""
     assert bool(_BY_NAME.search(line)) is is_bare
 
 
 @pytest.mark.parametrize(("extra", "library"), [("hub", "huggingface"), ("ray", "ray")])
 def test_a_missing_extra_is_told_by_its_libraries(extra: str, library: str) -> None:
-    """With their bounds, as pyproject.toml has them."""
     assert re.fullmatch(rf"pip install '{library}[-_\w]*[<>=][^ ]+'", how_to_install(extra))

@@ -46,7 +46,6 @@ def _state(obs: dict[str, Any]) -> np.ndarray:
 
 
 def test_the_example_runs(policy: Any) -> None:
-    """Two environments; an answer of zeros is the middle of the quantiles, added to the joints and not to grippers."""
     seen: list[tuple[np.ndarray, ...]] = []
     network = policy.network
 
@@ -75,7 +74,6 @@ def test_the_example_runs(policy: Any) -> None:
 
 
 def test_the_example_of_both_directions_runs() -> None:
-    """What the model saw becomes an observation."""
     space: dict[str, Any] = {}
     exec(compile(CODE[1], "native.md", "exec"), space)  # noqa: S102 - what the page shows
     parts = [{"joints": {"arm": "single"}}, {"gripper": {"arm": "single", "closed": 0.0, "open": 0.08}}]
@@ -100,7 +98,6 @@ class Policy:
 
 
 def test_the_native_code_of_the_page_can_be_recorded(tmp_path: Path) -> None:
-    """With a class of the authors, and the conventions that it names."""
     code = next(text for text in CODE if "def answers" in text)
     folder = parity.made(tmp_path / "Foo", None, code=code)
     (folder / "authors").mkdir()

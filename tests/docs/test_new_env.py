@@ -35,13 +35,11 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_every_command_of_the_page_runs(workspace: Path) -> None:
-    """From nothing to an evaluation."""
     assert (workspace / "scene.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow
 def test_the_simulator_of_the_page_passes_the_audit(workspace: Path) -> None:
-    """With what the page says about env.yml, and the interpreter that it declares left out."""
     folder = workspace / "envs" / "Table"
     (code,) = _blocks("python")
     (folder / "episode.py").write_text(code, encoding="utf-8")
@@ -56,7 +54,6 @@ def test_the_simulator_of_the_page_passes_the_audit(workspace: Path) -> None:
 
 
 def test_the_manifest_of_the_page_is_valid(tmp_path: Path) -> None:
-    """Its own Python is declared as the schema wants it."""
     first = next(line for line in "\n".join(_blocks("console")).splitlines() if "new-env" in line)
     assert xpl(*shlex.split(first)[1:], cwd=tmp_path).returncode == ExitCode.CLEAN
     manifest = yaml.safe_load((tmp_path / "envs" / "Table" / "env.yml").read_text(encoding="utf-8"))
@@ -65,7 +62,6 @@ def test_the_manifest_of_the_page_is_valid(tmp_path: Path) -> None:
 
 
 def test_every_rule_about_environments_is_in_the_table() -> None:
-    """By its code, and by its name where it plays."""
     for rule in (rule for rule in registry.rules() if rule.target == "env"):
         assert rule.code in PAGE
         assert rule.gate == "static" or f"{rule.code} `{rule.slug}`" in PAGE

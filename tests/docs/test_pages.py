@@ -97,7 +97,6 @@ HARMLESS = sorted(
 
 
 def test_no_block_escapes() -> None:
-    """Each says its language, and commands are in blocks of commands."""
     assert [str(block) for block in BLOCKS if block.language not in LANGUAGES] == []
     assert [str(block) for block in _of("text") if re.search(r"^(\$ )?(xpl|\./dev) ", block.text, re.MULTILINE)] == []
     fences = sum(path.read_text(encoding="utf-8").count("```") for path in pages.written())
@@ -106,7 +105,6 @@ def test_no_block_escapes() -> None:
 
 @pytest.mark.parametrize(("where", "words"), COMMANDS, ids=lambda value: value if isinstance(value, str) else None)
 def test_a_command_is_one(where: str, words: list[str]) -> None:
-    """The command line takes it: no option is unknown, nothing is missing, values are of their kind."""
     if "--help" in words:
         assert pages.unknown(words) == []
         return
@@ -121,7 +119,6 @@ def test_a_command_is_one(where: str, words: list[str]) -> None:
 
 
 def test_wrong_commands_are_noticed() -> None:
-    """What is to be caught is caught."""
     for line in ("adit", "audit --gat static", "spec sho", "explain", "eval Foo --seed one"):
         with pytest.raises(Exception, match=r"no command|No such option|[Mm]issing|valid integer"):
             pages.parse(line.split())
@@ -131,14 +128,12 @@ def test_wrong_commands_are_noticed() -> None:
 
 @pytest.mark.parametrize("words", HARMLESS, ids=" ".join)
 def test_a_harmless_command_runs(words: tuple[str, ...]) -> None:
-    """It ends well and has something to say."""
     done = xpl(*words, cwd=ROOT)
     assert (done.returncode, bool(done.stdout)) == (ExitCode.CLEAN, True), done.stderr
 
 
 @pytest.mark.parametrize("block", _of(*SHELL), ids=str)
 def test_a_shell_block_is_shell(block: pages.Block) -> None:
-    """Bash reads it, and every command is ours or one that is known."""
     found = pages.shell(block.text)
     assert found
     script = "\n".join(pages.entered(block.text))
@@ -159,7 +154,6 @@ PRESENT = [path for path in pages.written() if path.name != "CHANGELOG.md"]
 
 @pytest.mark.parametrize("path", PRESENT, ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_in_sentences_name_what_there_is(path: Path) -> None:
-    """`xpl spec show NAME`: the command exists, and each option that is shown; arguments may be left out."""
     for span in pages.spans(path):
         found = re.fullmatch(r"(?:\./dev )?xpl ([a-z].*)", span)
         if found:
@@ -170,7 +164,6 @@ def test_commands_in_sentences_name_what_there_is(path: Path) -> None:
 
 @pytest.mark.parametrize("block", _of("python"), ids=str)
 def test_python_compiles_and_imports_what_there_is(block: pages.Block) -> None:
-    """Names that are imported from our packages are there; a block that is marked so runs."""
     tree = compile(block.text, str(block), "exec", ast.PyCF_ONLY_AST | ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "xpl":
@@ -182,7 +175,6 @@ def test_python_compiles_and_imports_what_there_is(block: pages.Block) -> None:
 
 @pytest.mark.parametrize("block", _of("yaml"), ids=str)
 def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
-    """Every key of a manifest has a value that its schema takes, whichever manifest it is."""
     part = yaml.load(block.text, yaml.BaseLoader)  # noqa: S506 - texts only; `on` stays a word
     if any(set(part) <= keys for keys in FOREIGN):
         return
@@ -194,7 +186,6 @@ def test_yaml_is_a_part_of_a_manifest_or_known(block: pages.Block) -> None:
 
 @pytest.mark.parametrize("block", _of("json"), ids=str)
 def test_json_is_a_document(block: pages.Block) -> None:
-    """It parses, and one that names its schema is valid."""
     document = json.loads(block.text)
     if "schema" in document:
         known = document["schema"] in answers.answers()
@@ -212,7 +203,6 @@ def _linking() -> list[Path]:
 
 @pytest.mark.parametrize("path", _linking(), ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_somewhere(path: Path) -> None:
-    """Files and headings exist; what lies elsewhere is reached by https."""
     for link in pages.links(path):
         if "://" in link:
             assert link.startswith("https://"), link
@@ -225,7 +215,6 @@ def test_links_lead_somewhere(path: Path) -> None:
 
 
 def test_anchors_and_commands_are_read_as_readers_do(tmp_path: Path) -> None:
-    """Headings of one name are counted, those in code are none; prompts, comments and variables are left out."""
     page = tmp_path / "page.md"
     page.write_text("# A `b` [c](d.md)!\n\n```bash\n# no heading\n```\n\n## A\n\n## A\n\n[x](y.md#z) `[no](link)`\n")
     assert pages.anchors(page) == {"a-b-c", "a", "a-1"}
@@ -244,13 +233,11 @@ ROOMS = ("xpl/", "xpl_cli/", "spec/", "conformance/", "templates/", "docs/", "te
 
 @pytest.mark.parametrize("path", PRESENT, ids=lambda path: str(path.relative_to(ROOT)))
 def test_modules_and_rooms_that_a_page_names_are_there(path: Path) -> None:
-    """A path of the engine or of a content room, as it is written."""
     named = [span for span in pages.spans(path) if PATHS.fullmatch(span) and span.startswith(ROOMS)]
     assert [span for span in named if not (ROOT / span).exists() and not MADE_ELSEWHERE.fullmatch(span)] == []
 
 
 def test_pages_that_code_names_are_there() -> None:
-    """Hints and docstrings send people to pages."""
     for path in tracked("xpl/**/*.py", "xpl_cli/**/*.py", "envs/**/*.py", "benchmarks/**/*.py"):
         for name in re.findall(r"\bdocs/[\w/-]+\.md\b", path.read_text(encoding="utf-8")):
             assert (ROOT / name).is_file(), f"{path.relative_to(ROOT)} names {name}"
@@ -260,7 +247,6 @@ def test_pages_that_code_names_are_there() -> None:
 
 
 def test_a_page_that_follows_from_nothing_is_named(tmp_path: Path) -> None:
-    """In every folder that is generated; there is none here."""
     ours = {path.relative_to(ROOT).as_posix() for path in tracked("docs/**/*.md")}
     assert ours.isdisjoint(compiler.left_over(ROOT))
     for folder in (compiler.REFERENCE, rules.FOLDER):
@@ -276,7 +262,6 @@ def _headed(text: str) -> dict[str, list[str]]:
 
 
 def test_the_help_groups_commands_by_what_one_does() -> None:
-    """In the order in which one meets them; each is under the room of its module, and none is left out."""
     text = xpl("--help", cwd=ROOT).stdout
     headed = _headed(text)
     assert list(headed) == ["Scaffold", "Prove", "Run", "Data", "Report", "Agents", "Maintain"]
@@ -289,7 +274,6 @@ def test_the_help_groups_commands_by_what_one_does() -> None:
 
 
 def test_the_page_of_commands_has_every_command_and_option() -> None:
-    """As its help prints them."""
     page = commands.page(get_command(app))
     parts = {part.partition("\n")[0]: part for part in page.split("\n### ")}
     listed = {heading: list(commands) for heading, commands in _headed(xpl("--help", cwd=ROOT).stdout).items()}
@@ -305,7 +289,6 @@ def test_the_page_of_commands_has_every_command_and_option() -> None:
 
 
 def test_the_pages_of_rules_have_every_rule() -> None:
-    """Once in the index with its severity, and once with its documentation."""
     written = rules.pages()
     index = written.pop("README.md")
     for rule in registry.rules():

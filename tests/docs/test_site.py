@@ -22,7 +22,6 @@ PICTURE = ROOT / "docs" / "assets" / "architecture.svg"
 
 
 def _build(config: Path, out: Path) -> subprocess.CompletedProcess[str]:
-    """Build a site as `./dev docs` does."""
     options = ["--strict", "--config-file", str(config), "--site-dir", str(out)]
     command = [sys.executable, "-m", "properdocs", "build", *options]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -40,7 +39,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_page_is_built(site: Path) -> None:
-    """A page of docs/ is a page of the site; a README is its folder's first page."""
     for path in pages.DOCS:
         name = path.relative_to(ROOT / "docs").with_suffix(".html")
         built = site / (name.with_stem("index") if name.stem == "README" else name)
@@ -50,7 +48,6 @@ def test_every_page_is_built(site: Path) -> None:
 
 
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
-    """Scripts, styles, fonts and pictures are the site's own."""
     loading = re.compile(
         r'<(?:script|img|iframe|source)\b[^>]*\bsrc="([^"]*)"|<link\b(?![^>]*rel="canonical")[^>]*\bhref="([^"]*)"'
     )
@@ -64,7 +61,6 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
 
 @pytest.mark.slow
 def test_a_broken_site_is_not_built(tmp_path: Path) -> None:
-    """A dead link, anchor or picture, a page that the navigation lacks, and one that it has too much: each is named."""
     (tmp_path / "docs").mkdir()
     broken = "# Page\n\n[link](none.md) [anchor](other.md#none) ![picture](none.png) [outside](../README.md)\n"
     (tmp_path / "docs" / "index.md").write_text(broken)
@@ -86,7 +82,6 @@ def _texts(kind: str) -> list[str]:
 
 
 def test_the_picture_names_what_there_is() -> None:
-    """Rooms, commands, classes and gates."""
     for name in _texts("name"):
         if name.endswith("/"):
             assert any((ROOT / inside / name).is_dir() for inside in ("", "xpl", "xpl_cli")), name

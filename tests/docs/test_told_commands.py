@@ -28,7 +28,6 @@ VALUES = {"RULE": "XPL203", "ROBOT": "franka_single", "ENVIRONMENT": "mujoco", "
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_every_command_exists(path: Path) -> None:
-    """Commands, options and numbers of arguments, in fences to the letter."""
     assert [told for command in commands(path) if (told := fault(command))] == []
 
 
@@ -40,7 +39,6 @@ def _harmless() -> list[Command]:
 
 @pytest.mark.parametrize("command", _harmless(), ids=str)
 def test_harmless_commands_of_skills_run(command: Command) -> None:
-    """What a skill says first, an agent types first."""
     done = CliRunner().invoke(app, [VALUES.get(word, word) for word in command.words])
     assert done.exit_code == 0, done.exception
     assert done.stdout
@@ -63,6 +61,5 @@ def test_harmless_commands_of_skills_run(command: Command) -> None:
     ],
 )
 def test_what_does_not_exist_is_noticed(words: str, told: str | None, exact: bool) -> None:
-    """A command, an option, an argument that is missing, a number that is none."""
     found = fault(Command(tuple(words.split()), exact))
     assert found is None if told is None else told in str(found)

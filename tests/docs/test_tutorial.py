@@ -60,7 +60,6 @@ def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_code_fits_into_what_is_scaffolded(tmp_path: Path) -> None:
-    """Every block has its place, and the static gate finds nothing in what comes out."""
     first = next(words for block in BLOCKS if block.language == "console" for words in pages.shell(block.text))
     assert _run(first, tmp_path).returncode == ExitCode.CLEAN
     for block in CODE:

@@ -21,14 +21,12 @@ SPREAD = spreads(NATIVE)
 
 
 def test_spans_are_those_of_a_keys_numbers() -> None:
-    """Positions by themselves, and rotations; what never moved counts as it is."""
     assert SPREAD["ee_joint_state[0]"] == 0.5
     assert SPREAD["ee_pose[1]"] == SPREAD["ee_pose[0]"] == 1.0
     assert SPREAD["ee_pose[5]"] == 1.0
 
 
 def test_the_largest_difference_of_each_number_counts() -> None:
-    """Over all questions and steps."""
     given = [[_step(0.0), _step(0.5, POSE + np.eye(7)[0])], [_step(0.5), _step(0.5, POSE - 0.25 * np.eye(7)[2])]]
     found = differences(NATIVE, given, SPREAD)
     assert {part: value for part, value in found.items() if value} == pytest.approx(
@@ -37,14 +35,12 @@ def test_the_largest_difference_of_each_number_counts() -> None:
 
 
 def test_both_signs_of_a_quaternion_are_one_rotation() -> None:
-    """The spec says so."""
     turned = POSE * np.array([1, 1, 1, -1, -1, -1, -1])
     given = [[_step(0.0, turned), NATIVE[0][1]], NATIVE[1]]
     assert max(differences(NATIVE, given, SPREAD).values()) == 0.0
 
 
 def test_what_is_not_known_does_not_count() -> None:
-    """Unless it is most: one right step of four tells nothing."""
     known = [[None, NATIVE[0][1]], [None, NATIVE[1][1]]]
     assert max(differences(NATIVE, known, SPREAD).values()) == 0.0
     clipped = [[_step(np.nan), NATIVE[0][1]], NATIVE[1]]
@@ -65,5 +61,4 @@ def test_what_is_not_known_does_not_count() -> None:
     ],
 )
 def test_what_cannot_be_compared_is_infinitely_far(given: Any) -> None:
-    """Fewer answers, other lengths, numbers that are not finite, keys and widths that differ."""
     assert differences(NATIVE, given, SPREAD)["ee_joint_state[0]"] == np.inf

@@ -26,7 +26,6 @@ def _explained(*tried: Tried, before: Mapping[str, float] = BEFORE) -> Explanati
 
 
 def test_a_change_that_leaves_nothing_is_the_cause() -> None:
-    """How far the difference falls is told."""
     found = _explained(_tried("worse", c=2.0), _tried("right", "camera", a=1e-7, b=0.0, c=2e-8))
     assert found.cause is not None
     assert (found.cause.words, found.cause.convention) == ("right", "camera")
@@ -42,7 +41,6 @@ def test_a_fall_by_a_hundred_is_decisive(rest: float, is_cause: bool) -> None:
 
 
 def test_changes_with_the_same_effect_are_ties() -> None:
-    """The likeliest comes first; one that leaves far more is none; equal words count once."""
     right = {"a": 0.0, "b": 0.0, "c": 0.0}
     found = _explained(
         _tried("one", **right),
@@ -56,7 +54,6 @@ def test_changes_with_the_same_effect_are_ties() -> None:
 
 
 def test_parts_are_explained_by_themselves() -> None:
-    """Where two mistakes are in different numbers, each change mends its own; none makes another worse."""
     found = _explained(_tried("arm", a=0.0, b=0.0), _tried("hand", c=1e-6), _tried("bad", c=0.0, a=0.8))
     assert found.cause is None
     assert [(one.words, one.parts) for one in found.partial] == [
@@ -67,14 +64,12 @@ def test_parts_are_explained_by_themselves() -> None:
 
 
 def test_small_parts_that_fall_explain_nothing() -> None:
-    """They may by chance."""
     before = {**BEFORE, "ee_joint_state[1]": 0.001}
     tried = Tried("chance", "camera", {**before, "ee_joint_state[1]": 0.0})
     assert _explained(tried, before=before).text == ""
 
 
 def test_a_change_that_lowers_more_than_all_others_is_told() -> None:
-    """But not that it explains it; and not where others do as well."""
     best = _tried("crop", "image_size", a=0.1, b=0.1, c=0.1)
     found = _explained(_tried("mirror", "image_orientation", c=0.7), best)
     assert found.lowers is not None
@@ -84,19 +79,16 @@ def test_a_change_that_lowers_more_than_all_others_is_told() -> None:
 
 
 def test_nothing_is_told_where_nothing_explains() -> None:
-    """Changes that could not be tried do not count."""
     assert _explained(_tried("no", c=0.8), Tried("broken", "chunk", {"arm_joint_state[0]": 0.0})).text == ""
     assert _explained(_tried("fine", a=0.0), before=dict.fromkeys(BEFORE, 1e-5)) == Explanation(1e-5, ())
 
 
 def test_patterns_lead_where_no_change_does() -> None:
-    """They name a convention too."""
     pattern = Pattern("every step is the same", "chunk")
     found = Explanation(0.5, ("a[0]",), patterns=(pattern,))
     assert (found.text, found.leads) == ("every step is the same", pattern)
 
 
 def test_numbers_are_told_in_ranges() -> None:
-    """Of one key, those beside each other."""
     parts = ["left_arm_joint_state[2]", "right_ee_joint_state[0]", "left_arm_joint_state[0]", "left_arm_joint_state[1]"]
     assert ranges(parts) == "left_arm_joint_state[0..2], right_ee_joint_state[0]"

@@ -52,7 +52,6 @@ def _fitted(joints: np.ndarray, grips: np.ndarray = GRIPS) -> Tried | None:
     ],
 )
 def test_a_scale_is_found(change: Callable[[Any], Any], convention: str, words: str) -> None:
-    """Of the command, or of its difference to the state; the factor tells what it is about."""
     found = _fitted(change(NATIVE))
     assert found is not None
     assert found.convention == convention
@@ -62,14 +61,12 @@ def test_a_scale_is_found(change: Callable[[Any], Any], convention: str, words: 
 
 
 def test_clipped_openings_do_not_count() -> None:
-    """Beyond the ends nobody knows."""
     found = _fitted(NATIVE, GRIPS * 0.5)
     assert found is not None
     assert (found.convention, found.words) == ("gripper", "ee_joint_state[0]: native = 2 * answer")
 
 
 def test_what_is_no_line_is_not_found() -> None:
-    """Also if only one number of several is none."""
     assert _fitted(NATIVE**2) is None
     assert _fitted(np.concatenate((NATIVE[..., :1] * 2, NATIVE[..., 1:] ** 3), -1)) is None
     assert _fitted(RNG.normal(size=NATIVE.shape)) is None

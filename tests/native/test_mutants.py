@@ -24,7 +24,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 @pytest.mark.slow
 @pytest.mark.parametrize("mutant", [one for one in read("known") if (one.adapter.name, one.name) in _QUICK], ids=str)
 def test_a_mistake_is_red_and_named(mutant: Mutant, recorded: Recorded) -> None:
-    """One of the cheapest; the others are slow."""
     trial = tried(mutant, recorded)
     assert trial.is_caught, trial.message
     assert trial.convention in mutant.conventions, trial.message
@@ -39,7 +38,6 @@ def _correct() -> list[object]:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("adapter", _correct())
 def test_a_correct_adapter_is_left_alone(adapter: Adapter, recorded: Recorded, tmp_path: Path) -> None:
-    """However it is written."""
     package = adapter.write(tmp_path)
     recorded.give(package)
     result = judged(package)

@@ -47,7 +47,6 @@ def session(seed: int = 0, takes: int = 1, steps: int = 2, calls: tuple[script.C
 def test_what_was_written_is_read(
     tmp_path_factory: pytest.TempPathFactory, seed: int, takes: int, steps: int, calls: tuple[script.Call, ...]
 ) -> None:
-    """Bit for bit, and equal recordings are equal files."""
     folder = tmp_path_factory.mktemp("pairs")
     made = Pairs(PROVENANCE, (session(seed, takes, steps, calls), session(seed + 1)))
     size = pairs.write(folder, made)
@@ -65,7 +64,6 @@ def test_what_was_written_is_read(
 
 
 def test_questions_know_what_was_shown_before() -> None:
-    """In this episode, to this environment; which of it was asked about; the number of the episode."""
     found = session().questions
     assert [(one.env, one.episode, one.asked, [place for _, place in one.shown]) for one in found] == [
         (0, 0, (0,), [0]),
@@ -108,7 +106,6 @@ def _changed(change: Callable[[dict[str, Any]], Any], folder: Path) -> None:
     ],
 )
 def test_a_file_that_was_changed_is_refused(change: Callable[[dict[str, Any]], Any], told: str, tmp_path: Path) -> None:
-    """With a sentence that says what is wrong, and how to make it anew."""
     _changed(change, tmp_path)
     with pytest.raises(PairsError) as caught:
         pairs.read(tmp_path)
@@ -122,14 +119,12 @@ def _array(document: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("content", [b"", b"[" * 100_000, b"\xff", b"NaN", b"[1]"])
 def test_a_file_that_is_no_recording_is_refused(content: bytes, tmp_path: Path) -> None:
-    """Whatever it holds; nothing of it is run."""
     (tmp_path / names.PAIRS).write_bytes(content)
     with pytest.raises(PairsError):
         pairs.read(tmp_path)
 
 
 def test_a_file_that_is_too_large_is_neither_read_nor_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The limit is the standard's."""
     pairs.write(tmp_path, Pairs(PROVENANCE, (session(),)))
     monkeypatch.setattr(names, "PAIRS_BYTES", 1000)
     with pytest.raises(PairsError, match="cannot be read"):

@@ -40,29 +40,24 @@ def test_a_state_that_is_not_carried_on() -> None:
 
 
 def test_a_state_that_outlives_a_reset() -> None:
-    """Only the first episode begins right."""
     assert _seen(_off(np.s_[1:], np.s_[0, 1]), Kind(keeps_state=True)) == ["recurrent"]
 
 
 def test_what_is_remembered_outlives_a_reset() -> None:
-    """Also a history, and what is right by chance later does not count."""
     assert _seen(_off(np.s_[1:, 0]), Kind(history=3)) == ["history"]
     assert _seen(_off(np.s_[1:, 0])) == []
 
 
 def test_a_chunk_that_stands_still() -> None:
-    """While the model's moves."""
     assert _seen(np.repeat(NATIVE[:, :, :1], 5, axis=2)) == ["chunk", "action_reference"]
     assert _seen(np.repeat(NATIVE[:, :, 1:2], 5, axis=2)) == ["chunk"]
 
 
 def test_later_steps_alone() -> None:
-    """They are counted from each other."""
     assert _seen(_off(np.s_[:, :, 1:])) == ["action_reference"]
 
 
 def test_other_draws_are_random_about_zero() -> None:
-    """A policy that draws nothing has no such excuse."""
     given = NATIVE + RNG.normal(size=NATIVE.shape) * 0.2
     assert _seen(given, Kind(draws=True)) == ["sampling"]
     assert _seen(given) == []

@@ -36,21 +36,18 @@ def _seen(joints: np.ndarray, grips: np.ndarray) -> list[tuple[str, str]]:
 
 
 def test_grippers_that_only_switch() -> None:
-    """Where the model's open by degrees."""
     ((convention, words),) = _seen(JOINTS, (GRIPS > 0.5).astype(float))
     assert convention == "gripper"
     assert "only ever 0 or 1" in words
 
 
 def test_one_command_for_two() -> None:
-    """Is told before what is told elsewhere."""
     found = _seen(JOINTS, GRIPS[..., [0, 0]])
     assert found[0][0] == "gripper"
     assert "are told the same" in found[0][1]
 
 
 def test_changes_in_the_place_of_others() -> None:
-    """Counted from the right states; what the first should be is nowhere."""
     moved = STATES[:, None] + np.roll(JOINTS - STATES[:, None], -1, axis=-1)
     ((convention, words),) = _seen(moved, GRIPS)
     assert convention == "joint_order"
@@ -58,5 +55,4 @@ def test_changes_in_the_place_of_others() -> None:
 
 
 def test_other_numbers_are_none_of_them() -> None:
-    """Nothing is told."""
     assert _seen(RNG.normal(size=JOINTS.shape), GRIPS) == []

@@ -33,7 +33,6 @@ def answers(config):
 
 
 def test_conventions_and_what_is_assumed() -> None:
-    """A source that says assumed, or nothing, is none."""
     found = reading.read(TEXT)
     assert {name: source.text for name, source in found.conventions.items()} == {
         "image_channels": "authors/transforms.py:41",
@@ -49,7 +48,6 @@ def test_conventions_and_what_is_assumed() -> None:
 
 
 def test_imports_wherever_they_stand() -> None:
-    """At the top, inside functions, and by name."""
     found = reading.read(TEXT).imports
     assert [(item.module, item.level, item.place.line) for item in found] == [
         ("importlib", 0, 2),
@@ -76,7 +74,6 @@ def test_imports_wherever_they_stand() -> None:
     ],
 )
 def test_which_imports_take_the_adapter(line: str, taken: bool) -> None:
-    """The authors may have a model.py of their own."""
     (found,) = reading.read(line).imports
     assert found.takes_adapter("Foo") is taken
 
@@ -93,14 +90,12 @@ def test_which_imports_take_the_adapter(line: str, taken: bool) -> None:
     ],
 )
 def test_what_is_wrong_with_conventions(text: str, problem: str) -> None:
-    """Each problem has its place."""
     ((told, place),) = reading.read(text).problems
     assert problem in told
     assert place.line == 1
 
 
 def test_a_file_that_is_no_python_is_a_mistake_of_the_user(tmp_path: Path) -> None:
-    """So is one that is not there."""
     with pytest.raises(UserError, match=r"native\.py cannot be read"):
         reading.read_file(tmp_path)
     (tmp_path / "native.py").write_text("def answers(:")

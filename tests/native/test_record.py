@@ -23,12 +23,10 @@ if TYPE_CHECKING:
 
 
 def recorded(folder: Path, **overrides: Any) -> record.Recorded:
-    """Record a package."""
     return record.record(package.load(folder), record.Options(overrides=overrides))
 
 
 def test_a_recording_is_written_and_told(tmp_path: Path) -> None:
-    """Deterministic; with the files that answered, which are those of the package that native.py imports."""
     folder = parity.made(tmp_path / "Foo")
     done = xpl("native", "record", str(folder), "--json", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stderr
@@ -62,7 +60,6 @@ def answers(config):
 
 
 def test_native_code_is_told_the_episode_so_far(tmp_path: Path) -> None:
-    """What was shown and asked, which episode it is, and a generator as the adapter's."""
     folder = parity.made(tmp_path / "Foo", code=RECURRENT)
     found = recorded(folder, seed=5)
     (session,) = found.pairs.sessions
@@ -79,7 +76,6 @@ def test_native_code_is_told_the_episode_so_far(tmp_path: Path) -> None:
 
 
 def test_other_robots_and_action_types_are_asked_about_less(tmp_path: Path) -> None:
-    """The configured one first; free sampling is asked many times."""
     folder = parity.made(tmp_path / "Foo", None, embodiments=["franka_single", "piper"], action_types=["joint", "ee"])
     asked = list(record.sessions(package.load(folder), {}))
     assert [(one.embodiment, one.action_type) for one in asked] == [
@@ -135,7 +131,6 @@ COUNTED = "{'arm_joint_state': np.full(7, len(CALLS), np.float32), 'ee_joint_sta
     ],
 )
 def test_what_is_wrong_with_native_code_is_told(code: str, told: str, tmp_path: Path) -> None:
-    """In a sentence, with the line where that is known; nothing is written."""
     folder = parity.made(tmp_path / "Foo", None, code=code)
     with pytest.raises(UserError) as caught:
         recorded(folder)
@@ -144,7 +139,6 @@ def test_what_is_wrong_with_native_code_is_told(code: str, told: str, tmp_path: 
 
 
 def test_a_package_without_native_code_is_told_so(tmp_path: Path) -> None:
-    """With where to read about it."""
     folder = parity.made(tmp_path / "Foo", code=None)
     with pytest.raises(UserError, match=r"has no native\.py") as caught:
         recorded(folder)
@@ -152,7 +146,6 @@ def test_a_package_without_native_code_is_told_so(tmp_path: Path) -> None:
 
 
 def test_weights_are_known_by_their_content(tmp_path: Path) -> None:
-    """Also large ones, of which samples are read; by their names, too."""
     folder = parity.made(tmp_path / "Foo")
     adapter = package.load(folder)
     config = {**adapter.config(), "ckpt_name": "demo"}
@@ -174,7 +167,6 @@ def test_weights_are_known_by_their_content(tmp_path: Path) -> None:
 
 
 def test_the_commit_is_told_with_what_was_changed(tmp_path: Path) -> None:
-    """The pairs themselves do not count; outside of a repository there is none."""
     assert provenance.commit(tmp_path) is None
     git = ("git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org")
     (tmp_path / "native.py").write_text("one")
@@ -190,8 +182,6 @@ def test_the_commit_is_told_with_what_was_changed(tmp_path: Path) -> None:
 
 
 def test_native_code_cannot_change_what_the_next_question_shows() -> None:
-    """What it is handed is its own."""
-
     def answer(episode: worker.Episode) -> Any:
         episode.observations[0]["state"]["ee_joint_state"][:] += 1
         episode.asked.clear()

@@ -64,12 +64,10 @@ def _found(wanted: np.ndarray, given: np.ndarray) -> list[Tried]:
     ],
 )
 def test_a_constant_is_found(wanted: np.ndarray, given: np.ndarray, convention: str) -> None:
-    """Left or right of the pose, or of its change, at the flange or between the fingertips."""
     found = _found(wanted, given)
     assert found
     assert found[0].convention == convention, [one.words for one in found]
 
 
 def test_what_is_no_constant_is_not_found() -> None:
-    """Nothing is told."""
     assert not _found(_applied(CHANGES), _applied(_some(20, 0.1)))

@@ -22,20 +22,17 @@ PLACES = [(env, place) for env in (0, 2, 5) for place in (0, 1, 2, 3, 4, 100, 10
 
 
 def scene(robot: str, size: tuple[int, int] = (12, 16)) -> script.Scene:
-    """Return a robot with small pictures."""
     found = get_embodiment(robot)
     return script.Scene(found, dict.fromkeys(found.cameras, size))
 
 
 def shown(robot: str) -> list[dict[str, Any]]:
-    """Return some observations of a robot."""
     return scene(robot).observations(PLACES)
 
 
 @pytest.mark.sampled(8)
 @pytest.mark.parametrize("robot", embodiment_names())
 def test_observations_are_those_of_the_standard(robot: str) -> None:
-    """Of each robot, and joints lie within its limits, some of them near."""
     for obs in shown(robot):
         assert validate(obs, "observation") == []
     for arm in get_embodiment(robot).arms:
@@ -49,7 +46,6 @@ def test_observations_are_those_of_the_standard(robot: str) -> None:
 
 @pytest.mark.parametrize("robot", ["franka", "piper_single", "aloha_agilex"])
 def test_poses_agree_with_joints(robot: str) -> None:
-    """By the kinematics of the standard: the flange in the world, and the fingertips in the flange."""
     found = get_embodiment(robot)
     chain = Chain.from_embodiment(found.data)
     for obs in shown(robot):
@@ -74,7 +70,6 @@ def test_quaternions_have_both_signs_and_some_lie_near_a_half_turn(robot: str) -
 
 
 def test_no_two_things_look_alike() -> None:
-    """Pictures of cameras and moments, grippers and poses of arms and moments."""
     observations = shown("arx_x5")
     pictured = [camera["color"].tobytes() for obs in observations for camera in obs["vision"].values()]
     assert len(set(pictured)) == len(pictured)
@@ -89,7 +84,6 @@ def test_no_two_things_look_alike() -> None:
 
 
 def test_instructions_are_not_as_models_like_them() -> None:
-    """Capitals, and spaces at the ends; within an episode it stays."""
     made = scene("piper_single")
     told = [made.observation(env, place)["instruction"] for env, place in PLACES]
     assert any(text != text.strip() for text in told)
@@ -99,7 +93,6 @@ def test_instructions_are_not_as_models_like_them() -> None:
 
 
 def test_pictures_tell_colours_directions_and_sizes_apart() -> None:
-    """Exchanged channels, mirrors, turns and a smaller middle are other pictures, by a lot; neighbours differ."""
     image = pictures.picture(0, 3, 48, 64).astype(np.int16)
     for other in (image[:, :, ::-1], image[:, ::-1], image[::-1], image[::-1, ::-1]):
         assert np.abs(other - image).mean() > 10
@@ -110,7 +103,6 @@ def test_pictures_tell_colours_directions_and_sizes_apart() -> None:
 
 
 def test_pictures_are_the_same_on_every_machine() -> None:
-    """Integers only; another digest is another version of the script."""
     digest = hashlib.sha256(b"".join(pictures.picture(camera, 7, 48, 64).tobytes() for camera in range(3))).hexdigest()
     assert (script.VERSION, digest[:16]) == (1, "68716f1711759c25")
 
@@ -132,14 +124,12 @@ def test_images_are_as_large_as_a_manifest_asks_for(declared: dict[str, Any], si
 
 
 def test_privileged_observations_cannot_be_scripted() -> None:
-    """Only a simulator has them."""
     with pytest.raises(NativeError, match="privileged"):
         script.cameras(Manifest.parse({"inputs": {"required": ["privileged"]}}), get_embodiment("piper_single"))
 
 
 @pytest.mark.parametrize("calls", [script.whole(1), script.whole(5), script.whole(1000), script.brief()])
 def test_the_calls_try_what_environments_do(calls: tuple[script.Call, ...]) -> None:
-    """Batches that change, a step that nobody asks about, resets; no recipe twice."""
     recipes = [recipe for call in calls for recipe in call.show]
     assert len(set(recipes)) == len(recipes)
     asked = [call.ask for call in calls if call.ask]
@@ -151,7 +141,6 @@ def test_the_calls_try_what_environments_do(calls: tuple[script.Call, ...]) -> N
 
 
 def test_a_history_builds_up_and_is_full() -> None:
-    """Asked about at its first observation, and when it reaches over all that a policy sees."""
     steps: dict[int, int] = {}
     lengths = set()
     for call in script.whole(9):

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
 
 def test_a_folder_that_is_called_as_we_are_hides_nothing(tmp_path: Path) -> None:
-    """Such as a checkout of the ecosystem in a folder `xpl`."""
     for name in ("xpl", "xpl_cli"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise SystemExit('a stranger')")

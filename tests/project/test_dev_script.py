@@ -50,7 +50,6 @@ class Checkout:
 
     @staticmethod
     def script(path: Path, text: str) -> None:
-        """Write an executable file."""
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
         path.chmod(0o755)
@@ -75,12 +74,10 @@ class Checkout:
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Checkout:
-    """Return a fresh copy, not set up."""
     return Checkout(tmp_path)
 
 
 def test_the_set_up_runs_once_and_again_after_a_change(checkout: Checkout) -> None:
-    """A second call installs nothing; changed requirements do."""
     assert checkout.dev("setup")[0] == 0
     once = checkout.calls.read_text(encoding="utf-8")
     assert [line.split()[0] for line in once.splitlines()] == ["venv", "pip", "pip"]
@@ -102,7 +99,6 @@ def test_a_moved_checkout_is_set_up_anew(checkout: Checkout) -> None:
 
 
 def test_a_failed_set_up_shows_why_and_is_tried_again(checkout: Checkout) -> None:
-    """The installer's output appears only when it fails; its exit code is kept; the next call does not believe it."""
     fails = Path(f"{checkout.calls}.fails")
     fails.touch()
     code, out, err = checkout.dev("xpl", "--help")
@@ -113,7 +109,6 @@ def test_a_failed_set_up_shows_why_and_is_tried_again(checkout: Checkout) -> Non
 
 
 def test_a_machine_without_a_new_python_gets_one_clear_error(checkout: Checkout) -> None:
-    """The error says what is needed, what was looked for, and how to name one."""
     (checkout.tools / "python3").unlink()
     checkout.script(checkout.tools / "python3.11", "#!/bin/bash\nexit 127\n")  # a shim of a version that is not there
     code, out, err = checkout.dev("setup")
@@ -124,7 +119,6 @@ def test_a_machine_without_a_new_python_gets_one_clear_error(checkout: Checkout)
 
 
 def test_a_named_interpreter_is_not_replaced_by_another(checkout: Checkout) -> None:
-    """Whoever names a Python that does not do is told so, although another one would."""
     code, _, err = checkout.dev("setup", PYTHON="/no/such/python")
     assert (code, "tried /no/such/python." in err) == (1, True)
 
@@ -141,7 +135,6 @@ def test_a_command_keeps_folder_arguments_exit_code_and_process(checkout: Checko
 
 
 def test_the_tests_get_their_markers_and_arguments(checkout: Checkout) -> None:
-    """`./dev test slow` lifts the default selection; further arguments reach pytest unchanged."""
     checkout.dev("setup")
     checkout.script(checkout.folder / ".venv/bin/pytest", XPL)
     code, out, _ = checkout.dev("test", "slow", "-k", "a or b")
@@ -152,7 +145,6 @@ def test_the_tests_get_their_markers_and_arguments(checkout: Checkout) -> None:
 
 
 def test_lint_runs_all_tools_and_remembers_a_failure(checkout: Checkout) -> None:
-    """A finding of one tool does not hide those of the next."""
     checkout.dev("setup")
     checkout.script(checkout.folder / ".venv/bin/ruff", "#!/bin/bash\necho ruff $1\n[[ $1 != check ]]\n")
     checkout.script(checkout.folder / ".venv/bin/lint-imports", "#!/bin/bash\necho layers\n")
@@ -163,7 +155,6 @@ def test_lint_runs_all_tools_and_remembers_a_failure(checkout: Checkout) -> None
 
 
 def test_the_site_is_built_strictly_or_shown(checkout: Checkout) -> None:
-    """In the checkout, from its own configuration; further arguments reach the builder."""
     checkout.dev("setup")
     checkout.script(checkout.folder / ".venv/bin/properdocs", XPL)
     for arguments, action in ((("docs",), "build"), (("docs", "serve", "--open"), "serve")):
@@ -175,7 +166,6 @@ def test_the_site_is_built_strictly_or_shown(checkout: Checkout) -> None:
 
 
 def test_benchmarks_run_by_name_or_all(checkout: Checkout) -> None:
-    """Every script runs, one failing script is enough to fail, an unknown name is refused."""
     checkout.dev("setup")
     for name, code in {"fast": 0, "slow": 4}.items():
         checkout.script(checkout.folder / f"benchmarks/{name}.py", f"raise SystemExit({code})")
@@ -186,7 +176,6 @@ def test_benchmarks_run_by_name_or_all(checkout: Checkout) -> None:
 
 
 def test_an_unknown_command_is_a_usage_error(checkout: Checkout) -> None:
-    """Help goes to stdout when asked for, to stderr when not, and neither sets anything up."""
     code, out, err = checkout.dev("tset")
     assert (code, out) == (2, "")
     assert "unknown command: tset" in err

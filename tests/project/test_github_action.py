@@ -204,13 +204,11 @@ def scaffold(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def workspace(scaffold: Path, tmp_path: Path) -> Path:
-    """A clone of the repository."""
     _git("clone", "--quiet", str(scaffold), str(tmp_path / "work space"), cwd=tmp_path)
     return tmp_path / "work space"
 
 
 def _break(package: Path) -> None:
-    """Give a package a fault that the static gate finds."""
     with (package / "model.py").open("a", encoding="utf-8") as model:
         model.write(
             "\n    def reset(self):\n        try:\n            super().reset()\n        except:\n            pass\n"
@@ -221,7 +219,6 @@ def _break(package: Path) -> None:
 
 
 def test_nothing_from_outside_is_text_of_a_script() -> None:
-    """Inputs and events reach the scripts as variables."""
     for step in (INSTALL, AUDIT):
         assert "${{" not in step["run"]
         assert "eval" not in step["run"].split()
@@ -230,7 +227,6 @@ def test_nothing_from_outside_is_text_of_a_script() -> None:
 
 
 def test_every_input_reaches_a_step_and_every_variable_is_read() -> None:
-    """Nothing is declared in vain."""
     text = json.dumps(ACTION["runs"])
     assert [name for name in ACTION["inputs"] if f"inputs.{name}" not in text] == []
     for step in (INSTALL, AUDIT):
@@ -239,7 +235,6 @@ def test_every_input_reaches_a_step_and_every_variable_is_read() -> None:
 
 
 def test_upload_is_asked_for_and_allowed() -> None:
-    """Not by default, not from forks, not without a file; no secret is used anywhere."""
     assert ACTION["inputs"]["upload-sarif"]["default"] == "false"
     for guard in ("inputs.upload-sarif == 'true'", "head.repo.fork", "steps.audit.outputs.sarif != ''", "!cancelled()"):
         assert guard in UPLOAD["if"]
@@ -253,7 +248,6 @@ def test_upload_is_asked_for_and_allowed() -> None:
 
 @pytest.mark.slow
 def test_a_clean_package_passes(runner: Runner, workspace: Path) -> None:
-    """Exit code 0, a summary, no annotation, and nothing of the workspace is executed."""
     done = runner.run(AUDIT, workspace, paths="policy/Foo")
     assert done.code == 0, done.log
     assert done.outputs == {"exit-code": "0"}
@@ -264,7 +258,6 @@ def test_a_clean_package_passes(runner: Runner, workspace: Path) -> None:
 
 @pytest.mark.slow
 def test_findings_fail_annotate_and_are_written(runner: Runner, workspace: Path) -> None:
-    """The exit code decides; annotations name file and line; the SARIF file is there although the step fails."""
     _break(workspace / "policy/Foo")
     done = runner.run(AUDIT, workspace, paths="policy/Foo\npolicy/Bar\n", sarif_file="out put/audit.sarif")
     assert done.code == ExitCode.FINDINGS, done.log
@@ -279,7 +272,6 @@ def test_findings_fail_annotate_and_are_written(runner: Runner, workspace: Path)
 
 @pytest.mark.slow
 def test_upload_makes_a_file_of_its_own(runner: Runner, workspace: Path) -> None:
-    """Outside the workspace, so that nothing is left there."""
     done = runner.run(AUDIT, workspace, paths="policy/Foo", upload_sarif="true")
     assert done.code == 0, done.log
     assert Path(done.outputs["sarif"]).is_relative_to(runner.temp)
@@ -288,7 +280,6 @@ def test_upload_makes_a_file_of_its_own(runner: Runner, workspace: Path) -> None
 
 @pytest.mark.slow
 def test_rules_are_chosen_by_code(runner: Runner, workspace: Path) -> None:
-    """Several to an input, apart by commas, spaces or lines."""
     _break(workspace / "policy/Foo")
     done = runner.run(AUDIT, workspace, paths="policy/Foo", ignore="XPL116, XPL131\nreset-incomplete")
     assert done.code == 0, done.log
@@ -317,7 +308,6 @@ HOSTILE = (
     + [(name, value) for name in ("gates", "select", "fail_on") for value in HOSTILE[::3]],
 )
 def test_hostile_inputs_are_words(runner: Runner, workspace: Path, name: str, value: str) -> None:
-    """They name nothing that exists, so the audit fails; nothing is executed, nothing becomes an option."""
     before = _git("status", "--porcelain", cwd=workspace)
     inputs: dict[str, Any] = {"paths": "policy/Foo", name: value}
     done = runner.run(AUDIT, workspace, **inputs)
@@ -329,7 +319,6 @@ def test_hostile_inputs_are_words(runner: Runner, workspace: Path, name: str, va
 @pytest.mark.slow
 @pytest.mark.parametrize("value", HOSTILE[::4])
 def test_a_hostile_base_is_a_name(runner: Runner, workspace: Path, value: str) -> None:
-    """What to compare with may be anything; then everything is audited."""
     done = runner.run(AUDIT, workspace, changed_since=value)
     assert any(line.startswith("::notice") and "everything is audited" in line for line in done.commands), done.log
     assert _git("status", "--porcelain", cwd=workspace) == ""
@@ -338,7 +327,6 @@ def test_a_hostile_base_is_a_name(runner: Runner, workspace: Path, value: str) -
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a b", "it's", 'a"b', "$(touch executed)", "-x", "ä", "a;b&c"])
 def test_a_package_of_any_name_is_audited(runner: Runner, workspace: Path, name: str) -> None:
-    """One line is one path; the finding is about that file."""
     package = workspace / "policy" / name
     (workspace / "policy/Foo").rename(package)
     _break(package)
@@ -351,7 +339,6 @@ def test_a_package_of_any_name_is_audited(runner: Runner, workspace: Path, name:
 
 @pytest.mark.slow
 def test_what_packages_say_is_no_command(runner: Runner, workspace: Path) -> None:
-    """A file that forges workflow commands only gets quoted, escaped or between the marks that stop them."""
     forged = "::add-path::/tmp/evil"
     (workspace / f"policy/Foo/{forged[2:8]}.py").write_text("")
     (workspace / "policy/Foo/model.py").write_text(f"x = '''\n{forged}\n'''\ndef (\n{forged}\n", encoding="utf-8")
@@ -365,7 +352,6 @@ def test_what_packages_say_is_no_command(runner: Runner, workspace: Path) -> Non
 
 @pytest.mark.slow
 def test_an_audit_that_cannot_start_says_so(runner: Runner, workspace: Path) -> None:
-    """Without a report there is an annotation all the same."""
     done = runner.run(AUDIT, workspace, paths="policy/Nowhere")
     assert done.code == ExitCode.NOT_FOUND
     assert done.commands[-1].startswith("::error title=xpl audit::the audit ended with code 3")
@@ -373,7 +359,6 @@ def test_an_audit_that_cannot_start_says_so(runner: Runner, workspace: Path) -> 
 
 @pytest.mark.slow
 def test_an_old_python_is_refused(runner: Runner, workspace: Path, tmp_path: Path) -> None:
-    """With one sentence, before anything is installed."""
     old = tmp_path / "python"
     old.write_text("#!/bin/sh\nexit 1\n")
     old.chmod(0o755)
@@ -402,7 +387,6 @@ def test_a_pull_request_audits_what_it_changes(runner: Runner, scaffold: Path, w
 
 @pytest.mark.slow
 def test_a_pull_request_that_changes_no_package_passes(runner: Runner, scaffold: Path, workspace: Path) -> None:
-    """Nothing to audit is no failure of the pull request."""
     base = _git("rev-parse", "HEAD", cwd=scaffold)
     (workspace / "README.md").write_text("changed\n")
     _git("add", ".", cwd=workspace)
@@ -413,7 +397,6 @@ def test_a_pull_request_that_changes_no_package_passes(runner: Runner, scaffold:
 
 @pytest.mark.slow
 def test_other_events_audit_everything(runner: Runner, workspace: Path) -> None:
-    """A push says nothing of a base."""
     _break(workspace / "policy/Bar")
     done = runner.run(AUDIT, workspace)
     assert done.code == ExitCode.FINDINGS, done.log
@@ -433,14 +416,12 @@ def _hook(*files: str, cwd: Path, args: list[str] | None = None) -> subprocess.C
 
 
 def test_the_hook_is_one_that_pre_commit_takes() -> None:
-    """Installed from this repository as a Python package; it gets the names of the files."""
     assert HOOK["language"] == "python"
     assert HOOK.get("pass_filenames", True)
     assert {"id", "name", "entry", "language"} <= set(HOOK)
 
 
 def test_the_hook_audits_the_packages_of_its_files(workspace: Path) -> None:
-    """A broken package fails the commit that touches it, and no other."""
     _break(workspace / "policy/Foo")
     assert _hook("policy/Bar/model.py", "policy/Bar/deploy.yml", "README.md", cwd=workspace).returncode == 0
     done = _hook("policy/Bar/model.py", "policy/Foo/README.md", cwd=workspace)
@@ -449,7 +430,6 @@ def test_the_hook_audits_the_packages_of_its_files(workspace: Path) -> None:
 
 
 def test_the_hook_passes_over_other_files(workspace: Path) -> None:
-    """A file called model.py makes no package of its folder."""
     (workspace / "tools").mkdir()
     (workspace / "tools/model.py").write_text("x = 1\n")
     done = _hook("tools/model.py", "README.md", "policy/notes.md", cwd=workspace)
@@ -457,7 +437,6 @@ def test_the_hook_passes_over_other_files(workspace: Path) -> None:
 
 
 def test_the_hook_sees_the_package_around_a_vendored_one(workspace: Path) -> None:
-    """A model's own repository may hold packages that look alike."""
     inner = workspace / "policy/Foo/upstream/policy/Inner"
     inner.mkdir(parents=True)
     (inner / "model.py").write_text("def (\n")
@@ -468,7 +447,6 @@ def test_the_hook_sees_the_package_around_a_vendored_one(workspace: Path) -> Non
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["--help", "-x", "$(touch executed)", "a b", "it's"])
 def test_the_hook_takes_files_of_any_name(workspace: Path, name: str) -> None:
-    """What comes after the mark is a file."""
     _break(workspace / "policy/Foo")
     (workspace / "policy/Foo" / name).write_text("")
     assert _hook(name, f"policy/Foo/{name}", cwd=workspace).returncode == ExitCode.FINDINGS
@@ -476,7 +454,6 @@ def test_the_hook_takes_files_of_any_name(workspace: Path, name: str) -> None:
 
 
 def test_the_hook_takes_options_before_the_mark(workspace: Path) -> None:
-    """As `args` of a configuration gives them."""
     _break(workspace / "policy/Foo")
     options = ["--ignore=XPL116", "--ignore=XPL131", "--ignore=reset-incomplete", "--"]
     done = _hook("policy/Foo/model.py", cwd=workspace, args=options)

@@ -81,25 +81,21 @@ def _is_allowed(name: str, rooms: tuple[str, ...]) -> bool:
 
 
 def test_the_contracts_on_imports_hold() -> None:
-    """Which room may import which is written in pyproject.toml; `./dev lint` asks the same."""
     done = subprocess.run([LINTER, "--no-cache", "--no-logo"], cwd=ROOT, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
 
 
 def test_no_import_is_part_of_a_circle() -> None:
-    """Packages themselves included, and every import, wherever in a module it stands."""
     assert circle(imports("xpl", "xpl_cli")) == []
 
 
 def test_a_rule_imports_nothing_of_another_gate() -> None:
-    """Only the SDK, what rules are written with, its own gate's room, the standard and the basics."""
     rules = tracked("conformance/*/*/rule.py")
     assert {rule.parent.parent.name for rule in rules} == set(OWN)
     assert {str(rule.relative_to(ROOT)): found for rule in rules if (found := foreign(rule))} == {}
 
 
 def test_a_rule_that_reaches_into_another_gate_is_found(tmp_path: Path) -> None:
-    """Whatever it imports from there, a module or a name in one."""
     rule = tmp_path / "offline/planted/rule.py"
     rule.parent.mkdir(parents=True)
     rule.write_text(

@@ -173,7 +173,6 @@ def _stays(file: Path) -> bool:
 
 
 def test_the_wheel_installs_no_generic_import_name(wheel: Path) -> None:
-    """Only `xpl` and `xpl_cli` become importable: policies and simulators have `envs` and `policy` of their own."""
     with zipfile.ZipFile(wheel) as archive:
         dist_info = f"xpl_cli-{xpl.__version__}.dist-info"
         record = list(csv.reader(io.StringIO(archive.read(f"{dist_info}/RECORD").decode())))
@@ -182,7 +181,6 @@ def test_the_wheel_installs_no_generic_import_name(wheel: Path) -> None:
 
 
 def test_the_wheel_holds_all_content_and_no_junk(source: Path, wheel: Path) -> None:
-    """Every content file is shipped, dot-files and broken subjects too; bytecode, weights and recordings are not."""
     expected = {
         str(PurePosixPath("xpl_cli/_content", shipped, file.relative_to(source / room)))
         for room, shipped in ROOMS.items()
@@ -196,7 +194,6 @@ def test_the_wheel_holds_all_content_and_no_junk(source: Path, wheel: Path) -> N
 
 
 def test_the_wheel_holds_both_packages_whole(source: Path, wheel: Path) -> None:
-    """Every file of `xpl` and `xpl_cli` is shipped, the typing markers among them."""
     expected = {
         str(file.relative_to(source)) for package in ("xpl", "xpl_cli") for file in (source / package).rglob("*.*")
     }
@@ -206,7 +203,6 @@ def test_the_wheel_holds_both_packages_whole(source: Path, wheel: Path) -> None:
 
 @pytest.mark.slow
 def test_the_source_distribution_holds_the_pages_and_no_junk(source: Path, sdist: Path) -> None:
-    """What the site is made from, and not the built site."""
     with tarfile.open(sdist) as archive:
         names = {str(PurePosixPath(*PurePosixPath(name).parts[1:])) for name in archive.getnames()}
     assert names.isdisjoint(JUNK)
@@ -226,13 +222,11 @@ def test_the_source_distribution_builds_the_same_wheel(sdist: Path, wheel: Path,
 
 @pytest.mark.slow
 def test_the_source_distribution_installs(sdist: Path, tmp_path: Path) -> None:
-    """`pip install dist/*.tar.gz` gives the same command."""
     installation = Installation(tmp_path, sdist, "--no-build-isolation")
     assert xpl.__version__ in installation.run("xpl", "--version").stdout
 
 
 def test_the_installed_wheel_runs(installed: Installation) -> None:
-    """The command starts from the installed files alone, and the content is found inside the package."""
     assert "audit" in installed.run("xpl", "--help").stdout
     code = (
         "import xpl, xpl_cli.basics.content as c; print(xpl.__file__, c.room('spec'), c.room('conformance'), sep='\\n')"
@@ -243,7 +237,6 @@ def test_the_installed_wheel_runs(installed: Installation) -> None:
 
 
 def test_the_installed_tool_has_its_skills(installed: Installation) -> None:
-    """`xpl skills` prints and installs the texts of the wheel, where there is no checkout."""
     text = installed.run("xpl", "skills", "get", "xpl-audit-policy", "--full").stdout
     assert "references/reading.md" in text
     installed.run("xpl", "skills", "install", "xpl-audit-policy")
@@ -259,7 +252,6 @@ def test_the_installed_tool_has_its_skills(installed: Installation) -> None:
 def test_an_adapter_is_made_and_audited_in_an_empty_folder(
     name: str, rules: list[str], installed: Installation
 ) -> None:
-    """`xpl new-policy Foo && xpl audit policy/Foo` ends with exit code 0 where there is no checkout."""
     installed.run("xpl", "new-policy", name)
     installed.run("xpl", "audit", f"policy/{name}", *rules)
 
@@ -276,7 +268,6 @@ def _tour() -> list[list[str]]:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_every_command_of_the_readme_runs_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
-    """In their order, and advice without another installation; nothing but what they say is written."""
     installation = Installation(tmp_path, wheel)
     before = _files(installation.scripts.parent)
     for words in _tour():
@@ -287,7 +278,6 @@ def test_every_command_of_the_readme_runs_in_an_empty_folder(wheel: Path, tmp_pa
 
 
 def test_the_benchmarks_of_the_page_are_found_by_name(installed: Installation) -> None:
-    """In any folder: those that are installed, and the adapters that play them."""
     page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
     names = {name for name in re.findall(r"xpl install (\S+)", page) if name.islower()}
     assert names >= {"metaworld", "maniskill", "robotwin"}
@@ -301,7 +291,6 @@ def test_the_benchmarks_of_the_page_are_found_by_name(installed: Installation) -
 def test_what_came_with_the_tool_is_installed_into_the_users_cache(
     installed: Installation, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Once for all that share it, and never below the installation."""
     shelf, cache = tmp_path_factory.mktemp("wheels"), tmp_path_factory.mktemp("cache")
     numpy_wheel(shelf)
     before = _files(installed.scripts.parent)
@@ -317,21 +306,18 @@ def test_what_came_with_the_tool_is_installed_into_the_users_cache(
 
 
 def test_a_path_that_is_not_there_names_what_came_with_the_tool(installed: Installation) -> None:
-    """Pages of a clone say `envs/metaworld`; outside of it the name alone is right."""
     told = json.loads(installed.answer("xpl", "install", "envs/metaworld", "--json"))
     assert "metaworld alone" in told["hint"]
 
 
 @pytest.mark.slow
 def test_the_installed_tool_builds_the_same_sdk(installed: Installation, tmp_path: Path) -> None:
-    """`xpl sdk build` needs no checkout: the installed sources give the same bytes."""
     report = json.loads(installed.run("xpl", "sdk", "build", "--out", "sdk", "--json").stdout)
     assert Path(report["path"]).read_bytes() == sdk_wheel.build(tmp_path).path.read_bytes()
     assert Path(report["path"]).parent == installed.folder / "sdk"
 
 
 def test_the_sdk_wheel_holds_the_sdk_and_its_licence_only(tmp_path: Path) -> None:
-    """The SDK wheel asks for numpy alone, from Python 3.9 on, and carries the licence."""
     archive = zipfile.ZipFile(sdk_wheel.build(tmp_path).path)
     dist_info = f"xpl_sdk-{xpl.__version__}.dist-info"
     assert {PurePosixPath(name).parts[0] for name in archive.namelist()} == {"xpl", dist_info}
@@ -346,14 +332,12 @@ def test_the_sdk_wheel_holds_the_sdk_and_its_licence_only(tmp_path: Path) -> Non
 def test_the_sdk_wheel_takes_its_time_stamps_from_the_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SOURCE_DATE_EPOCH, the convention of reproducible builds, is honoured."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
     archive = zipfile.ZipFile(sdk_wheel.build(tmp_path).path)
     assert {entry.date_time for entry in archive.infolist()} == {(2001, 9, 9, 1, 46, 40)}
 
 
 def test_an_sdk_wheel_is_replaced_only_when_asked(tmp_path: Path) -> None:
-    """Equal contents count as done; other contents stay until `overwrite` is given; nothing else is left behind."""
     first = sdk_wheel.build(tmp_path)
     assert (first.state, sdk_wheel.build(tmp_path).state) == ("written", "unchanged")
     first.path.write_bytes(b"mine")
@@ -366,7 +350,6 @@ def test_an_sdk_wheel_is_replaced_only_when_asked(tmp_path: Path) -> None:
 
 
 def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    """The error names the path instead of showing a traceback."""
     (tmp_path / "dist").write_text("a file", encoding="utf-8")
     with pytest.raises(UserError, match=r"cannot be written to .*dist"):
         sdk_wheel.build(tmp_path / "dist")
@@ -380,7 +363,6 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_a_lock_fits_the_declared_dependencies(lock: str, further: list[tuple[str, ...]]) -> None:
-    """It pins every direct dependency inside its declared range, and names no index."""
     document = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     texts = [*document["project"]["dependencies"]]
     for path in further:

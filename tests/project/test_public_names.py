@@ -54,14 +54,12 @@ PUBLIC = documented()
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("module", sorted(PUBLIC))
 def test_what_documents_name_is_imported_first_thing(module: str) -> None:
-    """In a process that has imported nothing else of ours."""
     command = [sys.executable, "-c", f"from {module} import {', '.join(sorted(PUBLIC[module]))}"]
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_names_are_found_in_every_form() -> None:
-    """In one line, in brackets over several, under another name, and in the middle of a sentence."""
     text = """
     from xpl import Client, _spec as spec
     from xpl.poses import (

@@ -30,7 +30,6 @@ UNKNOWN = ("family", "temporal", "control_frequency", "inputs", "cameras", "grip
 
 @pytest.fixture
 def adapter(tmp_path: Path) -> Path:
-    """An adapter of the ecosystem."""
     return written(tmp_path / "Grasp")
 
 
@@ -42,13 +41,11 @@ def read(folder: Path, **given_: Any) -> dict[str, Any]:
 
 
 def state(folder: Path) -> dict[str, tuple[bytes, int]]:
-    """Return contents and modes of all files."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): (path.read_bytes(), path.stat().st_mode) for path in files}
 
 
 def test_everything_that_the_files_state_is_declared(adapter: Path) -> None:
-    """Each value is the adapter's own; robot and control come from the documented call of its scripts."""
     found = read(adapter)
     assert found["spec"] == spec.VERSION
     assert found["name"] == "Grasp"
@@ -61,7 +58,6 @@ def test_everything_that_the_files_state_is_declared(adapter: Path) -> None:
 
 
 def test_what_deploy_yml_says_comes_before_what_documents_show(adapter: Path) -> None:
-    """It is what a run gets."""
     (adapter / "deploy.yml").write_text(
         DEPLOY.replace("env_cfg_type: null", "env_cfg_type: franka_single").replace(
             "action_type: null", "action_type: ee"
@@ -83,14 +79,12 @@ def test_what_deploy_yml_says_comes_before_what_documents_show(adapter: Path) ->
     ],
 )
 def test_the_interpreter_is_the_one_that_a_script_makes(adapter: Path, script: str, wanted: dict[str, Any]) -> None:
-    """A name that a variable holds, or a folder that the script moved to, is unknown."""
     (adapter / "install.sh").write_text(script)
     found = read(adapter)["environment"]
     assert {key: None if isinstance(value, dict) else value for key, value in found.items()} == wanted
 
 
 def test_nothing_is_concluded_from_code(adapter: Path) -> None:
-    """The model caps its chunk, refuses kinds of control and reads cameras: that is for whoever reads it to write."""
     found = read(adapter)
     for key in UNKNOWN:
         value = found[key]
@@ -99,7 +93,6 @@ def test_nothing_is_concluded_from_code(adapter: Path) -> None:
 
 
 def test_each_value_names_its_place(adapter: Path) -> None:
-    """Whoever reads the file can look every value up: file, line, and what stands there."""
     done = xpl("adopt", str(adapter), "--json", cwd=adapter.parent)
     assert done.returncode == ExitCode.CLEAN, done.stderr
     answer = json.loads(done.stdout)
@@ -114,7 +107,6 @@ def test_each_value_names_its_place(adapter: Path) -> None:
 
 
 def test_what_is_unknown_keeps_nobody_from_running_the_adapter(adapter: Path) -> None:
-    """A run gets values for it as for a key that is missing; the audit counts each required one, with its meaning."""
     assert xpl("adopt", str(adapter), cwd=adapter.parent).returncode == ExitCode.CLEAN
     loaded = packages.load(adapter)
     assert loaded.config()["env_cfg_type"] == "arx_x5"
@@ -128,7 +120,6 @@ def test_what_is_unknown_keeps_nobody_from_running_the_adapter(adapter: Path) ->
 
 
 def test_nothing_else_is_touched(adapter: Path) -> None:
-    """The adapter has one file more, and is otherwise what it was."""
     before = state(adapter)
     assert xpl("adopt", str(adapter), cwd=adapter.parent).returncode == ExitCode.CLEAN
     after = state(adapter)
@@ -137,7 +128,6 @@ def test_nothing_else_is_touched(adapter: Path) -> None:
 
 
 def test_nothing_of_the_adapter_is_run(adapter: Path) -> None:
-    """Code that would leave a trace when it is imported or executed leaves none."""
     trace = adapter.parent / "executed"
     bomb = f"open({str(trace)!r}, 'w').close()\n"
     for name in ("model.py", "deploy.py", "__init__.py"):
@@ -148,7 +138,6 @@ def test_nothing_of_the_adapter_is_run(adapter: Path) -> None:
 
 
 def test_dry_run_prints_the_file_and_writes_nothing(adapter: Path) -> None:
-    """What is printed is what would be written."""
     before = state(adapter)
     printed = xpl("adopt", str(adapter), "--dry-run", cwd=adapter.parent).stdout
     assert state(adapter) == before
@@ -157,7 +146,6 @@ def test_dry_run_prints_the_file_and_writes_nothing(adapter: Path) -> None:
 
 
 def test_a_manifest_that_is_there_is_not_replaced(adapter: Path) -> None:
-    """It says what to do instead, and the file stays."""
     (adapter / "policy.yml").write_text("name: Mine\n")
     done = xpl("adopt", str(adapter), cwd=adapter.parent)
     assert done.returncode == ExitCode.USAGE
@@ -167,7 +155,6 @@ def test_a_manifest_that_is_there_is_not_replaced(adapter: Path) -> None:
 
 
 def test_merge_appends_what_is_missing_and_keeps_every_byte(adapter: Path) -> None:
-    """Comments, order and values of the author's stay; a second time there is nothing to add."""
     mine = (
         f"# mine\nspec: {spec.VERSION}\nname: Grasp\nfamily: diffusion # I know better\n"
         "temporal: {kind: chunk, chunk: 3}"
@@ -188,7 +175,6 @@ def test_merge_appends_what_is_missing_and_keeps_every_byte(adapter: Path) -> No
 
 
 def test_missing_scripts_come_only_on_request_and_replace_none(adapter: Path) -> None:
-    """Scripts of the author's stay; those of the template may be run."""
     done = xpl("adopt", str(adapter), "--scripts", "--json", cwd=adapter.parent)
     names = set(json.loads(done.stdout)["files"])
     scripts = {*spec.data("package")["scripts"], "install.sh"}
@@ -198,7 +184,6 @@ def test_missing_scripts_come_only_on_request_and_replace_none(adapter: Path) ->
 
 
 def test_values_of_the_user_outrank_what_is_read(adapter: Path) -> None:
-    """Also where a file says otherwise; and what does not fit is refused before anything is written."""
     done = xpl(
         "adopt", str(adapter), "--set", "temporal.chunk=4", "--set", "embodiments=[piper]", "--json", cwd=adapter.parent
     )
@@ -219,7 +204,6 @@ def test_values_of_the_user_outrank_what_is_read(adapter: Path) -> None:
 
 
 def test_a_policy_without_training_scripts_only_evaluates(adapter: Path) -> None:
-    """The names of its files say so."""
     (adapter / "train.sh").unlink()
     assert read(adapter)["evaluation_only"] is False
     (adapter / "process_data.sh").unlink()
@@ -228,20 +212,17 @@ def test_a_policy_without_training_scripts_only_evaluates(adapter: Path) -> None
 
 @pytest.mark.parametrize("gone", sorted(set(FILES) - {"model.py"}))
 def test_any_file_may_be_missing(adapter: Path, gone: str) -> None:
-    """The model alone makes an adapter; what other files would state is unknown."""
     (adapter / gone).unlink()
     assert read(adapter)["name"] == "Grasp"
 
 
 def test_a_folder_without_an_adapter_is_not_adopted(tmp_path: Path) -> None:
-    """Nor is one that is not there."""
     assert xpl("adopt", str(tmp_path), cwd=tmp_path).returncode == ExitCode.NOT_FOUND
     assert xpl("adopt", "nowhere", cwd=tmp_path).returncode == ExitCode.NOT_FOUND
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_printed_audit_is_that_of_the_adopted_adapter(adapter: Path) -> None:
-    """Its findings are those of the audit command."""
     said = json.loads(xpl("adopt", str(adapter), "--json", cwd=adapter.parent).stdout)["audit"]
     done = xpl("audit", str(adapter), "--gate", "static", "--json", cwd=adapter.parent)
     results = json.loads(done.stdout)["targets"][0]["gates"][0]["results"]
@@ -265,7 +246,6 @@ LINES = sorted({line for name in READ for line in FILES[name].split("\n")})
 def test_whatever_the_files_hold_the_draft_is_a_manifest_or_a_clear_error(
     tmp_path_factory: pytest.TempPathFactory, name: str, place: int, put: str, drop: int
 ) -> None:
-    """Damaged files leave gaps, never a traceback, and what is written parses."""
     folder = written(tmp_path_factory.mktemp("damaged") / "Grasp")
     lines = FILES[name].split("\n")
     at = place % len(lines)
@@ -277,7 +257,6 @@ def test_whatever_the_files_hold_the_draft_is_a_manifest_or_a_clear_error(
 
 
 def test_the_page_works_as_shown(adapter: Path) -> None:
-    """Its commands run in order; what it shows of the file is what the file says."""
     (example,) = re.findall(r"```console\n(.*?)```", PAGE, flags=re.DOTALL)
     commands = [line.partition("#")[0].split()[1:] for line in example.splitlines()]
     assert len(commands) == 4

@@ -100,7 +100,6 @@ def _xpl(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_kind_is_a_valid_adapter_without_a_finding(variant: str, tmp_path: Path) -> None:
-    """Manifests hold to their schemas, and no rule of the static gate has anything to say but the open places."""
     folder = _written(tmp_path / "Foo", **VARIANTS[variant])
     assert validate_yaml_file(folder / "policy.yml", "policy") == []
     assert validate_yaml_file(folder / "deploy.yml", "deploy") == []
@@ -110,7 +109,6 @@ def test_every_kind_is_a_valid_adapter_without_a_finding(variant: str, tmp_path:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_manifest_says_what_was_chosen(variant: str, tmp_path: Path) -> None:
-    """History, ensembling, cameras with their sizes, and whether there is something to train."""
     folder, chosen = _written(tmp_path / "Foo", **VARIANTS[variant]), VARIANTS[variant]
     manifest = yaml.safe_load((folder / "policy.yml").read_text())
     cameras = [kinds.camera(text) for text in chosen.get("cameras", ())]
@@ -123,7 +121,6 @@ def test_the_manifest_says_what_was_chosen(variant: str, tmp_path: Path) -> None
 
 
 def test_no_kind_given_is_the_adapter_it_always_was(tmp_path: Path) -> None:
-    """Who scaffolds as before gets the same files, and no new question."""
     assert _answers().kind == kinds.DEFAULT
     done = _xpl("Foo", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
@@ -131,7 +128,6 @@ def test_no_kind_given_is_the_adapter_it_always_was(tmp_path: Path) -> None:
 
 
 def test_every_kind_has_its_line_in_the_documentation() -> None:
-    """And the help of the command names it."""
     page, command = (
         (ROOT / "docs" / "new-policy.md").read_text(),
         ROOT / "xpl_cli" / "commands" / "scaffold" / "new_policy.py",
@@ -154,7 +150,6 @@ def test_every_kind_has_its_line_in_the_documentation() -> None:
     ],
 )
 def test_a_kind_brings_its_environment(kind: str, python: str, environment: dict[str, str]) -> None:
-    """What it needs is listed where `xpl install` makes the environment."""
     told = yaml.safe_load(scaffold.render(_answers(kind=kind, python=python))["policy.yml"])["environment"]
     requirements = told.pop("requirements", None)
     assert told == environment
@@ -162,7 +157,6 @@ def test_a_kind_brings_its_environment(kind: str, python: str, environment: dict
 
 
 def test_the_next_command_installs_where_there_is_something_to_install(tmp_path: Path) -> None:
-    """A torch policy has an environment of its own; one that forwards runs in the tool's."""
     following = {}
     for kind in ("torch", "remote"):
         done = _xpl(kind.title(), "--kind", kind, "--json", cwd=tmp_path)
@@ -176,7 +170,6 @@ def test_the_next_command_installs_where_there_is_something_to_install(tmp_path:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_lock_renders_it_again(variant: str, tmp_path: Path) -> None:
-    """Every answer is kept, so that an update starts from the same files."""
     folder = _written(tmp_path / "Foo", **VARIANTS[variant])
     kept = lock.read(folder)
     assert kept is not None
@@ -185,7 +178,6 @@ def test_the_lock_renders_it_again(variant: str, tmp_path: Path) -> None:
 
 
 def test_a_lock_from_before_there_were_kinds_has_their_defaults(tmp_path: Path) -> None:
-    """Answers that were never asked for are what they were without a question."""
     folder = _written(tmp_path / "Foo")
     text = (folder / lock.PATH).read_text()
     start = text.index("  kind: minimal")
@@ -217,14 +209,12 @@ def test_a_lock_from_before_there_were_kinds_has_their_defaults(tmp_path: Path) 
     ],
 )
 def test_what_does_not_fit_is_refused(chosen: dict[str, Any], message: str, hint: str | None) -> None:
-    """With the reason, and what would do."""
     with pytest.raises(UserError, match=message) as caught:
         _answers(**chosen)
     assert hint is None or any(part in str(caught.value.hint) for part in hint.split("|"))
 
 
 def test_a_refusal_of_the_command_is_one_sentence(tmp_path: Path) -> None:
-    """Exit code 2, nothing on stdout, nothing written."""
     done = _xpl("Foo", "--cameras", "cam_haed", cwd=tmp_path)
     assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
     assert "arx_x5 has 2 arms" in done.stderr
@@ -235,7 +225,6 @@ def test_a_refusal_of_the_command_is_one_sentence(tmp_path: Path) -> None:
 
 @given(st.data())
 def test_an_ensemble_stays_between_what_was_predicted(data: st.DataObject) -> None:
-    """Whatever the decay: a weighted mean of the predictions of a moment, and their value where they agree."""
     decay = data.draw(st.floats(0, 50))
     horizon = data.draw(st.integers(1, 6))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
@@ -256,7 +245,6 @@ def test_an_ensemble_stays_between_what_was_predicted(data: st.DataObject) -> No
 
 @given(st.floats(0, 5), st.integers(0, 2**32 - 1))
 def test_an_ensemble_of_plans_that_agree_is_the_plan(decay: float, seed: int) -> None:
-    """A model that sticks to one trajectory is not changed by averaging."""
     trajectory = np.random.default_rng(seed).normal(size=(12, 4))
     predictions: dict[int, np.ndarray] = {}
     for step in range(8):
@@ -266,7 +254,6 @@ def test_an_ensemble_of_plans_that_agree_is_the_plan(decay: float, seed: int) ->
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["arx_x5", "franka_single", "tianji_marvin_wuji"]))
 def test_joints_are_kept_inside_their_limits(seed: int, name: str) -> None:
-    """Values inside, grippers and poses stay; values outside end at the limit; the given steps stay as they were."""
     robot = get_embodiment(name)
     rng = np.random.default_rng(seed)
     steps = [{key: rng.normal(0, 3, width).astype(np.float32) for key, width in robot.dims("joint").items()}]
@@ -283,7 +270,6 @@ def test_joints_are_kept_inside_their_limits(seed: int, name: str) -> None:
 
 
 def test_poses_have_no_limits() -> None:
-    """End-effector control passes through."""
     robot = get_embodiment("franka_single")
     steps = decode_rows([[9, 9, 9, 1, 0, 0, 0, 0.5]], robot, "ee")
     np.testing.assert_equal(within_limits(steps, robot), steps)
@@ -293,7 +279,6 @@ def test_poses_have_no_limits() -> None:
 
 
 def test_a_remote_policy_passes_every_request_on(tmp_path: Path) -> None:
-    """An episode in one environment and one in a batch, through two servers: the pose is held, and reset forgets."""
     behind, adapter = _written(tmp_path / "Behind", chunk=2), _written(tmp_path / "Far", kind="remote", chunk=2)
     with serving(behind) as server:
         _point(adapter, server.url)
@@ -321,7 +306,6 @@ def _position(step: dict[str, Any]) -> int:
 
 @pytest.mark.slow
 def test_a_remote_policy_for_another_robot_is_refused_before_the_first_step(tmp_path: Path) -> None:
-    """Not at the first action, when a robot may be moving."""
     behind = _written(tmp_path / "Behind", embodiment="franka_single")
     adapter = _written(tmp_path / "Far", kind="remote")
     with serving(behind) as server:
@@ -334,7 +318,6 @@ def test_a_remote_policy_for_another_robot_is_refused_before_the_first_step(tmp_
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("chosen", [{}, {"ensembling": 0.01}], ids=["plain", "ensembling"])
 def test_a_remote_policy_passes_all_gates(chosen: dict[str, Any], tmp_path: Path) -> None:
-    """Against a running server of another adapter, which is audited through it."""
     behind, adapter = _written(tmp_path / "Behind", **chosen), _written(tmp_path / "Far", kind="remote", **chosen)
     with serving(behind, options=PLACES) as server:
         _point(adapter, server.url)
@@ -353,7 +336,6 @@ def test_every_kind_passes_all_gates_without_its_libraries(variant: str, tmp_pat
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_remote_policy_runs_in_an_environment_of_its_own(tmp_path: Path) -> None:
-    """What its manifest lists is all that it needs."""
     behind = _written(tmp_path / "Behind")
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     adapter = _written(tmp_path / "Far", kind="remote", python=version)
@@ -378,6 +360,5 @@ def _point(adapter: Path, url: str) -> None:
 
 
 def test_the_standard_has_the_default_history() -> None:
-    """Packages that were never asked keep what it says."""
     temporal = spec.schema("policy")["properties"]["temporal"]["properties"]
     assert scaffold.defaults()["history"] == temporal["history"]["default"] == Answers.history

@@ -29,7 +29,6 @@ def _merge(base: bytes, ours: bytes, theirs: bytes) -> Merged:
 
 @given(LINES, LINES)
 def test_the_side_that_changed_something_wins(base: bytes, changed: bytes) -> None:
-    """Where one side is as it was, or both are alike, the result is the other, without a conflict."""
     assert _merge(base, changed, base) == Merged(changed)
     assert _merge(base, base, changed) == Merged(changed)
     assert _merge(base, changed, changed) == Merged(changed)
@@ -37,7 +36,6 @@ def test_the_side_that_changed_something_wins(base: bytes, changed: bytes) -> No
 
 @given(LINES, LINES, LINES)
 def test_who_is_who_decides_nothing_but_the_labels(base: bytes, ours: bytes, theirs: bytes) -> None:
-    """Two sides conflict in the same places whichever is called the author's, and a clean result is the same."""
     one, other = _merge(base, ours, theirs), _merge(base, theirs, ours)
     assert one.conflicts == other.conflicts
     assert one.conflicts or one.content == other.content
@@ -57,7 +55,6 @@ def _edited(draw: st.DrawFn, base: list[bytes], tag: bytes, free: list[int]) -> 
 
 @given(st.data())
 def test_edits_in_different_places_merge_exactly(data: st.DataObject) -> None:
-    """With an untouched line between them, the edits of both sides are in the result, and nothing else."""
     base = [b"line %d\n" % number for number in range(16)]
     taken = data.draw(st.lists(st.booleans(), min_size=4, max_size=4))
     mine = [place for place in range(16) if taken[place // 4] and place % 4 in (1, 2)]
@@ -71,7 +68,6 @@ def test_edits_in_different_places_merge_exactly(data: st.DataObject) -> None:
 
 @given(st.data())
 def test_no_line_that_anybody_wrote_is_lost(data: st.DataObject) -> None:
-    """Wherever the edits are: every new line of either side is in the result, in a conflict or beside it."""
     base = [b"line %d\n" % number for number in range(8)]
     ours, mine = data.draw(_edited(base, b"mine", list(range(8))))
     theirs, new = data.draw(_edited(base, b"new", list(range(8))))
@@ -84,7 +80,6 @@ def test_no_line_that_anybody_wrote_is_lost(data: st.DataObject) -> None:
 @given(data=st.data())
 @settings(max_examples=25)
 def test_git_merges_clean_texts_alike(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Where neither sees a conflict, git's merge and this one are the same."""
     base = [b"line %d\n" % number for number in range(8)]
     ours, _ = data.draw(_edited(base, b"mine", list(range(8))))
     theirs, _ = data.draw(_edited(base, b"new", list(range(8))))
@@ -101,13 +96,11 @@ def test_git_merges_clean_texts_alike(data: st.DataObject, tmp_path_factory: pyt
 
 
 def test_a_conflict_shows_all_three() -> None:
-    """An author sees their own text, what it was, and what the template wants."""
     merged = _merge(b"a\nold\nz", b"a\nmine\nz", b"a\nnew\nz")
     assert merged == Merged(b"a\n<<<<<<< yours\nmine\n||||||| old\nold\n=======\nnew\n>>>>>>> new\nz", 1)
 
 
 def test_a_last_line_without_an_end_keeps_the_markers_apart() -> None:
-    """A marker begins its line also after a text that does not end in a line break."""
     merged = _merge(b"old", b"mine", b"new")
     assert merged.content.splitlines() == [
         b"<<<<<<< yours", b"mine", b"||||||| old", b"old", b"=======", b"new", b">>>>>>> new"
@@ -115,7 +108,6 @@ def test_a_last_line_without_an_end_keeps_the_markers_apart() -> None:
 
 
 def test_line_ends_stay_the_authors() -> None:
-    """A file with the line ends of Windows does not conflict from end to end."""
     assert _merge(b"a\nb\nc\n", b"a\r\nb\r\nmine\r\n", b"new\nb\nc\n") == Merged(b"new\r\nb\r\nmine\r\n")
 
 
@@ -130,7 +122,6 @@ def renders() -> list[adapter.Files]:
 @given(data=st.data())
 @settings(max_examples=examples(60))
 def test_random_edits_of_a_real_adapter_survive_its_update(renders: list[adapter.Files], data: st.DataObject) -> None:
-    """Of each file that both renders have: lines that its author added are in the result."""
     old, new = renders
     name = data.draw(st.sampled_from(sorted({*old} & {*new})))
     lines = old[name].splitlines(keepends=True)

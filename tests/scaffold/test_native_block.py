@@ -61,7 +61,6 @@ def _model(folder: Path) -> Any:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_a_scaffold_is_valid_and_has_no_static_finding(variant: str, tmp_path: Path) -> None:
-    """But the open places, and the conventions that are assumed."""
     folder = _written(tmp_path / "Foo", **VARIANTS[variant])
     assert validate_yaml_file(folder / "policy.yml", "policy") == []
     (gate,) = engine.audit(folder, "policy", Options(gates=(Gate.STATIC,))).gates
@@ -79,7 +78,6 @@ def test_a_scaffold_is_valid_and_has_no_static_finding(variant: str, tmp_path: P
 @pytest.mark.parametrize("robot", ["arx_x5", "franka_single", "tianji_marvin_wuji"])
 @pytest.mark.parametrize("variant", [name for name, chosen in VARIANTS.items() if "kind" not in chosen])
 def test_a_fresh_scaffold_holds_the_pose(variant: str, robot: str, action_type: str, tmp_path: Path) -> None:
-    """Whether a block converts or code, with grippers and hands, and so does its reference."""
     cameras = ("cam_head",) if "cameras" in VARIANTS[variant] else ()
     chosen = {**VARIANTS[variant], "cameras": cameras, "embodiment": robot, "action_type": action_type, "chunk": 3}
     folder = _written(tmp_path / "Foo", **chosen)
@@ -108,7 +106,6 @@ class _Episode:
 
 
 def test_an_adapter_with_a_block_writes_load_and_predict_alone(tmp_path: Path) -> None:
-    """That is the goal of the block."""
     for kind in ("minimal", "torch"):
         folder = _written(tmp_path / kind, name=kind, kind=kind)
         methods = [
@@ -118,7 +115,6 @@ def test_an_adapter_with_a_block_writes_load_and_predict_alone(tmp_path: Path) -
 
 
 def test_all_options_that_do_not_fit_are_told_at_once(tmp_path: Path) -> None:
-    """With what would do for each; nothing is written."""
     wrong = ["--chunk", "0", "--history", "0", "--action-type", "joints", "--cameras", "cam_haed", "--python", "three"]
     done = xpl("new-policy", "class", *wrong, "--kind", "tourch", cwd=tmp_path)
     assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])

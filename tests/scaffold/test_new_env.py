@@ -54,7 +54,6 @@ def _tree(folder: Path) -> dict[str, bytes]:
 @pytest.mark.sampled(6)
 @pytest.mark.parametrize("robot", environment.movable())
 def test_every_robot_makes_an_environment_that_can_be_solved(robot: str, tmp_path: Path) -> None:
-    """The manifest is valid, and who is shown the ball goes there, in either kind of control."""
     adapter.write(environment.render_env(_answers(embodiment=robot, task="touch_it")), tmp_path / "Foo")
     assert validate_yaml_file(tmp_path / "Foo" / "env.yml", "env") == []
     embodiment = get_embodiment(robot)
@@ -74,7 +73,6 @@ def test_every_robot_makes_an_environment_that_can_be_solved(robot: str, tmp_pat
 
 
 def test_a_fresh_environment_passes_its_audit(package: Path) -> None:
-    """Through both gates that there are for environments, with nothing left out."""
     report = engine.audit(package, "env", Options(gates=(Gate.STATIC, Gate.OFFLINE)))
     assert judged(report).word is Word.OPEN
     (offline,) = report.gates[1:]
@@ -83,7 +81,6 @@ def test_a_fresh_environment_passes_its_audit(package: Path) -> None:
 
 @pytest.mark.slow
 def test_equal_audits_end_in_equal_finish_lines(package: Path) -> None:
-    """The digest is of what the environment did."""
     options = Options((Gate.OFFLINE,), ("env-same-seed",), overrides={"action_type": "joint"})
     first, second = (engine.audit(package, "env", options).gates[0] for _ in range(2))
     assert first.finish == second.finish
@@ -105,14 +102,12 @@ def test_our_own_environments_pass_their_audit(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["metaworld", "libero", "robotwin"])
 def test_a_benchmark_that_is_not_here_fails_nothing(name: str) -> None:
-    """No rule can be run, and each says why; whoever has the benchmark in the Python of the tests is asked nothing."""
     report = engine.audit(ROOT / "envs" / name, "env", Options(gates=(Gate.OFFLINE,), python=sys.executable))
     assert {result.outcome for result in report.results} <= {Outcome.NOT_RUN, Outcome.NOT_APPLICABLE}
 
 
 @pytest.mark.slow
 def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
-    """Not run is not green, and names the interpreter that lacks them."""
     done = xpl("audit", str(ROOT / "envs" / "gymnasium"), "--policy-env", "none", "--json", "--no-cache", cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
     report = json.loads(done.stdout)
@@ -124,7 +119,6 @@ def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
 def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
     package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No interpreter, isolation that there is not, or an env.yml that the static gate has to deal with: not run."""
     gates, names = (Gate.OFFLINE,), ("env-plays",)
     for options, said in (
         (Options(gates, names, env="venv:nowhere"), "there is no interpreter at"),
@@ -144,7 +138,6 @@ def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
 
 
 def test_an_audit_can_be_narrowed(package: Path) -> None:
-    """`--set task=...` and the like; what is not offered leaves nothing to prove."""
     gates, names = (Gate.OFFLINE,), ("env-plays",)
     one = engine.audit(package, "env", Options(gates, names, overrides={"action_type": "ee"}))
     assert one.gates[0].outcome is Outcome.PASS
@@ -163,7 +156,6 @@ def test_an_audit_can_be_narrowed(package: Path) -> None:
 def test_an_environment_that_hangs_or_dies_is_a_finding(
     line: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It runs in a process of its own: the audit goes on, and says what happened."""
     for limit in ("CALL_S", "MAKE_S") if "sleep" in line else ():  # of a call, and of a reset
         monkeypatch.setattr(f"xpl_cli.audit.environments.stage.{limit}", 1.0 if limit == "CALL_S" else 2.0)
     target = tmp_path / "Foo"
@@ -178,7 +170,6 @@ def test_an_environment_that_hangs_or_dies_is_a_finding(
 
 @pytest.mark.slow
 def test_the_tests_that_come_with_it_pass(package: Path) -> None:
-    """They are the author's to begin with."""
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(package), str(package)]
     variables = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=package, env=variables)
@@ -186,7 +177,6 @@ def test_the_tests_that_come_with_it_pass(package: Path) -> None:
 
 
 def test_rendered_python_keeps_to_the_rules_of_this_repository(package: Path) -> None:
-    """But for its folder's name, and being no package of Python's."""
     ruff = shutil.which("ruff", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     if ruff is None:
         pytest.skip("ruff is not installed")
@@ -198,7 +188,6 @@ def test_rendered_python_keeps_to_the_rules_of_this_repository(package: Path) ->
 
 
 def test_the_same_answers_give_the_same_bytes(package: Path) -> None:
-    """A render can be made again from the recorded answers alone."""
     recorded = lock.read(package)
     assert recorded is not None
     assert recorded.template == "env"
@@ -207,7 +196,6 @@ def test_the_same_answers_give_the_same_bytes(package: Path) -> None:
 
 
 def test_placeholders_are_counted_with_their_place(package: Path) -> None:
-    """Each stands in a line of its own."""
     marker = data("package")["placeholder"]
     files = environment.render_env(_answers())
     places = adapter.placeholders(files)
@@ -230,14 +218,12 @@ def test_placeholders_are_counted_with_their_place(package: Path) -> None:
     ],
 )
 def test_answers_that_are_not_allowed_are_refused(changes: dict[str, str], said: str) -> None:
-    """With one that would do."""
     with pytest.raises(UserError) as raised:
         environment.check_env(_answers(**changes))
     assert said in f"{raised.value} {raised.value.hint}"
 
 
 def test_the_command_writes_once_and_never_over_the_authors_work(tmp_path: Path) -> None:
-    """No prompt, JSON on stdout, the next commands; a second call changes nothing, a differing folder is kept."""
     assert "would be written" in xpl("new-env", "Bar", "--dry-run", cwd=tmp_path).stdout
     assert list(tmp_path.iterdir()) == []
     done = xpl("new-env", "Bar", "--embodiment", "franka_single", "--json", cwd=tmp_path)

@@ -80,7 +80,6 @@ def _state(robot: str) -> dict[str, Any]:
 def test_every_combination_is_a_valid_adapter_that_holds_the_pose(
     robot: str, action_type: str, eval_only: bool, tmp_path: Path
 ) -> None:
-    """For every robot, action type and kind: files, manifests, syntax, and a first chunk that repeats the state."""
     target = tmp_path / "Foo"
     files = scaffold.render(_answers(embodiment=robot, action_type=action_type, eval_only=eval_only, chunk=3))
     scaffold.write(files, target)
@@ -111,7 +110,6 @@ def test_every_combination_is_a_valid_adapter_that_holds_the_pose(
 
 
 def test_rendered_python_keeps_to_the_rules_of_this_repository(adapter: Path) -> None:
-    """What authors start from has no finding of the linter, except that ours do not name modules `Foo`."""
     ruff = shutil.which("ruff", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     if ruff is None:
         pytest.skip("ruff is not installed")
@@ -127,7 +125,6 @@ def test_rendered_python_keeps_to_the_rules_of_this_repository(adapter: Path) ->
 
 
 def test_scripts_are_clean_for_shellcheck(adapter: Path) -> None:
-    """Shell has many traps, and a tool that knows them."""
     shellcheck = shutil.which("shellcheck")
     if shellcheck is None:
         pytest.skip("shellcheck is not installed")
@@ -136,7 +133,6 @@ def test_scripts_are_clean_for_shellcheck(adapter: Path) -> None:
 
 
 def test_the_same_answers_give_the_same_bytes(adapter: Path) -> None:
-    """A render can be made again from the recorded answers alone, which is what an update does."""
     kept = lock.read(adapter)
     assert kept is not None
     assert kept.template == "policy"
@@ -145,7 +141,6 @@ def test_the_same_answers_give_the_same_bytes(adapter: Path) -> None:
 
 @pytest.mark.parametrize("name", ["yes", "null", "NO", "_1", "e1"])
 def test_a_name_that_yaml_takes_for_something_else_stays_a_name(name: str, tmp_path: Path) -> None:
-    """`yes` is a folder like any other, not true."""
     scaffold.write(scaffold.render(_answers(name=name)), tmp_path / name)
     assert yaml.safe_load((tmp_path / name / "policy.yml").read_text())["name"] == name
     assert yaml.safe_load((tmp_path / name / "deploy.yml").read_text())["policy_name"] == name
@@ -161,14 +156,12 @@ def test_a_name_that_yaml_takes_for_something_else_stays_a_name(name: str, tmp_p
     ],
 )
 def test_the_policys_own_python_is_declared(python: str, environment: dict[str, str], tmp_path: Path) -> None:
-    """`--python` becomes the environment of the manifest, and the version stays text."""
     scaffold.write(scaffold.render(_answers(python=python)), tmp_path / "Foo")
     assert yaml.safe_load((tmp_path / "Foo" / "policy.yml").read_text())["environment"] == environment
     assert validate_yaml_file(tmp_path / "Foo" / "policy.yml", "policy") == []
 
 
 def test_placeholders_are_counted_with_their_place(adapter: Path) -> None:
-    """Every mark is in a text file, says what to fill in, and stands in the line it is said to be in."""
     marker = spec.data("package")["placeholder"]
     places = scaffold.placeholders(_tree(adapter))
     assert (
@@ -182,7 +175,6 @@ def test_placeholders_are_counted_with_their_place(adapter: Path) -> None:
 
 
 def test_our_own_policies_have_no_placeholder_left() -> None:
-    """What is shipped is finished."""
     files = [path for path in tracked("policy/*/*") if path.suffix in (".md", ".yml", ".py", ".sh")]
     assert files
     for path in files:
@@ -236,7 +228,6 @@ AWKWARD = {"bench_name": 'it\'s a "bench" $HOME `x`', "task_name": "", "ckpt_nam
 
 @pytest.mark.parametrize("script", list(spec.data("package")["scripts"]))
 def test_arguments_reach_xpl_as_they_were_given(script: str, adapter: Path, tmp_path: Path) -> None:
-    """Spaces, quotes, empty text and text that looks like a number or YAML survive; each argument is used once."""
     names = [name.strip("[]") for name in spec.data("package")["scripts"][script]]
     values = {name: AWKWARD.get(name, f"value of {name}") for name in names}
     values.update({"seed": "3", "action_type": "joint"})
@@ -260,14 +251,12 @@ def test_arguments_reach_xpl_as_they_were_given(script: str, adapter: Path, tmp_
 
 @pytest.mark.parametrize("script", list(spec.data("package")["scripts"]))
 def test_too_few_arguments_are_answered_by_the_list_of_them(script: str, adapter: Path) -> None:
-    """A launcher that was called wrongly says how it is called, and starts nothing."""
     done = subprocess.run([adapter / script, "one"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert f"{script} {' '.join(spec.data('package')['scripts'][script])}" in done.stderr
 
 
 def test_optional_arguments_may_be_left_out(adapter: Path, tmp_path: Path) -> None:
-    """Without a host the server listens where deploy.yml says, and the client looks on this machine."""
     server = _run_script(adapter / "setup_eval_policy_server.sh", [*"abcdef0g", "18000"], tmp_path)
     assert "--host" not in server
     client = _run_script(adapter / "setup_eval_env_client.sh", [*"abcdef0gh", "18000"], tmp_path)
@@ -275,7 +264,6 @@ def test_optional_arguments_may_be_left_out(adapter: Path, tmp_path: Path) -> No
 
 
 def test_install_calls_xpl_for_its_own_folder(adapter: Path, tmp_path: Path) -> None:
-    """install.sh works from any folder and hands further arguments on."""
     assert _run_script(adapter / "install.sh", ["--extra"], tmp_path) == ["install", str(adapter), "--extra"]
 
 
@@ -320,7 +308,6 @@ class _Bench:
 
 
 def test_the_loop_stops_inside_a_chunk_and_shows_every_new_observation(adapter: Path) -> None:
-    """Reset first; an observation before every action; nothing after the end."""
     bench = _Bench([4])
     content.load_module(adapter / "deploy.py").eval_one_episode(bench, bench)
     names = [name for name, _ in bench.log]
@@ -330,7 +317,6 @@ def test_the_loop_stops_inside_a_chunk_and_shows_every_new_observation(adapter: 
 
 
 def test_the_batched_loop_drops_environments_as_they_end(adapter: Path) -> None:
-    """Inside a chunk too: what is observed, asked for and acted on is exactly what still runs."""
     bench = _Bench([2, 4, 1])
     content.load_module(adapter / "deploy.py").eval_one_episode_batch(bench, bench)
     assert bench.log == [
@@ -349,7 +335,6 @@ def test_the_batched_loop_drops_environments_as_they_end(adapter: Path) -> None:
 
 
 def test_a_loop_over_nothing_asks_for_nothing(adapter: Path) -> None:
-    """An episode that has ended before it began costs no inference."""
     for run in ("eval_one_episode_batch",):
         bench = _Bench([0, 0])
         getattr(content.load_module(adapter / "deploy.py"), run)(bench, bench)
@@ -382,7 +367,6 @@ def test_a_loop_over_nothing_asks_for_nothing(adapter: Path) -> None:
     ],
 )
 def test_a_name_that_cannot_be_imported_is_refused_with_one_that_can(name: str, tmp_path: Path) -> None:
-    """The suggestion is a name that the tool accepts; nothing is written."""
     with pytest.raises(UserError) as caught:
         scaffold.check_name(name)
     scaffold.check_name(str(caught.value.hint).removeprefix("a name that would do: "))
@@ -394,7 +378,6 @@ def test_a_name_that_cannot_be_imported_is_refused_with_one_that_can(name: str, 
 
 @given(st.text(max_size=200))
 def test_every_suggestion_is_accepted(name: str) -> None:
-    """Whatever was typed, the suggested name is one that works."""
     scaffold.check_name(scaffold.suggest_name(name))
 
 
@@ -410,7 +393,6 @@ def test_every_suggestion_is_accepted(name: str) -> None:
     ],
 )
 def test_an_option_that_is_not_allowed_is_a_usage_error(arguments: list[str], message: str, tmp_path: Path) -> None:
-    """Exit code 2, one sentence on stderr, nothing on stdout, nothing written."""
     (tmp_path / "file").touch()
     done = _xpl("Foo", *arguments, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
@@ -422,7 +404,6 @@ def test_an_option_that_is_not_allowed_is_a_usage_error(arguments: list[str], me
 
 
 def test_json_tells_files_places_and_next_commands(tmp_path: Path) -> None:
-    """The same facts for programs."""
     done = _xpl("Foo", "--json", "--dir", "my policies", "--python", "3.10", cwd=tmp_path)
     answer = json.loads(done.stdout)
     assert answer["schema"] == "xpl.new-policy/1"
@@ -436,7 +417,6 @@ def test_json_tells_files_places_and_next_commands(tmp_path: Path) -> None:
 
 
 def test_a_second_run_changes_nothing(tmp_path: Path) -> None:
-    """The same answers: already there. Other answers: refused, with the files that differ."""
     _xpl("Foo", cwd=tmp_path)
     before = _tree(tmp_path)
     again = _xpl("Foo", cwd=tmp_path)
@@ -448,7 +428,6 @@ def test_a_second_run_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
-    """Not even the folder that the package would go into."""
     done = _xpl("Foo", "--dry-run", cwd=tmp_path)
     assert (done.returncode, list(tmp_path.iterdir())) == (0, [])
     assert "17 files would be written" in done.stdout
@@ -456,7 +435,6 @@ def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
 
 
 def test_overwriting_keeps_what_the_author_added(tmp_path: Path) -> None:
-    """Files of the template are replaced; others stay the same files, links stay links."""
     target = tmp_path / "Foo"
     scaffold.write(scaffold.render(_answers()), target)
     (target / "model.py").write_text("mine")
@@ -476,7 +454,6 @@ def test_overwriting_keeps_what_the_author_added(tmp_path: Path) -> None:
 
 
 def test_an_empty_folder_is_as_good_as_none(tmp_path: Path) -> None:
-    """`mkdir policy/Foo` first is no mistake."""
     (tmp_path / "Foo").mkdir()
     assert scaffold.write(scaffold.render(_answers()), tmp_path / "Foo") == "written"
 
@@ -485,7 +462,6 @@ def test_an_empty_folder_is_as_good_as_none(tmp_path: Path) -> None:
 def test_a_failure_while_writing_leaves_everything_as_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, can_exchange: bool
 ) -> None:
-    """The last step fails: the old folder is whole, and nothing lies beside it."""
     target = tmp_path / "deep" / "er" / "Foo"
     files = scaffold.render(_answers())
 
@@ -513,7 +489,6 @@ def test_a_failure_while_writing_leaves_everything_as_it_was(
 def test_folders_are_swapped_where_the_system_cannot_exchange_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two renames do the same, a moment apart."""
     monkeypatch.setattr(atomic, "_exchange", lambda *_: False)
     scaffold.write(scaffold.render(_answers()), tmp_path / "Foo")
     files = scaffold.render(_answers(chunk=2))
@@ -548,7 +523,6 @@ def test_an_interrupted_command_leaves_nothing_behind(kind: signal.Signals, trap
 
 
 def test_rendering_needs_no_git_and_reads_no_settings_of_the_user(tmp_path: Path) -> None:
-    """Without git on PATH and with hostile settings of copier at home, the bytes are the same."""
     home = tmp_path / "home"
     settings = home / "copier" / "settings.yml"
     settings.parent.mkdir(parents=True)
@@ -560,7 +534,6 @@ def test_rendering_needs_no_git_and_reads_no_settings_of_the_user(tmp_path: Path
 
 
 def test_a_person_at_a_terminal_is_asked_and_a_pipe_is_not(tmp_path: Path) -> None:
-    """On a terminal the open choices are asked for, with their defaults; given options are not."""
     import pty
 
     parent, child = pty.openpty()

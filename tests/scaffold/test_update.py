@@ -104,7 +104,6 @@ def _as_of_an_older_template(folder: Path) -> None:
 def test_an_untouched_adapter_becomes_what_is_scaffolded_today(
     answers: dict[str, Any], templates: Path, tmp_path: Path
 ) -> None:
-    """Byte for byte, and a second update has nothing to do."""
     folder = tmp_path / "Foo"
     scaffold.write(_render(**answers), folder)
     assert updating.plan(folder).steps == ()
@@ -124,7 +123,6 @@ def test_an_untouched_adapter_becomes_what_is_scaffolded_today(
 
 
 def test_what_the_author_wrote_stays(adapter: Path, templates: Path) -> None:
-    """Edited files are merged, new ones and removed ones stay as they are."""
     _edit(adapter / ".gitignore", "/data\n", "/recordings\n")
     _edit(adapter / "policy.yml", "family: other", "family: act")
     _edit(adapter / "deploy.yml", "eval_batch: false", "eval_batch: true")
@@ -150,7 +148,6 @@ def test_what_the_author_wrote_stays(adapter: Path, templates: Path) -> None:
 
 
 def test_line_ends_of_another_system_stay(adapter: Path, templates: Path) -> None:
-    """A file that an editor saved with carriage returns is merged, and keeps them."""
     file = adapter / ".gitignore"
     file.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
     _change(templates)
@@ -159,7 +156,6 @@ def test_line_ends_of_another_system_stay(adapter: Path, templates: Path) -> Non
 
 
 def test_a_conflict_is_shown_and_nothing_of_it_is_lost(adapter: Path, templates: Path) -> None:
-    """Both sides stand between markers, and the plan names the file."""
     _edit(adapter / ".gitignore", "/.venv*", "/environment/")
     _change(templates)
     plan = _apply(adapter)
@@ -171,7 +167,6 @@ def test_a_conflict_is_shown_and_nothing_of_it_is_lost(adapter: Path, templates:
 
 
 def test_files_that_the_author_took_over_are_left_alone(adapter: Path, templates: Path) -> None:
-    """What `free` in the lock names is not touched and stays named there; what it came from stays known."""
     _edit(adapter / lock.PATH, "free: []", "free: [install.sh, own.sh]")
     (adapter / "install.sh").write_text("mine\n")
     base = lock.read_rendered(adapter)["install.sh"]
@@ -186,7 +181,6 @@ def test_files_that_the_author_took_over_are_left_alone(adapter: Path, templates
 
 
 def test_a_link_is_left_alone(adapter: Path, templates: Path) -> None:
-    """What a link leads to may belong to others."""
     shared = adapter.parent / "shared"
     (adapter / ".gitignore").rename(shared)
     (adapter / ".gitignore").symlink_to(shared)
@@ -230,7 +224,6 @@ def test_a_package_that_does_not_tell_what_it_came_from_is_refused(
 def test_an_update_that_fails_leaves_the_package_as_it_was(
     place: int, error: BaseException, adapter: Path, templates: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whichever file it fails at, all are as they were."""
     (adapter / "install.sh").chmod(0o700)
     before, written = _tree(adapter), []
     _change(templates)
@@ -269,7 +262,6 @@ def test_an_update_that_was_killed_is_begun_again(adapter: Path, templates: Path
 
 
 def test_a_file_that_changes_meanwhile_is_not_overwritten(adapter: Path, templates: Path) -> None:
-    """Between the plan and the writing, an editor may save."""
     _change(templates)
     plan = updating.plan(adapter)
     (adapter / "policy.yml").write_text("spec: v1\n")
@@ -283,7 +275,6 @@ def test_a_file_that_changes_meanwhile_is_not_overwritten(adapter: Path, templat
 
 
 def test_the_command_tells_what_it_does(adapter: Path) -> None:
-    """A dry run writes nothing and says the same; afterwards there is nothing to do."""
     _as_of_an_older_template(adapter)
     before = _tree(adapter)
     dry = _xpl("Foo", "--dry-run", "--json", cwd=adapter.parent)
@@ -300,7 +291,6 @@ def test_the_command_tells_what_it_does(adapter: Path) -> None:
 
 
 def test_a_conflict_is_exit_code_1(adapter: Path) -> None:
-    """A script sees that there is something to decide, also beforehand."""
     _as_of_an_older_template(adapter)
     with (adapter / ".gitignore").open("a") as stream:
         stream.write("/mine/\n")
@@ -313,8 +303,6 @@ def test_a_conflict_is_exit_code_1(adapter: Path) -> None:
 
 @pytest.mark.skipif(GIT is None, reason="git is not installed")
 def test_changes_that_git_has_not_recorded_are_protected(adapter: Path) -> None:
-    """An update on top of them could not be told apart from them; `--force` goes on."""
-
     def git(*arguments: str) -> None:
         identity = ["-c", "user.name=A", "-c", "user.email=a@example.org"]
         subprocess.run([str(GIT), "-C", str(adapter.parent), *identity, *arguments], check=True, capture_output=True)
@@ -336,7 +324,6 @@ def test_changes_that_git_has_not_recorded_are_protected(adapter: Path) -> None:
 
 @pytest.mark.parametrize(("arguments", "code"), [(["Nothing"], 3), (["demo_policy"], 2)])
 def test_exit_codes(arguments: list[str], code: int, adapter: Path) -> None:
-    """Every outcome of the command has the exit code of the tool."""
     done = _xpl(*arguments, cwd=adapter.parent)
     assert (done.returncode, done.stdout) == (code, "")
 
@@ -345,7 +332,6 @@ def test_exit_codes(arguments: list[str], code: int, adapter: Path) -> None:
 
 
 def test_an_updated_adapter_has_no_static_finding(adapter: Path) -> None:
-    """Only its placeholders are open, as before."""
     _as_of_an_older_template(adapter)
     _edit(adapter / "policy.yml", "family: other", "family: act")
     _apply(adapter)
@@ -354,7 +340,6 @@ def test_an_updated_adapter_has_no_static_finding(adapter: Path) -> None:
 
 
 def test_an_edited_generated_file_is_brought_back_by_the_fix(adapter: Path) -> None:
-    """The rule's fix is what the lock has the digest of."""
     from xpl_cli.audit.engine.fixes import plan
 
     before = _tree(adapter)
@@ -371,7 +356,6 @@ def test_an_edited_generated_file_is_brought_back_by_the_fix(adapter: Path) -> N
 
 
 def test_an_environment_is_brought_along(tmp_path: Path, templates: Path) -> None:
-    """An env.yml keeps what its author wrote."""
     answers = environment.EnvAnswers(name="Foo", **environment.env_defaults())
     folder = tmp_path / "Foo"
     scaffold.write(environment.render_env(answers), folder)

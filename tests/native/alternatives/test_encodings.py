@@ -16,7 +16,6 @@ def _all(robot: str = "franka", **more: bool) -> list[Encoding]:
 
 
 def test_orders_are_of_all_numbers() -> None:
-    """Of one arm fewer; none is the order that is there already."""
     for robot, width in (("franka", 16), ("franka_single", 8)):
         orders = [one.how["order"] for one in _all(robot) if one.how["kind"] == "ordered" and one.how["way"] == "in"]
         assert all(sorted(order) == list(range(width)) for order in orders)
@@ -28,7 +27,6 @@ def test_orders_are_of_all_numbers() -> None:
 
 
 def test_each_is_there_once_and_can_be_sent() -> None:
-    """As data, since the policy's interpreter carries it out."""
     found = _all()
     assert {one.convention for one in found} <= VOCABULARY
     texts = [json.dumps(one.how, sort_keys=True) for one in found]
@@ -37,7 +35,6 @@ def test_each_is_there_once_and_can_be_sent() -> None:
 
 
 def test_grippers_are_the_last_numbers_of_their_arms() -> None:
-    """Of two arms both."""
     for robot, places in (("franka", [7, 15]), ("franka_single", [7])):
         found = [one for one in _all(robot) if one.how["kind"] == "linear"]
         assert all(one.how["places"] == places and one.how["width"] == places[-1] + 1 for one in found)
@@ -45,13 +42,11 @@ def test_grippers_are_the_last_numbers_of_their_arms() -> None:
 
 
 def test_what_is_not_read_is_not_changed() -> None:
-    """A model without pictures and texts has vectors."""
     kinds = {one.how["kind"] for one in _all(pictures=False, text=False)}
     assert kinds == {"drawn", "linear", "normalized", "ordered", "rotation", "segmented"}
 
 
 def test_the_geometry_tells_a_filter_from_a_size() -> None:
-    """A change that leaves the adapter's own geometry changes the filter."""
     letterbox = next(one for one in _all() if one.geometry == "letterbox")
     assert convention_of(letterbox, {"letterbox", "resize"}) == "image_filter"
     assert convention_of(letterbox, {"resize"}) == "image_size"

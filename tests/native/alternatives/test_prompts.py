@@ -39,7 +39,6 @@ def prompt(text):
     ],
 )
 def test_templates_are_read_in_native_code_and_at_its_source(source: str, wanted: set[str], tmp_path: Path) -> None:
-    """Sums, formatted texts, and texts with one hole; near the line that is named, in the package; names are none."""
     folder = tmp_path / "Foo"
     (folder / "authors").mkdir(parents=True)
     (folder / "native.py").write_text(CODE.format(source=source))
@@ -49,7 +48,6 @@ def test_templates_are_read_in_native_code_and_at_its_source(source: str, wanted
 
 
 def test_without_native_code_there_are_none(tmp_path: Path) -> None:
-    """Nor where it is no Python."""
     assert templates(tmp_path) == []
     (tmp_path / "native.py").write_text("def (")
     assert templates(tmp_path) == []

@@ -51,7 +51,6 @@ def _made(folder: Path, form: str, *, samples: bool = True, **changes: Any) -> P
 
 
 def test_a_contradiction_is_a_finding(tmp_path: Path) -> None:
-    """The sentence has both errors; JSON is what the list of answers says."""
     folder = _made(tmp_path / "P", "quaternion_wxyz")
     done = xpl("native", "kinematics", str(folder), cwd=tmp_path)
     assert done.returncode == ExitCode.FINDINGS, done.stderr
@@ -64,7 +63,6 @@ def test_a_contradiction_is_a_finding(tmp_path: Path) -> None:
 
 
 def test_what_agrees_is_clean(tmp_path: Path) -> None:
-    """Nothing is found."""
     done = xpl("native", "kinematics", str(_made(tmp_path / "P", "quaternion_xyzw")), cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stderr
     assert done.stdout.count("agrees to 0") == 3
@@ -78,7 +76,6 @@ def test_what_agrees_is_clean(tmp_path: Path) -> None:
     ],
 )
 def test_without_a_witness_that_is_said(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
-    """And nothing is judged."""
     folder = _made(tmp_path / "P", "quaternion_wxyz", **changes)
     manifest = Manifest.parse(yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8")))
     with pytest.raises(declared.NoWitnessError, match=words):
@@ -86,7 +83,6 @@ def test_without_a_witness_that_is_said(changes: dict[str, Any], words: str, tmp
 
 
 def test_rows_are_of_the_robot_that_they_fit(tmp_path: Path) -> None:
-    """An adapter may be for several; data are of one."""
     folder = _made(tmp_path / "P", "quaternion_xyzw", embodiments=["piper_single", ROBOT])
     manifest = Manifest.parse(yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8")))
     found = declared.verdicts(manifest, [folder])

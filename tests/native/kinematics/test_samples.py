@@ -31,7 +31,6 @@ def _block(*entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_rows_of_inputs_and_of_columns_beside_them_are_joined(tmp_path: Path) -> None:
-    """Poses that the model reads, from an archive, and joints that it does not, from JSON."""
     np.savez(tmp_path / "data.npz", **{"observation.pose": rows(POSE, "franka_single", STATES)})
     told = {"episode": {"joints": rows(JOINTS, "franka_single", STATES).tolist()}}
     (tmp_path / "data.json").write_text(json.dumps(told), encoding="utf-8")
@@ -55,7 +54,6 @@ def test_deltas_are_no_witness(tmp_path: Path) -> None:
 
 
 def test_long_recordings_are_thinned(tmp_path: Path) -> None:
-    """Evenly, the first and the last row included."""
     np.savez(tmp_path / "data.npz", q=np.arange(7000.0).reshape(1000, 7))
     block = _block({"file": "data.npz", "key": "q", "parts": JOINTS})
     (found,) = samples.collect(block, [tmp_path], ROBOT)
@@ -74,7 +72,6 @@ def test_long_recordings_are_thinned(tmp_path: Path) -> None:
     ],
 )
 def test_rows_that_do_not_fit_are_refused(values: np.ndarray, words: str, tmp_path: Path) -> None:
-    """With what was expected; a pickle is never opened."""
     np.savez(tmp_path / "data.npz", q=values)
     with pytest.raises(NativeError, match=words):
         samples.collect(_block({"file": "data.npz", "key": "q", "parts": JOINTS}), [tmp_path], ROBOT)
@@ -89,7 +86,6 @@ def test_entries_of_other_moments_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_vector_that_is_not_there_and_a_missing_file_are_named(tmp_path: Path) -> None:
-    """With what there is."""
     with pytest.raises(NativeError, match="no vector 'state'; say one of pose, action, or parts"):
         samples.collect(_block({"file": "data.npz", "of": "state"}), [tmp_path], ROBOT)
     with pytest.raises(NativeError, match=r"names the file data\.npz"):
@@ -106,7 +102,6 @@ def test_what_unpacks_to_more_than_memory_is_not_unpacked(tmp_path: Path, monkey
 
 
 def test_words_that_the_block_leaves_open_are_answered(tmp_path: Path) -> None:
-    """The form too: how many numbers it has is what the other parts leave."""
     true = [{"position": {"arm": "single", "point": "tcp"}}, {"rotation": {"arm": "single", "form": "rot6d_columns"}}]
     why = {"unknown": "the paper does not say"}
     parts = [{"position": {"arm": "single", "point": why}}, {"rotation": {"arm": "single", "form": why}}]

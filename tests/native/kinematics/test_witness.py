@@ -60,7 +60,6 @@ def _finds(verdict: Verdict, true: dict[str, Any]) -> bool:
 @settings(max_examples=8, deadline=None)
 @given(data=st.data())
 def test_the_words_are_found_from_twenty_rows_whatever_is_declared(data: Any) -> None:
-    """Each form, point, frame and unit; what is declared right is not blamed."""
     robot, form = data.draw(st.sampled_from(ROBOTS)), data.draw(st.sampled_from(FORMS))
     states = moments(get_embodiment(robot), np.random.default_rng(data.draw(st.integers(0, 2**32 - 1))), 20)
     true = {
@@ -90,7 +89,6 @@ def test_the_words_are_found_from_twenty_rows_whatever_is_declared(data: Any) ->
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_what_is_declared_right_agrees_with_calibration_errors(robot: str) -> None:
-    """Two millimetres and a degree are no other convention."""
     states = moments(get_embodiment(robot), np.random.default_rng(3), 40)
     words: dict[str, dict[str, Any]] = {
         "joints": {},
@@ -118,7 +116,6 @@ def test_what_is_declared_right_agrees_with_calibration_errors(robot: str) -> No
     ],
 )
 def test_joints_in_another_unit_direction_or_order_are_found(words: dict[str, Any], change: str) -> None:
-    """And the poses, which are right, are not blamed."""
     pose = {"position": {"point": "tcp"}, "rotation": {"form": "quaternion_wxyz"}}
     states = moments(get_embodiment("piper_single"), np.random.default_rng(5), 20)
     found = _judged("piper_single", states, {"joints": words, **pose}, {"joints": {}, **pose})
@@ -128,7 +125,6 @@ def test_joints_in_another_unit_direction_or_order_are_found(words: dict[str, An
 
 
 def test_exchanged_arms_are_found() -> None:
-    """The joints of one arm beside the pose of the other."""
     robot = get_embodiment("arx_x5")
     states = moments(robot, np.random.default_rng(8), 20)
     entries = [{"arm": "left"}, {"arm": "right"}]
@@ -142,7 +138,6 @@ def test_exchanged_arms_are_found() -> None:
 
 
 def test_one_pose_tells_nothing() -> None:
-    """However many rows have it, and however far off it is."""
     states = moments(get_embodiment("arx_x5"), np.random.default_rng(2), 30, spread=0.0)
     words: dict[str, dict[str, Any]] = {"joints": {}, "position": {}, "rotation": {"form": "quaternion_wxyz"}}
     found = _judged("arx_x5", states, words, {**words, "rotation": {"form": "quaternion_xyzw"}})
@@ -162,7 +157,6 @@ def test_what_rows_do_not_tell_is_left_open() -> None:
 
 
 def test_degrees_of_euler_angles_are_told_although_the_block_has_no_word() -> None:
-    """Code has to do it."""
     states = moments(get_embodiment("piper_single"), np.random.default_rng(4), 20)
     entry = {"arm": "single", "form": "euler", "euler": "xyz"}
     joints = rows([{"joints": {"arm": "single"}}], "piper_single", states)

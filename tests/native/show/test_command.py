@@ -61,7 +61,6 @@ class Model(Policy):
 
 
 def test_the_page_the_picture_and_the_numbers_are_written(tmp_path: Path) -> None:
-    """The page holds all that it shows; JSON is what the list of answers says."""
     folder = sights.made(tmp_path / "P", sights.block())
     done = xpl("native", "show", str(folder), "--out", "shown", "--json", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stderr
@@ -81,7 +80,6 @@ def test_the_page_the_picture_and_the_numbers_are_written(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_browser_shows_the_page_without_asking_anybody(tmp_path: Path) -> None:
-    """On paper that is light and dark, on a desk and on a phone."""
     what = subject(package.load(sights.made(tmp_path / "P", sights.block())), {})
     found = seen.look(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
     path = written.write(found, tmp_path / "shown")[0]
@@ -96,7 +94,6 @@ def test_a_browser_shows_the_page_without_asking_anybody(tmp_path: Path) -> None
 
 
 def test_words_of_strangers_are_words(tmp_path: Path) -> None:
-    """An input's name and an instruction run nothing."""
     evil = "<script>alert(1)</script>"
     native = sights.block(images=[sights.image(evil, "cam_head")])
     native["instruction"]["template"] = evil + "{instruction}"
@@ -115,7 +112,6 @@ def _run(folder: Path) -> seen.Seen:
 
 
 def test_what_code_exchanges_is_seen_when_the_model_runs(tmp_path: Path) -> None:
-    """The block says otherwise, and both are told."""
     found = _run(sights.made(tmp_path / "P", sights.block(), EXCHANGES))
     top = next(view for view in found.views if view.input == "top")
     assert top.notes == ("red and blue exchanged",)
@@ -126,7 +122,6 @@ def test_what_code_exchanges_is_seen_when_the_model_runs(tmp_path: Path) -> None
 
 
 def test_without_a_block_predict_is_watched_and_nothing_is_claimed(tmp_path: Path) -> None:
-    """Pictures are beside the camera that they are most like."""
     found = _run(sights.made(tmp_path / "P", None, BY_HAND))
     (view,) = found.views
     assert (view.input, view.camera) == ("views[0]", "cam_left_wrist")
@@ -137,7 +132,6 @@ def test_without_a_block_predict_is_watched_and_nothing_is_claimed(tmp_path: Pat
 
 
 def test_without_a_block_and_without_running_nothing_can_be_shown(tmp_path: Path) -> None:
-    """And that is said, with what can be done."""
     folder = sights.made(tmp_path / "P", None)
     done = xpl("native", "show", str(folder), cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
@@ -146,7 +140,6 @@ def test_without_a_block_and_without_running_nothing_can_be_shown(tmp_path: Path
 
 
 def test_what_is_open_and_what_is_missing_is_told(tmp_path: Path) -> None:
-    """And shown all the same, with plain values."""
     native = sights.block(images=[sights.image("top", "cam_head", channels={"unknown": "no transform names it"})])
     native["state"][0]["normalize"] = {"rule": "mean_std", "file": "stats.json"}
     what = subject(package.load(sights.made(tmp_path / "P", native)), {})
@@ -156,7 +149,6 @@ def test_what_is_open_and_what_is_missing_is_told(tmp_path: Path) -> None:
 
 
 def test_what_kinematics_says_of_samples_is_on_the_page(tmp_path: Path) -> None:
-    """Or why it says nothing."""
     rows = [{"file": "rows.npz", "key": "pose", "parts": [{"position": {"arm": "left"}}]}]
     what = subject(package.load(sights.made(tmp_path / "P", sights.block(samples=rows))), {})
     found = seen.look(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
@@ -166,7 +158,6 @@ def test_what_kinematics_says_of_samples_is_on_the_page(tmp_path: Path) -> None:
 
 
 def test_pairs_are_shown_where_there_are_some(tmp_path: Path) -> None:
-    """What native.py answered, in the model's own words."""
     folder = parity.made(tmp_path / "Foo")
     assert xpl("native", "record", str(folder), cwd=tmp_path).returncode == ExitCode.CLEAN
     what = subject(package.load(folder), {})
@@ -178,7 +169,6 @@ def test_pairs_are_shown_where_there_are_some(tmp_path: Path) -> None:
 
 
 def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
-    """A file for one camera; an environment's own pictures, joints and poses for all."""
     folder = sights.made(tmp_path / "P", sights.block())
     photo = np.zeros((30, 40, 3), np.uint8)
     photo[:, :20] = (200, 10, 10)
@@ -206,7 +196,6 @@ def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
     ],
 )
 def test_options_that_do_not_fit_are_refused(arguments: tuple[Any, ...], words: str, tmp_path: Path) -> None:
-    """Before anything is written."""
     folder = sights.made(tmp_path / "P", sights.block())
     done = xpl("native", "show", str(folder), *arguments, cwd=tmp_path)
     assert done.returncode not in {ExitCode.CLEAN, ExitCode.INTERNAL}

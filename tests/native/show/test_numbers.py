@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
-    """Degrees, names of joints, openings, what normalisation makes of them, and padding."""
     what = subject(package.load(sights.made(tmp_path / "P", sights.block())), {})
     found = seen.look(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
     (vector,) = found.vectors
@@ -38,7 +37,6 @@ def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
 
 
 def test_a_command_that_begins_by_holding_still_shows_what_deltas_are(tmp_path: Path) -> None:
-    """The first step of a delta is nothing, the gripper's is no delta."""
     what = subject(package.load(sights.made(tmp_path / "P", sights.block())), {})
     found = seen.look(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
     joint, gripper = found.action[1], found.action[6]
@@ -52,7 +50,6 @@ def test_a_command_that_begins_by_holding_still_shows_what_deltas_are(tmp_path: 
 
 @pytest.mark.parametrize("name", sorted(support.CASES))
 def test_every_word_of_the_block_has_a_table_and_a_figure(name: str) -> None:
-    """As many rows as numbers, and one for the padding; poses are drawn where the block says that they are."""
     case = support.CASES[name]
     interface = compile_interface(case.native, case.embodiment, case.action_type)
     observation = support.observation(case.robot)
@@ -78,7 +75,6 @@ def test_every_word_of_the_block_has_a_table_and_a_figure(name: str) -> None:
 
 
 def test_a_pose_is_drawn_where_its_words_say() -> None:
-    """A tool centre point in the base, in millimetres, lies at the fingertips of the robot in the world."""
     body = get_embodiment("franka_single")
     parts: list[dict[str, Any]] = [
         {"position": {"arm": "single", "point": "tcp", "frame": "base", "unit": "mm"}},

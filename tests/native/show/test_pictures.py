@@ -30,18 +30,15 @@ def shown(folder: Path, native: dict[str, Any]) -> Seen:
 
 
 def at(picture: np.ndarray, place: tuple[float, float] = RED) -> str:
-    """Return which colour is strongest in a picture."""
     pixel = picture[round(place[0] * len(picture)), round(place[1] * picture.shape[1])]
     return ("red", "green", "blue")[int(np.argmax(pixel))]
 
 
 def views(found: Seen) -> dict[str, View]:
-    """Return the views by input."""
     return {view.input: view for view in found.views}
 
 
 def test_a_right_block_shows_the_cameras_and_says_nothing(tmp_path: Path) -> None:
-    """With size, type and range; the numbers look like the picture."""
     found = views(shown(tmp_path / "P", sights.block()))
     assert {name: view.camera for name, view in found.items()} == {
         "top": "cam_head",
@@ -56,7 +53,6 @@ def test_a_right_block_shows_the_cameras_and_says_nothing(tmp_path: Path) -> Non
 
 
 def test_blue_before_red_is_seen_in_the_numbers(tmp_path: Path) -> None:
-    """The picture is right if the words hold; its numbers have red and blue exchanged."""
     native = sights.block(images=[sights.image("top", "cam_head", channels="bgr")])
     view = views(shown(tmp_path / "P", native))["top"]
     assert at(view.seen[8:56]) == "red"
@@ -65,7 +61,6 @@ def test_blue_before_red_is_seen_in_the_numbers(tmp_path: Path) -> None:
 
 
 def test_exchanged_wrists_are_said(tmp_path: Path) -> None:
-    """By the inputs' own names."""
     native = sights.block(
         images=[sights.image("left_wrist", "cam_right_wrist"), sights.image("right_wrist", "cam_left_wrist")]
     )
@@ -87,13 +82,11 @@ def test_exchanged_wrists_are_said(tmp_path: Path) -> None:
     ],
 )
 def test_turned_and_mirrored_pictures_are_said(steps: list[dict[str, Any]], words: list[str], tmp_path: Path) -> None:
-    """Scaled and cut pictures are not."""
     native = sights.block(images=[sights.image("top", "cam_head", steps=steps)])
     assert list(views(shown(tmp_path / "P", native))["top"].notes) == words
 
 
 def test_red_and_blue_exchanged_on_the_way_are_said() -> None:
-    """Whatever else happened to the picture."""
     taken = card("cam_head", 0, 120, 160)
     assert looks.exchanged(taken[..., ::-1], taken, {}) == ["red and blue exchanged"]
     assert looks.exchanged(taken[:, ::-1, ::-1], taken, {}) == ["mirrored", "red and blue exchanged"]
@@ -102,7 +95,6 @@ def test_red_and_blue_exchanged_on_the_way_are_said() -> None:
 
 
 def test_history_shows_its_moments(tmp_path: Path) -> None:
-    """Newest first; each card says how long ago it was."""
     native = sights.block(history={"length": 3, "stride": 2}, images=[sights.image("top", "cam_head")])
     found = shown(tmp_path / "P", native)
     assert [view.when for view in found.views] == [0, 2, 4]

@@ -38,7 +38,6 @@ def _all(case: Case, native: Mapping[str, Any] | None = None) -> list[Alternativ
 @pytest.mark.slow
 @NAMES
 def test_each_is_another_block_that_is_valid(case: Case) -> None:
-    """It compiles, keeps the widths of the vectors, and names a convention that there is."""
     validator = jsonschema.Draft202012Validator(SCHEMA)
     found = _all(case)
     texts = [json.dumps(one.block, sort_keys=True) for one in found]
@@ -53,13 +52,11 @@ def test_each_is_another_block_that_is_valid(case: Case) -> None:
 
 
 def test_the_order_is_the_same_every_time() -> None:
-    """So that a search that is cut short by time has tried the same."""
     case = CASES["numbers that never moved"]
     assert [one.words for one in _all(case)] == [one.words for one in _all(case)]
 
 
 def test_the_block_itself_is_left_alone() -> None:
-    """Changes are made in copies."""
     case = CASES["rows"]
     before = json.dumps(case.native)
     _all(case)
@@ -67,7 +64,6 @@ def test_the_block_itself_is_left_alone() -> None:
 
 
 def test_the_likeliest_come_first() -> None:
-    """What was met most often in adapters is tried before what was not."""
     words = [one.words for one in _all(CASES["two arms, joint deltas"])]
     for common, rare in (
         ("channels: bgr", "fill: 114 (wrists)"),
@@ -114,7 +110,6 @@ def test_the_likeliest_come_first() -> None:
     ],
 )
 def test_what_was_changed_is_named(name: str, convention: str, change: Any) -> None:
-    """Of a block with one wrong word, one alternative is the right block, and explains what is answered otherwise."""
     case = CASES[name]
     wrong = json.loads(json.dumps(case.native))
     change(wrong)
@@ -136,7 +131,6 @@ def test_what_was_changed_is_named(name: str, convention: str, change: Any) -> N
 
 @pytest.mark.slow
 def test_the_block_of_the_documentation_has_alternatives(tmp_path: Path) -> None:
-    """With a file of statistics, whose other entries are alternatives too."""
     blocks = pages.blocks([ROOT / "docs" / "native.md"])
     native = next(yaml.safe_load(block.text) for block in blocks if block.language == "yaml")["native"]
     numbers = {"q01": [-1.0] * 16, "q99": [2.0] * 16, "mean": [0.1] * 16, "std": [0.5] * 16}
@@ -152,7 +146,6 @@ def test_the_block_of_the_documentation_has_alternatives(tmp_path: Path) -> None
 
 
 def test_a_block_that_does_not_fit_is_an_error() -> None:
-    """There is nothing to change about it."""
     case = CASES["two arms, joint deltas"]
     with pytest.raises(NativeError, match="no arm 'left'"):
         list(alternatives(case.native, get_embodiment("franka_single"), "joint"))

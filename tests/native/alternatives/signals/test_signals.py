@@ -78,7 +78,6 @@ def test_changes_go_there_and_back(robot: str, seed: int, data: st.DataObject) -
 
 
 def test_involutions_are_their_own_inverses() -> None:
-    """Twice is nothing: exchanged, reversed, mirrored, turned."""
     episode = _episode()
     twice = [one for one in _signals() if one.shown is not None and not one.commanded and not one.windowed]
     twice = [
@@ -101,7 +100,6 @@ def test_involutions_are_their_own_inverses() -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("robot", "action_type"), [("franka", "joint"), ("piper_single", "ee")])
 def test_each_changes_something(robot: str, action_type: str) -> None:
-    """What is shown, or what is commanded, of an episode; and nothing is written to what it is given."""
     episode, answers = _episode(robot), _answers(robot, action_type)
     before = _digest(episode), _digest(answers)
     span = spreads(answers)
@@ -126,7 +124,6 @@ def _digest(value: Any) -> str:
 
 
 def test_the_likeliest_come_first_and_those_without_a_play_before_others() -> None:
-    """A search may be cut short."""
     found = _signals()
     ranks = [(one.rank, one.shown is not None) for one in found]
     assert ranks == sorted(ranks)
@@ -135,7 +132,6 @@ def test_the_likeliest_come_first_and_those_without_a_play_before_others() -> No
 
 
 def test_only_what_is_read_is_shown_otherwise() -> None:
-    """A model without pictures, texts, poses and histories is shown none that are changed."""
     found = _signals(cameras=(), instructions=(), history=1, reads=("arm_joint_state", "ee_joint_state"))
     shown = {one.convention for one in found if one.shown is not None}
     assert shown == {"joint_order", "angle_unit", "gripper"}
@@ -143,7 +139,6 @@ def test_only_what_is_read_is_shown_otherwise() -> None:
 
 
 def test_changes_that_share_what_is_shown_share_a_play() -> None:
-    """Playing is what costs."""
     found = [one for one in _signals() if one.words == "unit: deg (state)"]
     assert len(found) == 2
     assert len({one.shown for one in found}) == 1
@@ -249,12 +244,10 @@ def _said(joints: Any) -> dict[str, Any]:
     ],
 )
 def test_a_mistake_of_hand_is_undone(state: Any, command: Any, right: Any, words: str) -> None:
-    """On the way in, on the way out, both ways; of what is commanded and of deltas."""
     assert words in _undone(state, command, right)
 
 
 def test_numbers_that_were_added_up_are_steps_that_were() -> None:
-    """Over the numbers of each step, where the model's changes add up over the steps."""
     (signal, *_) = [one for one in _signals() if "not over the numbers" in one.words]
     episode, changes = _episode(), np.random.default_rng(1).normal(size=(5, 7)) * 0.1
     start = _joints(episode[2]["state"])
@@ -274,7 +267,6 @@ def test_numbers_that_were_added_up_are_steps_that_were() -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("action_type", ["joint", "ee"])
 def test_the_other_arms_state_is_exchanged_for_the_own(action_type: str) -> None:
-    """Changes of one arm alone, whatever they are of."""
     signals = [one for one in _signals(action_type=action_type) if "the left arm's own state" in one.words]
     episode = _episode()
     state = episode[1]["state"]
@@ -292,7 +284,6 @@ def test_the_other_arms_state_is_exchanged_for_the_own(action_type: str) -> None
 
 
 def test_a_dark_camera_is_dark() -> None:
-    """And the others are as they were."""
     episode = _episode()
     (first, *_) = pictures.dark("cam_head")(episode)
     assert not first["vision"]["cam_head"]["color"].any()
@@ -313,7 +304,6 @@ def test_a_dark_camera_is_dark() -> None:
     ],
 )
 def test_histories_are_put_right(words: str, model: Any, adapter: Any) -> None:
-    """Of each question by itself: what the adapter makes of what is shown is what the model should see."""
     (signal, *_) = [one for one in _signals() if one.words == words]
     episode = _episode(count=5)
 
@@ -327,7 +317,6 @@ def test_histories_are_put_right(words: str, model: Any, adapter: Any) -> None:
 
 
 def test_a_stride_is_put_right() -> None:
-    """An adapter that shows every observation, where the model wants every second one."""
     (signal, *_) = [one for one in _signals() if one.words == "history: stride 2"]
     assert signal.shown is not None
     shown = signal.shown(_episode(count=7))
