@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from tests.support.peer import xpl
 from xpl.manifest import Task
 from xpl_cli.basics.content import room
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
@@ -19,7 +18,8 @@ from xpl_cli.packages import environments
 
 pytest.importorskip("mujoco")
 
-FACTS = environments.manifest(room("envs") / "mujoco").data
+FOLDER = room("envs") / "mujoco"
+FACTS = environments.manifest(FOLDER).data
 LIFT = ("--task", "lift_cube", "--embodiment", "franka_single", "--setting", "clean")
 
 
@@ -48,15 +48,14 @@ def test_list_shows_what_is_offered() -> None:
 # -- check -------------------------------------------------------------------------------------------------------------
 
 
-def test_check_prints_a_table(tmp_path: Path) -> None:
+def test_check_prints_a_table() -> None:
     """A line for each pair, with the reason where one is not offered."""
-    done = xpl("env", "check", "mujoco", "--task", "handover_block", "--setting", "clean", "--episodes", "1",
-               "--embodiment", "arx_x5", "--embodiment", "arx_x5_single", cwd=tmp_path)  # fmt: skip
-    assert done.returncode == ExitCode.CLEAN, done.stdout + done.stderr
-    assert "1/1" in done.stdout
-    assert "not offered: for 2 arms" in done.stdout
-    assert "1 of 1 hold" in done.stdout
-    assert "handover_block (0 of 1 parts are done)" in done.stderr
+    choice = ("--task", "handover_block", "--embodiment", "arx_x5", "--embodiment", "arx_x5_single")
+    answer = _run("check", "mujoco", *choice, "--setting", "clean", "--episodes", "1", "--workers", "1")
+    assert answer.exit_code == ExitCode.CLEAN, answer.output
+    assert "1/1" in answer.stdout
+    assert "not offered: for 2 arms" in answer.stdout
+    assert "1 of 1 hold" in answer.stdout
 
 
 @pytest.mark.slow
@@ -70,15 +69,21 @@ def test_check_reports_the_same_however_many_processes_play() -> None:
     assert report["ok"]
     (row,) = report["pairs"]
     assert (row["episodes"], row["expert"]["solved"], row["random"]["solved"]) == (11, 11, 0)
-    assert row["expert"]["solved_seeds"] == check.seeds(room("envs") / "mujoco", "lift_cube", "clean")[:11]
+    assert row["expert"]["solved_seeds"] == check.seeds(FOLDER, "lift_cube", "clean")[:11]
 
 
 def test_check_exits_with_findings_where_the_expert_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Code 1, and the seed's number in the table."""
+    """The seed is named, not replaced; the file of seeds stays as it is."""
+    before = {file.name: file.read_bytes() for file in (FOLDER / check.SEEDS).iterdir()}
     monkeypatch.setattr(play, "expert", lambda what: play.at_random(what, 0))
-    answer = _run("check", "mujoco", *LIFT, "--episodes", "1", "--workers", "1")
+    answer = _run("check", "mujoco", *LIFT, "--episodes", "1", "--workers", "1", "--json")
     assert answer.exit_code == ExitCode.FINDINGS
-    assert "expert fails on 100000" in answer.stdout
+    report = json.loads(answer.stdout)
+    assert not report["ok"]
+    (failed,) = check.seeds(FOLDER, "lift_cube", "clean")[:1]
+    assert report["pairs"][0]["expert"]["failed_seeds"] == [failed]
+    assert f"expert fails on {failed}" in check.text(report)
+    assert {file.name: file.read_bytes() for file in (FOLDER / check.SEEDS).iterdir()} == before
 
 
 def test_check_says_what_is_missing() -> None:
@@ -109,20 +114,18 @@ def test_render_writes_what_a_camera_sees(tmp_path: Path) -> None:
 
 
 def test_sheet_shows_every_task_that_is_offered(tmp_path: Path) -> None:
-    """One arm: eight pictures, four in a row."""
     out = tmp_path / "sheet.png"
     answer = _run("sheet", "mujoco", str(out), "--embodiment", "franka_single", "--json")
     assert answer.exit_code == 0, answer.output
     shown = json.loads(answer.stdout)
     assert shown["task"] == [task for task, entry in FACTS["tasks"].items() if 1 in entry["arms"]]
     with Image.open(out) as image:
-        assert image.size == (shown["width"], shown["height"]) == (4 * FACTS["cameras"]["cam_third_view"]["width"], 516)
+        assert image.size == (shown["width"], shown["height"])
 
 
-@pytest.mark.parametrize("ending", ["webp", "gif"])
-def test_play_writes_a_film_that_moves(tmp_path: Path, ending: str) -> None:
+def test_play_writes_a_film_that_moves(tmp_path: Path) -> None:
     """As long as the episode, whose end is told."""
-    film = tmp_path / f"lift.{ending}"
+    film = tmp_path / "lift.webp"
     answer = _run("play", "mujoco", str(film), *LIFT, "--seed", "100000", "--json")
     assert answer.exit_code == 0, answer.output
     result = json.loads(answer.stdout)["episode"]
@@ -138,18 +141,18 @@ def test_play_writes_a_film_that_moves(tmp_path: Path, ending: str) -> None:
 
 @pytest.mark.slow
 def test_play_shows_random_actions_too(tmp_path: Path) -> None:
-    """They end without success, and the film is written all the same."""
-    film = tmp_path / "random.webp"
+    """They end without success, and the film, of another format, is written all the same."""
+    film = tmp_path / "random.gif"
     answer = _run("play", "mujoco", str(film), *LIFT, "--by", "random", "--camera", "cam_wrist", "--action-type", "ee")
     assert answer.exit_code == 0, answer.output
     assert "lift_cube: max_steps after 200 steps, score 0.00" in answer.stdout
-    assert film.stat().st_size > 1000
+    with Image.open(film) as image:
+        assert (image.format, image.is_animated) == ("GIF", True)  # type: ignore[attr-defined]
 
 
 # -- wrong names -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("arguments", "kind", "message"),
     [
@@ -158,22 +161,18 @@ def test_play_shows_random_actions_too(tmp_path: Path) -> None:
         (("check", "mujoco", "--embodiment", "arx"), NotFoundError, "there is no embodiment 'arx'"),
         (("check", "mujoco", "--setting", "random"), NotFoundError, "did you mean randomized"),
         (("check", "mujoco", "--action-type", "joints"), NotFoundError, "did you mean joint"),
-        (("render", "mujoco", "{out}.png", "--task", "lift_cub"), NotFoundError, "did you mean lift_cube"),
         (("render", "mujoco", "{out}.png", "--camera", "cam_wrist"), NotFoundError, "did you mean cam_left_wrist"),
         (("render", "mujoco", "{out}.png", "--renderer", "ray"), NotFoundError, "there is no renderer 'ray'"),
         (("render", "offline", "{out}.png"), UserError, "draws nothing"),
-        (("render", "mujoco", "{out}.jpg"), UserError, "must end in .png"),
         (("render", "mujoco", "{out}/deep.png"), UserError, "its folder does not exist"),
         (("sheet", "mujoco", "{out}.gif"), UserError, "must end in .png"),
-        (("play", "mujoco", "{out}.avi"), UserError, ".gif"),
         (("play", "mujoco", "{out}.gif", "--by", "experts"), NotFoundError, "did you mean expert"),
         (("play", "mujoco", "{out}.gif", "--task", "place_dual", "--embodiment", "piper_single"), UserError, "2"),
     ],
 )
-def test_a_wrong_name_is_one_sentence(
+def test_what_there_is_not_is_refused_with_what_there_is(
     tmp_path: Path, arguments: tuple[str, ...], kind: type[Exception], message: str
 ) -> None:
-    """What came, what there is, and the nearest of it; nothing is written."""
     answer = _run(*(part.format(out=tmp_path / "out") for part in arguments))
     assert isinstance(answer.exception, kind)
     assert message in f"{answer.exception}; {getattr(answer.exception, 'hint', None)}"

@@ -1,5 +1,6 @@
 """The MuJoCo environment: schema, determinism, safety, embodiments, tasks."""
 
+import hashlib
 import os
 import re
 import subprocess
@@ -12,11 +13,9 @@ import pytest
 from xpl import _spec as spec
 from xpl import get_embodiment
 from xpl.action import ActionError, pack
-from xpl.manifest import Task
 from xpl.observation import ObservationError
 from xpl.poses import transform
 from xpl_cli.basics.content import load_module, room
-from xpl_cli.environments import check
 
 pytest.importorskip("mujoco")
 
@@ -25,12 +24,6 @@ from benchmarks.environments_bench import ours
 FOLDER = room("envs") / "mujoco"
 FACTS = load_module(FOLDER / "manifest.py").manifest().data
 TASKS = sorted(FACTS["tasks"])
-PAIRS = [
-    (task, robot)
-    for task in TASKS
-    for robot in FACTS["embodiments"]
-    if check.unsupported(Task.parse(FACTS["tasks"][task]), robot) is None
-]
 Expert = load_module(room("policy") / "scripted_expert" / "model.py").Model
 make = load_module(FOLDER / "client.py").make
 
@@ -157,42 +150,31 @@ def test_the_same_seed_gives_the_same_trajectory_and_pixels() -> None:
     assert len(set(digests)) == 3
 
 
-_PLAY = """
-import hashlib, sys
-import numpy as np
-from xpl import get_embodiment
-from xpl_cli.basics.content import load_module, room
-from xpl_cli.environments import check
-env = load_module(room("envs") / "mujoco" / "client.py").make(
-    {"task": "handover_block", "embodiment": "piper", "action_type": "ee", "setting": "randomized", "cameras": [48, 64]}
-)
-env.reset([11])
-rng = np.random.default_rng(0)
-hold = {key: env.get_obs()["state"][key] for key in get_embodiment("piper").dims("ee")}
-for _ in range(15):
-    env.take_action({key: value + rng.normal(0, 0.01, value.shape) for key, value in hold.items()})
-seen = hashlib.sha256()
-for view in env.get_obs()["vision"].values():
-    seen.update(view["color"].tobytes() + view["depth"].tobytes())
-print(env.results()[0]["digest"], seen.hexdigest())
-"""
+def _played() -> str:
+    """Return digests of a randomized episode in pose control: of its states, and of the last pictures."""
+    env = _env(task="handover_block", embodiment="piper", action_type="ee", setting="randomized", cameras=[48, 64])
+    env.reset([11])
+    rng = np.random.default_rng(0)
+    hold = _hold(env.get_obs(), "ee", "piper")
+    for _ in range(15):
+        env.take_action({key: value + rng.normal(0, 0.01, value.shape) for key, value in hold.items()})
+    seen = hashlib.sha256()
+    for view in env.get_obs()["vision"].values():
+        seen.update(view["color"].tobytes() + view["depth"].tobytes())
+    return f"{env.results()[0]['digest']} {seen.hexdigest()}"
 
 
 def test_two_processes_give_the_same_trajectory_and_pixels() -> None:
-    """Digest, colour and depth of a randomized episode in pose control, whatever seeds Python's hashes."""
-    told = [
-        subprocess.run(
-            [sys.executable, "-c", _PLAY],
-            cwd=FOLDER.parent.parent,
-            env={**os.environ, "PYTHONHASHSEED": hash_seed},
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout
-        for hash_seed in ("1", "2")
-    ]
-    assert re.fullmatch(r"[0-9a-f]{64} [0-9a-f]{64}\n", told[0])
-    assert told[0] == told[1]
+    """Whatever seeds Python's hashes."""
+    again = subprocess.run(
+        [sys.executable, "-c", "from tests.environments.test_mujoco import _played; print(_played())"],
+        cwd=FOLDER.parent.parent,
+        env={**os.environ, "PYTHONHASHSEED": "1" if os.environ.get("PYTHONHASHSEED") != "1" else "2"},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert again.stdout.strip() == _played()
 
 
 def test_an_episode_does_not_depend_on_the_one_before() -> None:
@@ -248,6 +230,7 @@ def test_clamps_are_counted_and_reported() -> None:
     arm = get_embodiment("arx_x5").arms[0]
     action = _hold(before)
     action["left_arm_joint_state"] = arm.upper + 0.5
+    action["right_arm_joint_state"] = np.array([0, 0, 1e30, 0, 0, 0])  # finite is finite, and no overflow is warned of
     action["right_ee_joint_state"] = [1.25]
     report = env.take_action(action)
     assert report["corrections"]["left_"]["joint_limit"] == pytest.approx(0.5, abs=1e-5)
@@ -255,7 +238,7 @@ def test_clamps_are_counted_and_reported() -> None:
     assert report["corrections"]["right_"]["gripper_range"] == pytest.approx(0.25)
     moved = env.get_obs()["state"]["left_arm_joint_state"] - before["state"]["left_arm_joint_state"]
     assert np.all(np.abs(moved) <= arm.velocity / FACTS["control_frequency"] + 1e-3)
-    assert env.results()[0]["corrections"] == {"joint_limit": 1, "joint_speed": 1, "gripper_range": 1}
+    assert env.results()[0]["corrections"] == {"joint_limit": 2, "joint_speed": 2, "gripper_range": 1}
 
 
 def test_an_unreachable_pose_is_reported() -> None:
@@ -297,17 +280,6 @@ def test_a_non_finite_action_ends_the_episode_before_the_physics(bad: Any) -> No
     result = env.results()[0]
     assert (result["end_reason"], result["success"], result["steps"]) == ("non_finite_action", False, 0)
     assert np.array_equal(env.get_obs()["state"]["left_arm_joint_state"], obs["state"]["left_arm_joint_state"])
-
-
-def test_a_number_beyond_all_measure_is_clamped() -> None:
-    """Finite is finite: the arm goes to its limit, and nobody is warned of an overflow."""
-    env = _env()
-    env.reset([0])
-    action = _hold(env.get_obs())
-    action["left_arm_joint_state"] = np.array([0, 0, 1e30, 0, 0, 0])
-    report = env.take_action(action)
-    assert report["end_reason"] is None
-    assert set(report["corrections"]["left_"]) == {"joint_limit", "joint_speed"}
 
 
 def test_a_state_beyond_all_measure_is_none() -> None:
@@ -379,18 +351,6 @@ def test_a_wrong_configuration_is_refused(config: Any, message: str) -> None:
 # -- experts and robots ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("task", "embodiment", "action_type"),
-    [(*pair, spec.ACTION_TYPES[place % len(spec.ACTION_TYPES)]) for place, pair in enumerate(PAIRS)],
-)
-def test_the_expert_solves_seeds_that_are_not_frozen(task: str, embodiment: str, action_type: str) -> None:
-    """Every pair that is offered, the kinds of control in turn; the frozen ones are played in test_tasks.py in both."""
-    env = _env(task=task, embodiment=embodiment, action_type=action_type, privileged=True)
-    failed = [seed for seed in range(5) if not _solve(env, seed, action_type, embodiment)["success"]]
-    assert failed == []
-
-
 def test_the_expert_says_what_it_lacks() -> None:
     """Without privileged observations there is one clear error."""
     env = _env()
@@ -401,7 +361,7 @@ def test_the_expert_says_what_it_lacks() -> None:
         policy.get_action()
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("embodiment", [name for name in FACTS["embodiments"] if len(get_embodiment(name).arms) == 1])
 @pytest.mark.parametrize("action_type", spec.ACTION_TYPES)
 def test_one_arm_works_too(embodiment: str, action_type: str) -> None:
@@ -413,14 +373,6 @@ def test_one_arm_works_too(embodiment: str, action_type: str) -> None:
     assert set(get_embodiment(embodiment).dims(action_type)) <= set(obs["state"])
     env.reset([0], {"cameras": False})
     assert _solve(env, 0, action_type, embodiment)["success"]
-
-
-def test_a_single_arm_is_the_arm_of_the_pair() -> None:
-    """Its entry in the spec says what differs, and nothing else does."""
-    one, two = get_embodiment("piper_single"), get_embodiment("piper")
-    assert (one.data["arm"], one.data["end_effector"]) == (two.data["arm"], two.data["end_effector"])
-    assert (one.prefixes, two.prefixes) == (spec.ARM_PREFIXES[1], spec.ARM_PREFIXES[2])
-    assert one.dims("joint").keys() == {spec.State.ARM_JOINT_STATE, spec.State.EE_JOINT_STATE}
 
 
 @pytest.mark.parametrize("embodiment", FACTS["embodiments"])
@@ -463,7 +415,7 @@ def test_an_episode_is_what_mj_step_alone_makes_of_it() -> None:
 
     How much of the environment's time that is, `./dev bench environments` tells.
     """
-    assert ours.check("drawer_place", "joint") > 100  # raises where the states differ
+    assert ours.check("stack_blocks_two", "joint") > 100  # raises where the states differ
 
 
 def test_pack_order_matches_control_order() -> None:
