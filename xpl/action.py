@@ -14,6 +14,7 @@ import numpy as np
 from xpl import _spec as spec
 
 if TYPE_CHECKING:
+    from xpl.contract import Action
     from xpl.embodiment import Embodiment
 
 
@@ -161,7 +162,7 @@ def _is_plainly_right(chunk: Sequence[Any], embodiment: Embodiment, action_type:
     return right
 
 
-def _check_arm(step: Mapping[str, Any], prefix: str, *, parallel: bool) -> None:
+def _check_arm(step: Action, prefix: str, *, parallel: bool) -> None:
     pose_key, ee_key = prefix + spec.State.EE_POSE, prefix + spec.State.EE_JOINT_STATE
     if pose_key in step:
         norm = float(np.linalg.norm(np.asarray(step[pose_key], dtype=np.float64)[spec.POSITION_DIM :]))

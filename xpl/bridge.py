@@ -25,6 +25,8 @@ from xpl.episode import CORRECTIONS, Simulated
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from xpl.contract import Action, ObservationDict
+
 __all__ = ["Bridge", "BridgeError", "Crossing", "Simulated", "Verdict"]
 
 
@@ -112,13 +114,13 @@ class Bridge:
             reset()
         self._steps = 0
 
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> ObservationDict:
         """Return the observation of the standard."""
-        obs: dict[str, Any] = self._env.get_obs()
+        obs: ObservationDict = self._env.get_obs()
         self._instruction = str(obs.get(spec.Obs.INSTRUCTION, ""))
         return obs
 
-    def take_action(self, action: Mapping[str, Any]) -> Any:
+    def take_action(self, action: Action) -> Any:
         """Ask the authors' client, execute the adapter's action, and keep what both commanded.
 
         Raises:

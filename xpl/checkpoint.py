@@ -10,18 +10,20 @@ policy folder.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
 
 
 class CheckpointError(FileNotFoundError):
     """A checkpoint, or a step of it, that was asked for is not there."""
 
 
-def resolve(config: Mapping[str, Any], policy_dir: str | Path) -> Path:
+def resolve(config: Config, policy_dir: str | Path) -> Path:
     """Return the checkpoint's file or folder.
 
     Args:
@@ -54,7 +56,7 @@ def resolve(config: Mapping[str, Any], policy_dir: str | Path) -> Path:
     )
 
 
-def folders(config: Mapping[str, Any], policy_dir: str | Path) -> list[Path]:
+def folders(config: Config, policy_dir: str | Path) -> list[Path]:
     """Return where what belongs to a model may lie, such as statistics: the policy's folder, and its checkpoint's.
 
     Args:
@@ -69,7 +71,7 @@ def folders(config: Mapping[str, Any], policy_dir: str | Path) -> list[Path]:
     return [base, found if found.is_dir() else found.parent]
 
 
-def run_name(config: Mapping[str, Any]) -> str | None:
+def run_name(config: Config) -> str | None:
     """Return the conventional run name, or None where a part of it is not configured."""
     parts = []
     for key in spec.CHECKPOINT_RUN_NAME:

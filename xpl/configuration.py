@@ -12,6 +12,7 @@ from xpl.embodiment import UnknownEmbodimentError, get_embodiment
 from xpl.episode import Setup
 
 if TYPE_CHECKING:
+    from xpl.contract import Config
     from xpl.manifest import EnvManifest
 
 _CHANGEABLE = ("task", spec.Obs.PRIVILEGED, "max_steps", "cameras", "setting")
@@ -33,7 +34,7 @@ class Configuration:
     setting: str | None = None
 
     @classmethod
-    def read(cls, config: Mapping[str, Any], manifest: EnvManifest) -> Configuration:
+    def read(cls, config: Config, manifest: EnvManifest) -> Configuration:
         """Return a configuration as it was given.
 
         Raises:

@@ -18,6 +18,7 @@ from xpl import _spec as spec
 from xpl import robots
 
 if TYPE_CHECKING:
+    from xpl.contract import Entry
     from xpl.manifest import Manifest
 
 
@@ -145,7 +146,7 @@ def _build(name: str) -> Embodiment:
     return _built[name]
 
 
-def _from_entry(entry: Mapping[str, Any]) -> Embodiment:
+def _from_entry(entry: Entry) -> Embodiment:
     prefixes = spec.ARM_PREFIXES[len(entry["arms"])]
     model, effector = entry["arm"], entry["end_effector"]
     joints = model["joints"] or []

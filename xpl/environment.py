@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from xpl.contract import Action, Config, ObservationDict, Report, Result
+
 __all__ = [
     "Environment",
     "EnvironmentBase",
@@ -45,20 +47,20 @@ class TaskEnv(Protocol):
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Start a new episode in every environment, one seed each."""
 
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> ObservationDict:
         """Return the observation of the only environment."""
 
     def get_obs_batch(
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
-    ) -> list[dict[str, Any]]:
+    ) -> list[ObservationDict]:
         """Return the observations of some environments, of all running ones by default."""
 
-    def take_action(self, action: Mapping[str, Any]) -> Any:
+    def take_action(self, action: Action) -> Any:
         """Execute one action step in the only environment."""
 
-    def take_action_batch(self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]) -> Any:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
         """Execute one action step in each of some environments."""
 
     def is_episode_end(self) -> bool:
@@ -67,7 +69,7 @@ class TaskEnv(Protocol):
     def get_running_env_idx_list(self) -> list[int]:
         """Return the indices of the environments whose episode goes on."""
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[Result]:
         """Return the outcome of every environment's episode."""
 
     def close(self) -> None:
@@ -84,13 +86,13 @@ class Place(Protocol):
     def reset(self, seed: int) -> None:
         """Begin an episode."""
 
-    def observe(self) -> dict[str, Any]:
+    def observe(self) -> ObservationDict:
         """Return the present observation."""
 
-    def step(self, action: Mapping[str, Any]) -> dict[str, Any]:
+    def step(self, action: Action) -> dict[str, Any]:
         """Execute one action step and return its report; an episode that has ended ignores it."""
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Result:
         """Return the episode's outcome so far."""
 
     def close(self) -> None:
@@ -118,7 +120,7 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
     guarded = True
     """The limits of the robot are kept: places have to see to that."""
 
-    def __init__(self, manifest: EnvManifest, config: Mapping[str, Any]) -> None:
+    def __init__(self, manifest: EnvManifest, config: Config) -> None:
         self._manifest = manifest
         self._config = Configuration.read(config, manifest)
         self._setup = self._config.setup(manifest)
@@ -154,7 +156,7 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
         self._begun = True
         self._next_seed = seeds[-1] + 1
 
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> ObservationDict:
         """Return the observation of the only environment.
 
         Raises:
@@ -168,7 +170,7 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks pass it by position
-    ) -> list[dict[str, Any]]:
+    ) -> list[ObservationDict]:
         """Return the observations of some environments, in the order asked for.
 
         Args:
@@ -181,13 +183,11 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
                 self._last[index] = self._env(index).observe()
         return [self._last[index] for index in chosen]
 
-    def take_action(self, action: Mapping[str, Any]) -> dict[str, Any]:
+    def take_action(self, action: Action) -> Report:
         """Execute one action step in the only environment; return its report (see `take_action_batch`)."""
         return self._env(self._single()).step(action)
 
-    def take_action_batch(
-        self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]
-    ) -> list[dict[str, Any]]:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[Report]:
         """Execute one action step in each of some environments.
 
         Returns:
@@ -215,7 +215,7 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
         self._started()
         return [index for index, env in enumerate(self._places) if env.end_reason is None]
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[Result]:
         """Return the outcome of every environment's episode so far (see `Referee.result`)."""
         self._started()
         return [env.result() for env in self._places]
@@ -258,7 +258,7 @@ class Environment(EnvironmentBase[Referee]):
         ValueError: a value is missing, unknown or not offered.
     """
 
-    def __init__(self, episode: Callable[[Setup], Episode], manifest: EnvManifest, config: Mapping[str, Any]) -> None:
+    def __init__(self, episode: Callable[[Setup], Episode], manifest: EnvManifest, config: Config) -> None:
         self._make = episode
         super().__init__(manifest, config)
 

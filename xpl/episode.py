@@ -18,6 +18,7 @@ from xpl.action import ActionError
 from xpl.safety import NON_FINITE, Supervisor, Verdict
 
 if TYPE_CHECKING:
+    from xpl.contract import Action, ObservationDict, Report, Result, State
     from xpl.embodiment import Embodiment
     from xpl.manifest import EnvManifest
 
@@ -100,11 +101,11 @@ class Episode(ABC):
         """Begin an episode; the seed alone decides everything that varies."""
 
     @abstractmethod
-    def state(self) -> Mapping[str, Any]:
+    def state(self) -> State:
         """Return the robot's state: keys, shapes and units of the standard's `state`."""
 
     @abstractmethod
-    def step(self, action: Mapping[str, Any]) -> Mapping[str, Mapping[str, float]] | None:
+    def step(self, action: Action) -> Mapping[str, Mapping[str, float]] | None:
         """Execute one action step for one control period.
 
         Args:
@@ -175,7 +176,7 @@ class Referee:
         self._safety.begin({spec.Obs.STATE: state})
         self._note(state)
 
-    def observe(self) -> dict[str, Any]:
+    def observe(self) -> ObservationDict:
         """Return the present observation; a new one each time, which the caller may change."""
         episode, setup = self._episode, self._episode.setup
         result: dict[str, Any] = {
@@ -190,7 +191,7 @@ class Referee:
             result[spec.Obs.PRIVILEGED] = dict(episode.truth())
         return result
 
-    def step(self, action: Mapping[str, Any]) -> dict[str, Any]:
+    def step(self, action: Action) -> dict[str, Any]:
         """Execute one action step, unless the episode has ended; return the step's report.
 
         Raises:
@@ -226,7 +227,7 @@ class Referee:
         """Return what the simulator says for itself; None if it does not."""
         return self._episode.simulated()
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Result:
         """Return the episode's outcome so far: plain values, ready for a report."""
         return {
             spec.Obs.ENV_IDX: self._env_idx,
@@ -245,11 +246,11 @@ class Referee:
         """Release what the simulator holds."""
         self._episode.close()
 
-    def _note(self, state: Mapping[str, Any]) -> None:
+    def _note(self, state: State) -> None:
         """Add the present state to the digest, and the truth about it."""
         self._digest.update(b"".join((*_digested(state), *_digested(self._episode.truth()))))
 
-    def _judge(self, state: Mapping[str, Any]) -> None:
+    def _judge(self, state: State) -> None:
         self._score = min(max(float(self._episode.score()), 0.0), SUCCESS_SCORE)
         if not _is_finite(state):
             self.end_reason = NON_FINITE_STATE
@@ -260,7 +261,7 @@ class Referee:
             if self.end_reason is None and self._steps >= self._episode.setup.max_steps:
                 self.end_reason = MAX_STEPS
 
-    def _report(self, corrections: Corrections) -> dict[str, Any]:
+    def _report(self, corrections: Corrections) -> Report:
         return {
             spec.Obs.ENV_IDX: self._env_idx,
             "step": self._steps,
@@ -277,7 +278,7 @@ def _by_arm(verdict: Verdict) -> Corrections:
     return result
 
 
-def _is_finite(state: Mapping[str, Any]) -> bool:
+def _is_finite(state: State) -> bool:
     # A robot has few numbers: one by one they cost less than what numpy does before the first.
     for value in state.values():  # noqa: SIM110 - a generator costs as much as the rest
         if not all(map(math.isfinite, np.asarray(value).ravel().tolist())):

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Callable
 from xpl import _spec as spec
 
 if TYPE_CHECKING:
+    from xpl.contract import Action, Observation, ObservationDict, Report, Result
     from xpl.safety import Supervisor, Verdict
 
 _ASKS = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH, spec.Method.INFER)
@@ -103,10 +104,10 @@ class GuardedEnv:
         self._watched = {}
         self._env.reset(seed, options)
 
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> ObservationDict:
         """Return the observation of the only environment."""
         now = self._clock()
-        obs: dict[str, Any] = self._env.get_obs()
+        obs: ObservationDict = self._env.get_obs()
         self._saw(0, obs, now)
         return obs
 
@@ -114,25 +115,23 @@ class GuardedEnv:
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
-    ) -> list[dict[str, Any]]:
+    ) -> list[ObservationDict]:
         """Return the observations of some environments, of all running ones by default."""
         chosen = self.get_running_env_idx_list() if env_idx_list is None else list(env_idx_list)
         if last_frame:
             shown: list[dict[str, Any]] = self._env.get_obs_batch(chosen, last_frame)
             return shown
         now = self._clock()
-        observations: list[dict[str, Any]] = self._env.get_obs_batch(chosen)
+        observations: list[ObservationDict] = self._env.get_obs_batch(chosen)
         for index, obs in zip(chosen, observations):
             self._saw(index, obs, now)
         return observations
 
-    def take_action(self, action: Mapping[str, Any]) -> dict[str, Any]:
+    def take_action(self, action: Action) -> Report:
         """Execute one action step in the only environment, as far as it is safe; return its report."""
         return self.take_action_batch([action], [0])[0]
 
-    def take_action_batch(
-        self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]
-    ) -> list[dict[str, Any]]:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[Report]:
         """Execute one action step in each of some environments, as far as it is safe.
 
         Returns:
@@ -168,7 +167,7 @@ class GuardedEnv:
         """Return the environments whose episode goes on."""
         return [index for index in self._env.get_running_env_idx_list() if self._ended(index) is None]
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[Result]:
         """Return the environment's results, with the guard's reason of an end and its `safety` record.
 
         `corrections` counts those of both. `safety` holds, for each kind of the guard's, its `count` and the largest
@@ -190,7 +189,7 @@ class GuardedEnv:
         """Close the environment."""
         self._env.close()
 
-    def _saw(self, index: int, obs: Mapping[str, Any], now: float) -> None:
+    def _saw(self, index: int, obs: Observation, now: float) -> None:
         watched = self._watched.get(index)
         if watched is not None:
             watched.seen = now
@@ -207,7 +206,7 @@ class GuardedEnv:
         watched = self._watched.get(index)
         return None if watched is None else watched.end_reason
 
-    def _report(self, index: int, given: Any, verdict: Verdict | None) -> dict[str, Any]:
+    def _report(self, index: int, given: Any, verdict: Verdict | None) -> Report:
         report = dict(given) if isinstance(given, Mapping) else {}
         corrections = {prefix: dict(found) for prefix, found in (report.get("corrections") or {}).items()}
         for found in () if verdict is None else verdict.corrections:

@@ -23,6 +23,8 @@ from xpl.poses import compose, invert, pose
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from xpl.contract import Entry
+
 __all__ = ["Chain", "KinematicsError", "Solution"]
 
 _Vector = tuple[float, float, float]
@@ -271,7 +273,7 @@ def _with_kinematics() -> list[str]:
     return sorted(name for name, entry in robots.entries().items() if robots.has_frames(entry))
 
 
-def _joint(entry: Mapping[str, Any]) -> _Joint:
+def _joint(entry: Entry) -> _Joint:
     still = rotation.from_rpy(entry["origin"]["rpy"])
     axis = np.asarray(entry["axis"], dtype=np.float64)
     axis = axis / math.sqrt(float(np.sum(axis * axis)))

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import robots
 from xpl._spec import MODEL_CLASS
 from xpl.document import Document, many, named, one, part
+
+if TYPE_CHECKING:
+    from xpl.contract import Action, Observation, State
 
 
 @dataclass(frozen=True)
@@ -163,14 +166,14 @@ class Native(Document):
     """
 
     images: tuple[Mapping[str, Any], ...] = many(Mapping)
-    state: tuple[Mapping[str, Any], ...] = many(Mapping)
+    state: tuple[State, ...] = many(Mapping)
     instruction: object = one(object)
     history: History | None = one(History)
-    action: Mapping[str, Any] = named(object)
+    action: Action = named(object)
     sampling: object = one(object, "none")
     tolerance: float = one(float, 0.001)
     recurrent: object = one(object, default=False)
-    samples: tuple[Mapping[str, Any], ...] = many(Mapping)
+    samples: tuple[Observation, ...] = many(Mapping)
     code: tuple[str, ...] = many(str)
     data: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 

@@ -15,6 +15,7 @@ from xpl import _spec as spec
 from xpl.action import ActionError, pack, unpack
 
 if TYPE_CHECKING:
+    from xpl.contract import Observation
     from xpl.embodiment import Embodiment
 
 
@@ -22,7 +23,7 @@ class ObservationError(ValueError):
     """An observation lacks a field or holds one of another shape or type."""
 
 
-def pack_state(obs: Mapping[str, Any], embodiment: Embodiment, action_type: str) -> np.ndarray:
+def pack_state(obs: Observation, embodiment: Embodiment, action_type: str) -> np.ndarray:
     """Return proprioception as one vector, in the order of a flat action.
 
     Returns:
@@ -44,7 +45,7 @@ def pack_state(obs: Mapping[str, Any], embodiment: Embodiment, action_type: str)
     return flat
 
 
-def get_image(obs: Mapping[str, Any], camera: str) -> np.ndarray:
+def get_image(obs: Observation, camera: str) -> np.ndarray:
     """Return the RGB image of a camera, (H, W, 3) uint8, a view of the observation's own data where possible.
 
     Raises:
@@ -86,7 +87,7 @@ def color_of(camera: Any) -> Any:
     return None
 
 
-def get_instruction(obs: Mapping[str, Any]) -> str | None:
+def get_instruction(obs: Observation) -> str | None:
     """Return the instruction: `instruction`, or the first of `instructions`, or None if the observation has neither.
 
     Raises:
@@ -103,7 +104,7 @@ def get_instruction(obs: Mapping[str, Any]) -> str | None:
     return value
 
 
-def offered_inputs(obs: Mapping[str, Any]) -> list[str]:
+def offered_inputs(obs: Observation) -> list[str]:
     """Return the inputs that an observation holds, by their names in policy.yml: `state.ee_pose`, `vision.cam_head`."""
     state = obs.get(spec.Obs.STATE) or {}
     prefixes = {prefix for names in spec.ARM_PREFIXES.values() for prefix in names if prefix}
@@ -114,13 +115,13 @@ def offered_inputs(obs: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def offered_cameras(obs: Mapping[str, Any]) -> dict[str, dict[str, int]]:
+def offered_cameras(obs: Observation) -> dict[str, dict[str, int]]:
     """Return the `width` and `height` of each camera's image in an observation."""
     sizes = {name: camera[spec.Camera.COLOR].shape[:2] for name, camera in (obs.get(spec.Obs.VISION) or {}).items()}
     return {name: {"width": int(width), "height": int(height)} for name, (height, width) in sizes.items()}
 
 
-def env_indices(observations: Sequence[Mapping[str, Any]]) -> list[int]:
+def env_indices(observations: Sequence[Observation]) -> list[int]:
     """Return the environment index of each observation of a batch.
 
     Observations without `env_idx` count by position, but only if all of the batch lack it.

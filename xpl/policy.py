@@ -29,10 +29,9 @@ from xpl.observation import env_index, env_indices
 from xpl.wire.arrays import as_array
 
 if TYPE_CHECKING:
+    from xpl.contract import ActionStep, Config, Entry, Observation
     from xpl.convert import Interface
 
-Observation = Mapping[str, Any]
-ActionStep = dict[str, np.ndarray]
 _Value = TypeVar("_Value")
 
 
@@ -99,7 +98,7 @@ class Policy:
         UnknownEmbodimentError: if `env_cfg_type` names no embodiment.
     """
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
+    def __init__(self, config: Config) -> None:
         manifest = Manifest.parse(config.get("manifest"))
         self.config = {key: value for key, value in config.items() if key != "manifest"}
         self.chunk = manifest.temporal.chunk
@@ -125,7 +124,7 @@ class Policy:
 
     # -- what an adapter fills in --------------------------------------------------------------------------------------
 
-    def load(self, config: Mapping[str, Any]) -> None:
+    def load(self, config: Config) -> None:
         """Build the native model. Import heavy libraries here, so that the module itself imports anywhere."""
 
     def encode(self, obs: Observation, env: int) -> Any:
@@ -302,7 +301,7 @@ class Policy:
     def _encodes(self) -> bool:
         return type(self).encode is not Policy.encode
 
-    def _compiled(self, native: Mapping[str, Any] | None) -> Interface | None:
+    def _compiled(self, native: Entry | None) -> Interface | None:
         if native is None:
             return None
         from xpl.convert import compile_interface

@@ -10,17 +10,20 @@ kept by the environment itself or by a guard in front of it; without either noth
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.action import ActionError
+
+if TYPE_CHECKING:
+    from xpl.contract import Result
 
 
 class UnguardedError(TypeError):
     """Nobody keeps the limits of the robot that is to be driven."""
 
 
-def run_episode(task_env: Any, client: Any, *, horizon: int | None = None) -> dict[str, Any]:
+def run_episode(task_env: Any, client: Any, *, horizon: int | None = None) -> Result:
     """Run one episode in the only environment and return its result.
 
     Args:
@@ -51,7 +54,7 @@ def run_episode(task_env: Any, client: Any, *, horizon: int | None = None) -> di
     return result
 
 
-def run_batch(task_env: Any, client: Any, *, horizon: int | None = None) -> list[dict[str, Any]]:
+def run_batch(task_env: Any, client: Any, *, horizon: int | None = None) -> list[Result]:
     """Run one episode in each environment of a batch and return the results.
 
     Each step is one `update_obs_batch` of the environments that still run; they end one by one. All chunks of one

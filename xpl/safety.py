@@ -12,9 +12,9 @@ simulation does that models them, needs no supervisor.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from xpl.observation import pack_state
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from xpl.contract import Action, Observation
     from xpl.embodiment import Arm, Embodiment
 
 JOINT_LIMIT, JOINT_SPEED, GRIPPER_RANGE = "joint_limit", "joint_speed", "gripper_range"
@@ -76,7 +77,7 @@ class Verdict:
         ends: whether the episode has to end for that reason.
     """
 
-    action: Mapping[str, Any]
+    action: Action
     corrections: tuple[Correction, ...] = ()
     held: str | None = None
     ends: bool = False
@@ -121,7 +122,7 @@ class Supervisor:
         self._held: list[float] | None = None
         self._is_first = True
 
-    def begin(self, obs: Mapping[str, Any]) -> None:
+    def begin(self, obs: Observation) -> None:
         """Start an episode from the pose in its first observation.
 
         Raises:
@@ -130,7 +131,7 @@ class Supervisor:
         self._held = pack_state(obs, self._embodiment, self._action_type).tolist()
         self._is_first = True
 
-    def read(self, action: Mapping[str, Any]) -> NDArray[np.float64]:
+    def read(self, action: Action) -> NDArray[np.float64]:
         """Return an action step as a vector (D,), rounded to float32; values may be NaN or infinite.
 
         Raises:
@@ -143,7 +144,7 @@ class Supervisor:
         self._with_direction(flat.tolist())
         return flat
 
-    def check(self, action: Mapping[str, Any], age_s: float = 0.0) -> Verdict:
+    def check(self, action: Action, age_s: float = 0.0) -> Verdict:
         """Judge one action step; what the verdict says is taken as executed.
 
         Args:
@@ -181,7 +182,7 @@ class Supervisor:
             return Verdict(action)
         return Verdict(unpack(executed, self._embodiment, self._action_type), corrections)
 
-    def _numbers(self, action: Mapping[str, Any]) -> list[float]:
+    def _numbers(self, action: Action) -> list[float]:
         """Return what `read` does, as plain numbers; what a server sends takes the short way."""
         values: list[float] = []
         for key, dim in self._dims.items():

@@ -12,11 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.simulator.crew import Crew, Limits
 from xpl.simulator.process import EnvLostError
+
+if TYPE_CHECKING:
+    from xpl.contract import Action, Config, ObservationDict, Report, Result
 
 INFRASTRUCTURE = "infrastructure"
 """`end_reason` of an episode that says nothing about the policy: what it was played with failed."""
@@ -53,7 +56,7 @@ class VectorEnv:
     def __init__(
         self,
         client: Path,
-        config: Mapping[str, Any],
+        config: Config,
         *,
         workers: int = 1,
         python: str | None = None,
@@ -117,7 +120,7 @@ class VectorEnv:
             self._running[worker] = running
         self._options = wanted
 
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> ObservationDict:
         """Return the observation of the only environment.
 
         Raises:
@@ -129,7 +132,7 @@ class VectorEnv:
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
-    ) -> list[dict[str, Any]]:
+    ) -> list[ObservationDict]:
         """Return the observations of some environments, in the order asked for; all workers observe at once.
 
         Args:
@@ -152,13 +155,11 @@ class VectorEnv:
             raise EnvLostError(self._crew.lost[self._owner[missing[0]][0]])
         return [self._last[index] for index in chosen]
 
-    def take_action(self, action: Mapping[str, Any]) -> dict[str, Any]:
+    def take_action(self, action: Action) -> Report:
         """Execute one action step in the only environment; return its report."""
         return self.take_action_batch([action], [self._single()])[0]
 
-    def take_action_batch(
-        self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]
-    ) -> list[dict[str, Any]]:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[Report]:
         """Execute one action step in each of some environments; all workers do so at once.
 
         Returns:
@@ -197,7 +198,7 @@ class VectorEnv:
         alive = [worker for worker, reason in enumerate(self._crew.lost) if not reason]
         return [self._shares[worker][local] for worker in alive for local in self._running[worker]]
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[Result]:
         """Return the outcome of every environment's episode so far.
 
         One that was lost in its episode has success and score None, `end_reason` "infrastructure" and an `error`.
@@ -247,12 +248,12 @@ class VectorEnv:
             parts.setdefault(worker, []).append(local)
         return parts
 
-    def _saw(self, worker: int, local: Iterable[int], observations: Iterable[dict[str, Any]]) -> None:
+    def _saw(self, worker: int, local: Iterable[int], observations: Iterable[ObservationDict]) -> None:
         for each, obs in zip(local, observations):
             index = self._shares[worker][each]
             self._last[index] = {**obs, spec.Obs.ENV_IDX: index}
 
-    def _report(self, index: int, given: Any) -> dict[str, Any]:
+    def _report(self, index: int, given: Any) -> Report:
         report = {**(given or {}), spec.Obs.ENV_IDX: index}
         if self._crew.lost[self._owner[index][0]]:
             report["end_reason"] = self._final.get(index, {}).get("end_reason", INFRASTRUCTURE)

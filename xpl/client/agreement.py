@@ -16,6 +16,7 @@ from xpl import _spec as spec
 from xpl import robots
 
 if TYPE_CHECKING:
+    from xpl.contract import Announcement, Config
     from xpl.manifest import Manifest
 
 _EMBODIMENT, _EMBODIMENTS, _ACTION_TYPES, _INPUTS = "embodiment", "embodiments", "action_types", "inputs"
@@ -37,7 +38,7 @@ class AnnouncementError(ValueError):
         self.field = field
 
 
-def needs(manifest: Manifest, config: Mapping[str, Any]) -> dict[str, Any]:
+def needs(manifest: Manifest, config: Config) -> Announcement:
     """Return what a policy announces.
 
     Args:
@@ -77,7 +78,7 @@ def checked(announced: Any) -> dict[str, Any]:
     return found
 
 
-def differences(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> list[dict[str, Any]]:
+def differences(policy: Announcement, environment: Announcement) -> list[dict[str, Any]]:
     """Return where policy and environment do not fit: maps with `field`, `policy`, `environment` and a `message`."""
     checks = (_choices, _rates, _missing, _images)
     return [
@@ -91,7 +92,7 @@ _Difference = tuple[str, Any, Any, str]
 """Field, what the policy says of it, what the environment says, and both in a sentence."""
 
 
-def _choices(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> Iterator[_Difference]:
+def _choices(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
     """Compare the robot and the kind of action with what the policy was started for, or declares."""
     for one, many in ((_EMBODIMENT, _EMBODIMENTS), (_ACTION_TYPE, _ACTION_TYPES)):
         offered, configured, declared = environment.get(one), policy.get(one), policy.get(many)
@@ -111,14 +112,14 @@ def _choices(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> Itera
             yield one, declared, offered, f"the policy takes {one} {' or '.join(map(str, declared))}, not {offered}"
 
 
-def _rates(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> Iterator[_Difference]:
+def _rates(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
     wanted, offered = policy.get(_FREQUENCY), environment.get(_FREQUENCY)
     if None not in (wanted, offered) and wanted != offered:
         text = f"the policy's actions are meant for {wanted} Hz, the environment executes them at {offered} Hz"
         yield _FREQUENCY, wanted, offered, text
 
 
-def _missing(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> Iterator[_Difference]:
+def _missing(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
     wanted, offered = policy.get(_INPUTS), environment.get(_INPUTS)
     if isinstance(wanted, list) and isinstance(offered, list):
         missing = [name for name in wanted if name not in offered]
@@ -126,7 +127,7 @@ def _missing(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> Itera
             yield _INPUTS, wanted, offered, f"the environment does not offer {', '.join(map(str, missing))}"
 
 
-def _images(policy: Mapping[str, Any], environment: Mapping[str, Any]) -> Iterator[_Difference]:
+def _images(policy: Announcement, environment: Announcement) -> Iterator[_Difference]:
     """Compare the images that the environment shows with those that the policy needs."""
     needed, shown = policy.get(_CAMERAS), environment.get(_CAMERAS)
     if not isinstance(needed, Mapping) or not isinstance(shown, Mapping):

@@ -22,6 +22,7 @@ from xpl.client.errors import ServerConnectionError, ServerFailedError
 
 if TYPE_CHECKING:
     from xpl.client.transport import Transport
+    from xpl.contract import Config, Observation, Payload
 
 _Value = TypeVar("_Value")
 _GOODBYE_S = 0.2
@@ -36,7 +37,7 @@ class AsyncClient(ClientBase):
     def _transport(
         self,
         url: str,
-        timing: Mapping[str, Any],
+        timing: Config,
         token: str | None,
         ssl_context: ssl.SSLContext | None,
         scheme: str,
@@ -54,15 +55,15 @@ class AsyncClient(ClientBase):
         """Start a new episode."""
         await self._run(self._talk.reset())
 
-    async def update_obs(self, obs: Mapping[str, Any]) -> None:
+    async def update_obs(self, obs: Observation) -> None:
         """Show the policy the newest observation of one environment."""
         await self._run(self._talk.update_obs(obs))
 
-    async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+    async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
         """Show the policy the newest observation of several environments."""
         await self._run(self._talk.update_obs_batch(obs_list))
 
-    async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+    async def get_action(self, obs: Observation | None = None) -> Any:
         """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
         return await self._run(self._talk.get_action(obs))
 
@@ -70,7 +71,7 @@ class AsyncClient(ClientBase):
         """Return one action chunk per environment of the list; None means the last batch."""
         return await self._run(self._talk.get_action_batch(env_idx_list))
 
-    async def infer(self, obs: Mapping[str, Any]) -> Any:
+    async def infer(self, obs: Observation) -> Any:
         """Return the action chunk for one observation: update_obs and get_action as one unit."""
         return await self._run(self._talk.infer(obs))
 
@@ -86,7 +87,7 @@ class AsyncClient(ClientBase):
         """Ask for a sign of life; answered while the model thinks, too."""
         await self._run(self._talk.health())
 
-    async def health(self) -> dict[str, Any]:
+    async def health(self) -> Payload:
         """Return the server's state: `state` is loading, ready or draining."""
         return await self._run(self._talk.health())
 
@@ -120,9 +121,7 @@ class AsyncClient(ClientBase):
 class _Suspending:
     """A WebSocket connection whose methods suspend."""
 
-    def __init__(
-        self, url: str, config: Mapping[str, Any], authorization: str | None, ssl_context: ssl.SSLContext | None
-    ) -> None:
+    def __init__(self, url: str, config: Config, authorization: str | None, ssl_context: ssl.SSLContext | None) -> None:
         self._url = url
         self._config = config
         self._authorization = authorization
@@ -186,7 +185,7 @@ def _connect() -> Any:
 
 def _options(
     connect: Any,
-    config: Mapping[str, Any],
+    config: Config,
     timeout: float | None,
     authorization: str | None,
     ssl_context: ssl.SSLContext | None,

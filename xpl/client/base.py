@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import ssl
 
     from xpl.client.conversation import Conversation
+    from xpl.contract import Announcement, Config
 
 
 class ClientBase:
@@ -28,10 +29,10 @@ class ClientBase:
         trial_id: str | None = None,
         action_case_id: str | None = None,
         repeat_index: int | None = None,
-        config: Mapping[str, Any] | None = None,
+        config: Config | None = None,
         token: str | None = None,
         ssl_context: ssl.SSLContext | None = None,
-        environment: Mapping[str, Any] | None = None,
+        environment: Announcement | None = None,
         jpeg: Mapping[str, int] | None = None,
         pipelined: bool = False,
         shared_memory: bool = True,
@@ -105,7 +106,7 @@ class ClientBase:
     def _transport(
         self,
         url: str,
-        timing: Mapping[str, Any],
+        timing: Config,
         token: str | None,
         ssl_context: ssl.SSLContext | None,
         scheme: str,
@@ -159,7 +160,7 @@ class ClientBase:
         return self._talk.capabilities
 
     @property
-    def policy(self) -> Mapping[str, Any]:
+    def policy(self) -> Announcement:
         """What the policy needs, where the server said so."""
         return self._talk.policy
 

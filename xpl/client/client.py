@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     import ssl
 
     from xpl.client.transport import Transport
+    from xpl.contract import Config, Observation, Payload
 
 __all__ = [
     "Client",
@@ -88,7 +89,7 @@ class Client(ClientBase):
     def _transport(
         self,
         url: str,
-        timing: Mapping[str, Any],
+        timing: Config,
         token: str | None,
         ssl_context: ssl.SSLContext | None,
         scheme: str,
@@ -102,15 +103,15 @@ class Client(ClientBase):
         """Start a new episode."""
         self._run(self._talk.reset())
 
-    def update_obs(self, obs: Mapping[str, Any]) -> None:
+    def update_obs(self, obs: Observation) -> None:
         """Show the policy the newest observation of one environment."""
         self._run(self._talk.update_obs(obs))
 
-    def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+    def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
         """Show the policy the newest observation of several environments."""
         self._run(self._talk.update_obs_batch(obs_list))
 
-    def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+    def get_action(self, obs: Observation | None = None) -> Any:
         """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
         return self._run(self._talk.get_action(obs))
 
@@ -118,7 +119,7 @@ class Client(ClientBase):
         """Return one action chunk per environment of the list; None means the last batch."""
         return self._run(self._talk.get_action_batch(env_idx_list))
 
-    def infer(self, obs: Mapping[str, Any]) -> Any:
+    def infer(self, obs: Observation) -> Any:
         """Return the action chunk for one observation: update_obs and get_action as one unit."""
         return self._run(self._talk.infer(obs))
 
@@ -134,7 +135,7 @@ class Client(ClientBase):
         """Ask for a sign of life; answered while the model thinks, too."""
         self._run(self._talk.health())
 
-    def health(self) -> dict[str, Any]:
+    def health(self) -> Payload:
         """Return the server's state: `state` is loading, ready or draining."""
         return self._run(self._talk.health())
 

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Union
+from typing import TYPE_CHECKING, Any, Union
+
+if TYPE_CHECKING:
+    from xpl.contract import Action, Announcement, Config, Observation
 
 
 @dataclass(frozen=True)
 class Infer:
     """A request: one observation of the standard, and an action chunk is expected."""
 
-    observation: Mapping[str, Any]
+    observation: Observation
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Actions:
         latency_ms: what the policy took, ms, where the server says so.
     """
 
-    steps: Sequence[Mapping[str, Any]]
+    steps: Sequence[Action]
     latency_ms: float | None = None
 
 
@@ -77,10 +80,10 @@ class Codec:
     greets = False
     resets = False
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
+    def __init__(self, config: Config) -> None:
         self.config = config
 
-    def encode_greeting(self, policy: Mapping[str, Any]) -> Message:
+    def encode_greeting(self, policy: Announcement) -> Message:
         """Return what a server says first; `policy` is what is told of its policy (`xpl.client.agreement`)."""
         raise NotImplementedError
 

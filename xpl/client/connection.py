@@ -14,12 +14,15 @@ import ssl
 import threading
 import time
 import weakref
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.client import wires
 from xpl.client.errors import ServerConnectionError, ServerFailedError
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
 
 _CHUNK = 1 << 18
 _NO_TOKEN, _REFUSED = 401, 403
@@ -42,7 +45,7 @@ class BlockingTransport:
     def __init__(  # noqa: PLR0913, PLR0917 - what a connection needs
         self,
         url: str,
-        config: Mapping[str, Any],
+        config: Config,
         token: str | None,
         ssl_context: ssl.SSLContext | None,
         turn: threading.Lock,

@@ -10,6 +10,7 @@ from xpl.client.errors import NoOperationError
 
 if TYPE_CHECKING:
     from xpl.client.transport import Setup
+    from xpl.contract import Observation, Payload
 
 
 class Conversation:
@@ -48,15 +49,15 @@ class Conversation:
         """Start a new episode; what is told besides reaches the server, and no adapter."""
         raise NotImplementedError
 
-    async def update_obs(self, obs: Mapping[str, Any]) -> None:
+    async def update_obs(self, obs: Observation) -> None:
         """Show the policy the newest observation of one environment."""
         raise NotImplementedError
 
-    async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+    async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
         """Show the policy the newest observation of several environments."""
         raise NotImplementedError
 
-    async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+    async def get_action(self, obs: Observation | None = None) -> Any:
         """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
         raise NotImplementedError
 
@@ -64,7 +65,7 @@ class Conversation:
         """Return one action chunk per environment of the list; None means the last batch."""
         raise NotImplementedError
 
-    async def infer(self, obs: Mapping[str, Any]) -> Any:
+    async def infer(self, obs: Observation) -> Any:
         """Return the action chunk for one observation: update_obs and get_action as one unit."""
         return await self.get_action(obs)
 
@@ -80,7 +81,7 @@ class Conversation:
         del result
         raise self._without(spec.Message.TRIAL_END)
 
-    async def health(self) -> dict[str, Any]:
+    async def health(self) -> Payload:
         """Return the server's state; answered while the model loads or thinks, too."""
         raise self._without(spec.Message.HEARTBEAT)
 

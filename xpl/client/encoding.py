@@ -14,6 +14,7 @@ from xpl.observation import color_of, is_encoded
 from xpl.wire import codec, packed
 
 if TYPE_CHECKING:
+    from xpl.contract import Observation, Payload
     from xpl.wire.segment import Arena
 
 _PACKABLE = (spec.Message.INFER, spec.Message.CALL)
@@ -94,7 +95,7 @@ class Encoder:
             self._arena.answered(self._arena.written())
             raise
 
-    def _compressed(self, obs: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _compressed(self, obs: Observation) -> Mapping[str, Any]:
         """Return an observation with the colour of the chosen cameras as marked JPEG."""
         vision = obs.get(spec.Obs.VISION)
         if not isinstance(vision, Mapping):
@@ -116,7 +117,7 @@ def _packed(entries: Mapping[str, Any], message_type: str, place: packed.Place |
         raise codec.WireError(f"the {message_type} payload cannot be sent: {error}") from None
 
 
-def _with(frame: codec.Frame, payload: dict[str, Any]) -> codec.Frame:
+def _with(frame: codec.Frame, payload: Payload) -> codec.Frame:
     """Return the same request with another payload."""
     return codec.Frame(**{**vars(frame), spec.Frame.PAYLOAD: payload})
 

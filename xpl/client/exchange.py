@@ -35,6 +35,7 @@ from xpl.wire import codec, packed
 if TYPE_CHECKING:
     from xpl.client.labels import Labels
     from xpl.client.transport import Transport, Wishes
+    from xpl.contract import Announcement, Config, Payload, State
 
 _CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
 _UNCOUNTED = (spec.ErrorReason.UNREADABLE, spec.ErrorReason.SHUTTING_DOWN, *retrying.AGAIN)
@@ -72,7 +73,7 @@ class Exchange:
         self,
         transport: Transport,
         address: str,
-        timing: Mapping[str, Any],
+        timing: Config,
         wishes: Wishes,
         labels: Labels,
     ) -> None:
@@ -92,7 +93,7 @@ class Exchange:
         self._sequence = 0
         self.server_instance_id: str | None = None
         self.capabilities: Mapping[str, Any] = {}
-        self.policy: Mapping[str, Any] = {}
+        self.policy: Announcement = {}
 
     # -- connecting ----------------------------------------------------------------------------------------------------
 
@@ -123,7 +124,7 @@ class Exchange:
             await self.close()
             raise
 
-    async def _hello(self, shared_memory: Mapping[str, Any]) -> dict[str, Any]:
+    async def _hello(self, shared_memory: Mapping[str, Any]) -> Payload:
         wishes = self._wishes
         capabilities: dict[str, Any] = {
             spec.Capability.WIRE_VERSION: spec.WIRE_VERSION,
@@ -137,16 +138,16 @@ class Exchange:
                 capabilities[spec.Capability.SHARED_MEMORY] = shared_memory or {"wanted": True}
         if wishes.jpeg:
             capabilities[spec.Capability.JPEG] = dict(wishes.jpeg)
-        payload: dict[str, Any] = {spec.Payload.CAPABILITIES: capabilities}
+        payload: Payload = {spec.Payload.CAPABILITIES: capabilities}
         if wishes.environment is not None:
             payload[spec.Payload.ENVIRONMENT] = dict(wishes.environment)
         hello = self._frame(spec.Message.HELLO, payload)
         limit = after(self._config[spec.Deploy.HANDSHAKE_TIMEOUT_S])
         return await self._exchange(hello, codec.encode(hello), limit)
 
-    async def _wait_for_the_model(self, greeting: Mapping[str, Any], deadline: float) -> dict[str, Any]:
+    async def _wait_for_the_model(self, greeting: Mapping[str, Any], deadline: float) -> Payload:
         """Ask how far the model is until it is loaded, and return the answer to another hello."""
-        state: Mapping[str, Any] = greeting
+        state: State = greeting
         while state.get(spec.Payload.STATE) == spec.ServerState.LOADING:
             if self._wishes.on_loading is not None:
                 self._wishes.on_loading(_map(state.get(spec.Payload.PROGRESS)))
@@ -202,7 +203,7 @@ class Exchange:
         self.step = 0
         self._is_lost = False
 
-    async def send_ahead(self, payload: dict[str, Any]) -> None:
+    async def send_ahead(self, payload: Payload) -> None:
         """Send a call without waiting for its answer; what goes wrong with it is raised by what is asked next."""
         self._check_open(spec.Message.CALL)
         while len(self._ahead) >= spec.LIMITS["pipelined"]:
@@ -234,11 +235,11 @@ class Exchange:
         except (ServerFailedError, codec.WireError) as error:
             raise await self._ended(error) from None
 
-    def _frame(self, message_type: str, payload: dict[str, Any]) -> codec.Frame:
+    def _frame(self, message_type: str, payload: Payload) -> codec.Frame:
         identity = f"{self._session}-{next(self._numbers)}"
         return codec.Frame(message_type, payload=payload, message_id=identity, step=self.step, **vars(self._labels))
 
-    def _numbered(self, message_type: str, payload: dict[str, Any]) -> tuple[codec.Frame, bytes, list[int]]:
+    def _numbered(self, message_type: str, payload: Payload) -> tuple[codec.Frame, bytes, list[int]]:
         """Return a request with its number, where the server counts, too; its bytes and its blocks."""
         counts = message_type != spec.Message.HEARTBEAT and bool(self.capabilities.get(spec.Capability.SEQUENCE))
         frame = self._frame(message_type, {**payload, spec.Payload.SEQUENCE: self._sequence} if counts else payload)
@@ -246,7 +247,7 @@ class Exchange:
         self._sequence += counts  # not before: what cannot be sent has no number
         return frame, data, blocks
 
-    async def request(self, message_type: str, payload: dict[str, Any]) -> dict[str, Any]:
+    async def request(self, message_type: str, payload: Payload) -> Payload:
         """Return the payload of the answer; reconnects once after a cut, all within the request's timeout."""
         self._check_open(message_type)
         frame, data, blocks = self._numbered(message_type, payload)
@@ -304,7 +305,7 @@ class Exchange:
             await self._drop()
             raise ServerConnectionError(f"the connection was cut twice during one request: {again}") from None
 
-    async def _exchange(self, frame: codec.Frame, data: bytes, deadline: float) -> dict[str, Any]:
+    async def _exchange(self, frame: codec.Frame, data: bytes, deadline: float) -> Payload:
         """Send a request and return the payload of its answer; a lost connection is an OSError."""
         started = time.monotonic()
         try:
@@ -347,7 +348,7 @@ class Exchange:
         except PolicyServerError as error:
             self._late = self._late or error
 
-    def _read(self, answer: codec.Frame, request: codec.Frame) -> dict[str, Any]:
+    def _read(self, answer: codec.Frame, request: codec.Frame) -> Payload:
         """Return the payload of an answer; an error that the server did not count is not counted here either."""
         try:
             return _payload(answer, request)
@@ -376,7 +377,7 @@ def _map(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
 
 
-def _payload(answer: codec.Frame, request: codec.Frame) -> dict[str, Any]:
+def _payload(answer: codec.Frame, request: codec.Frame) -> Payload:
     payload = answer.payload
     if answer.message_type == spec.Message.ERROR:
         code, message = payload.get(spec.Payload.CODE), str(payload.get(spec.Payload.MESSAGE))

@@ -18,6 +18,7 @@ from xpl.observation import env_indices
 
 if TYPE_CHECKING:
     from xpl.client.transport import Setup
+    from xpl.contract import Announcement, Observation, Payload
 
 _ACTING = (spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
 
@@ -28,7 +29,7 @@ class FramedConversation(Conversation):
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self._exchange = Exchange(setup.transport(), setup.address, setup.config, setup.wishes, setup.labels)
-        self._held: list[Mapping[str, Any]] = []
+        self._held: list[Observation] = []
 
     @property
     def server_instance_id(self) -> str | None:  # type: ignore[override]
@@ -41,7 +42,7 @@ class FramedConversation(Conversation):
         return self._exchange.capabilities
 
     @property
-    def policy(self) -> Mapping[str, Any]:  # type: ignore[override]
+    def policy(self) -> Announcement:  # type: ignore[override]
         """What the policy needs, where the server said so."""
         return self._exchange.policy
 
@@ -66,19 +67,19 @@ class FramedConversation(Conversation):
         payload = {spec.Payload.TRIAL_ID: self._labels.trial_id, **(meta or {})}
         return (await self._exchange.request(spec.Message.RESET, payload)).get(spec.Payload.RESULT)
 
-    async def update_obs(self, obs: Mapping[str, Any]) -> None:
+    async def update_obs(self, obs: Observation) -> None:
         """Show the policy the newest observation of one environment."""
         self._held = [obs]
         if not self._exchange.is_first_generation:
             await self._update(spec.Method.UPDATE_OBS, obs)
 
-    async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+    async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
         """Show the policy the newest observation of several environments."""
         self._held = list(obs_list)
         if not self._exchange.is_first_generation:
             await self._update(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
 
-    async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+    async def get_action(self, obs: Observation | None = None) -> Any:
         """Return an action chunk, for `obs` if it is given and for the last observation otherwise."""
         if obs is not None:
             return await self.infer(obs)
@@ -100,7 +101,7 @@ class FramedConversation(Conversation):
         # Each infer stands alone there, so an index that followed from the position in the batch has to be written.
         return [await self.infer({**held[index], spec.Obs.ENV_IDX: index}) for index in wanted]
 
-    async def infer(self, obs: Mapping[str, Any]) -> Any:
+    async def infer(self, obs: Observation) -> Any:
         """Return the action chunk for one observation: update_obs and get_action as one unit."""
         answer = await self._exchange.request(spec.Message.INFER, {spec.Payload.OBSERVATION: obs})
         if spec.Payload.ACTIONS not in answer:
@@ -123,7 +124,7 @@ class FramedConversation(Conversation):
         payload = {spec.Payload.TRIAL_ID: self._labels.trial_id, **(result or {})}
         return (await self._exchange.request(spec.Message.TRIAL_END, payload)).get(spec.Payload.RESULT)
 
-    async def health(self) -> dict[str, Any]:
+    async def health(self) -> Payload:
         """Return the server's state; answered while the model loads or thinks, too."""
         return await self._exchange.request(spec.Message.HEARTBEAT, {})
 

@@ -25,6 +25,7 @@ from xpl.wire.codec import WireError
 
 if TYPE_CHECKING:
     from xpl.client.transport import Setup, Transport
+    from xpl.contract import Observation
 
 
 class RequestReply(Conversation):
@@ -76,16 +77,16 @@ class RequestReply(Conversation):
                 await self._drop(env)
                 raise ClientError(f"the {self._setup.wire} server did not answer reset as its wire has it")
 
-    async def update_obs(self, obs: Mapping[str, Any]) -> None:
+    async def update_obs(self, obs: Observation) -> None:
         """Keep the newest observation of one environment; it travels when it is asked about."""
         index = obs.get(spec.Obs.ENV_IDX)
         self._observe([obs], [0 if index is None else env_index(index)])
 
-    async def update_obs_batch(self, obs_list: Sequence[Mapping[str, Any]]) -> None:
+    async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
         """Keep the newest observation of several environments."""
         self._observe(obs_list, env_indices(obs_list))
 
-    async def get_action(self, obs: Mapping[str, Any] | None = None) -> Any:
+    async def get_action(self, obs: Observation | None = None) -> Any:
         """Return the action chunk for `obs` if it is given, and otherwise for the environment that was observed last.
 
         Raises:
@@ -114,7 +115,7 @@ class RequestReply(Conversation):
             raise PolicyStateError(f"environments to answer must be observed, and none twice: {envs}")
         return [await self._infer(env) for env in envs]
 
-    def _observe(self, observations: Sequence[Mapping[str, Any]], envs: list[int]) -> None:
+    def _observe(self, observations: Sequence[Observation], envs: list[int]) -> None:
         self._newest.update(zip(envs, observations))
         self._order = envs
 

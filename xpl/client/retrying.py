@@ -5,11 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Awaitable, Coroutine, Mapping
-from typing import Any, Callable, TypeVar
+from collections.abc import Awaitable, Coroutine
+from typing import TYPE_CHECKING, Any, Callable, TypeVar
 
 from xpl import _spec as spec
 from xpl.client.errors import PolicyServerError, RequestTimeoutError, ServerConnectionError
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
 
 _Value = TypeVar("_Value")
 
@@ -20,7 +23,7 @@ AGAIN = (spec.ErrorReason.BUSY, spec.ErrorReason.LOADING)
 async def connected(
     once: Callable[[], Coroutine[Any, Any, _Value]],
     pause: Callable[[float], Awaitable[None]],
-    config: Mapping[str, Any],
+    config: Config,
     server: str,
     deadline: float,
 ) -> _Value:
@@ -51,7 +54,7 @@ async def connected(
     raise AssertionError("the attempts never end by themselves")
 
 
-def connect_deadline(config: Mapping[str, Any]) -> float:
+def connect_deadline(config: Config) -> float:
     """Return when connecting that begins now is given up."""
     return after(config[spec.Deploy.MAX_CONNECT_SECONDS] or None)
 

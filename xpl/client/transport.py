@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Callable, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from xpl.client.labels import Labels
+    from xpl.contract import Announcement, Config
 
 _Value = TypeVar("_Value")
 
@@ -51,7 +52,7 @@ class Wishes:
     shared_memory: bool = True
     pipelined: bool = False
     jpeg: Mapping[str, int] = field(default_factory=dict)
-    environment: Mapping[str, Any] | None = None
+    environment: Announcement | None = None
     on_loading: Callable[[Mapping[str, Any]], None] | None = None
 
 
@@ -70,7 +71,7 @@ class Setup:
 
     wire: str
     address: str
-    config: Mapping[str, Any]
+    config: Config
     labels: Labels
     wishes: Wishes
     transport: Callable[[], Transport]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from xpl.client.codec import Codec
     from xpl.client.conversation import Conversation
     from xpl.client.transport import Setup
+    from xpl.contract import Config
 
 XPL = "xpl"
 BUILT_IN = {XPL: "xpl.client.framed:WIRE", "openpi": "xpl.openpi.wire:WIRE"}
@@ -60,7 +61,7 @@ def find(name: str) -> Wire | None:
     return None if entry is None else _loaded(entry)
 
 
-def of(url: str, config: Mapping[str, Any]) -> tuple[str, Wire, str]:
+def of(url: str, config: Config) -> tuple[str, Wire, str]:
     """Return the wire of an address, by name and itself, and the address without that name.
 
     `wire` of a configuration is that of its `server`, and of no other address: whoever asks an adapter that forwards

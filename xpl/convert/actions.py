@@ -7,7 +7,7 @@ each part is counted from what its reference says; parts of one arm make joint a
 from __future__ import annotations
 
 from collections.abc import Mapping, MutableMapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from xpl.decoding import decode_rows
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from xpl.contract import Action, Entry
     from xpl.embodiment import Embodiment
 
 Memory = MutableMapping[str, np.ndarray]
@@ -44,9 +45,7 @@ class ActionOutput:
         NativeError: if it does not make actions of this kind for this robot.
     """
 
-    def __init__(
-        self, entry: Mapping[str, Any], embodiment: Embodiment, action_type: str, folders: Sequence[Path] = ()
-    ) -> None:
+    def __init__(self, entry: Entry, embodiment: Embodiment, action_type: str, folders: Sequence[Path] = ()) -> None:
         self._embodiment, self._action_type = embodiment, action_type
         self.vector = Vector(entry, embodiment, folders, "native.action")
         self.first: int = entry.get("first", 0)
@@ -97,7 +96,7 @@ class ActionOutput:
             kept[label] = values[-1]
         return assembled(self._parts, columns, state)
 
-    def encode(self, steps: Sequence[Mapping[str, Any]], state: State, memory: Memory | None = None) -> np.ndarray:
+    def encode(self, steps: Sequence[Action], state: State, memory: Memory | None = None) -> np.ndarray:
         """Return the answer (H, D), float64, that means these action steps; the inverse of `decode`.
 
         Steps before `first` repeat the first one.
@@ -219,5 +218,5 @@ class ActionOutput:
             )
 
 
-def _as_state(step: Mapping[str, Any], state: State) -> State:
+def _as_state(step: Action, state: State) -> State:
     return {**state, **step}

@@ -16,6 +16,7 @@ from xpl.convert.errors import NativeError
 from xpl.nested import written
 
 if TYPE_CHECKING:
+    from xpl.contract import Entry
     from xpl.embodiment import Embodiment
 
 Place = tuple[Union[str, int], ...]
@@ -65,7 +66,7 @@ def gaps(native: Any) -> list[Gap]:
     return list(_gaps(native, ()))
 
 
-def refuse(native: Mapping[str, Any]) -> None:
+def refuse(native: Entry) -> None:
     """Stop where a value that conversions need is open.
 
     Raises:
@@ -81,15 +82,13 @@ def refuse(native: Mapping[str, Any]) -> None:
         )
 
 
-def absent(native: Mapping[str, Any], folders: Sequence[Path]) -> list[str]:
+def absent(native: Entry, folders: Sequence[Path]) -> list[str]:
     """Return the names of the files of statistics that lie in none of these folders, each once."""
     named = [entry["file"] for entry in map(_normalize, _vectors(native)) if "file" in entry]
     return [file for file in dict.fromkeys(named) if not any((folder / file).is_file() for folder in folders)]
 
 
-def filled(
-    native: Mapping[str, Any], embodiment: Embodiment, action_type: str, without: Collection[str] = ()
-) -> dict[str, Any]:
+def filled(native: Entry, embodiment: Embodiment, action_type: str, without: Collection[str] = ()) -> dict[str, Any]:
     """Return a block that can be compiled, of one that has gaps or whose statistics are not there.
 
     Args:
@@ -110,13 +109,13 @@ def filled(
     return result
 
 
-def _vectors(native: Mapping[str, Any]) -> Iterator[Any]:
+def _vectors(native: Entry) -> Iterator[Any]:
     yield from native.get("state", ())
     yield native["action"]
 
 
-def _normalize(vector: Mapping[str, Any]) -> Mapping[str, Any]:
-    entry: Mapping[str, Any] = vector.get("normalize") or {}
+def _normalize(vector: Entry) -> Mapping[str, Any]:
+    entry: Entry = vector.get("normalize") or {}
     return entry
 
 
@@ -154,7 +153,7 @@ def _plain(value: Any) -> Any:
     return result
 
 
-def _gripper(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _gripper(entry: Entry) -> dict[str, Any]:
     """Return a gripper whose two values differ, as many numbers each as the one that is known has."""
     made = {key: item for key, item in entry.items() if not _is_open(item)}
     ends = [made.get(name) for name in ("closed", "open")]

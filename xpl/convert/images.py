@@ -6,13 +6,16 @@ Source: spec/v1/native.schema.json, `images`. Geometry first, on RGB; then colou
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl.convert.errors import NativeError
 from xpl.convert.resample import resize
 from xpl.observation import get_image
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry, Observation
 
 _BYTES = 255.0
 
@@ -29,7 +32,7 @@ class ImageInput:
         is_bytes: its numbers are bytes; else float32.
     """
 
-    def __init__(self, entry: Mapping[str, Any]) -> None:
+    def __init__(self, entry: Entry) -> None:
         self.name: str = entry["input"]
         self.cameras: tuple[str, ...] = tuple(entry["cameras"])
         self._steps = [next(iter(step.items())) for step in entry.get("steps", ())]
@@ -55,7 +58,7 @@ class ImageInput:
         if (self._std == 0).any():
             raise NativeError(f"{where}: std holds a zero, and images are divided by it; give each channel's own")
 
-    def encode(self, obs: Mapping[str, Any]) -> np.ndarray:
+    def encode(self, obs: Observation) -> np.ndarray:
         """Return what the model gets of one observation, without a batch axis.
 
         Raises:
@@ -74,7 +77,7 @@ class ImageInput:
         channel, column = (0, 2) if self._is_chw else (2, 1)
         return np.concatenate(views, axis=channel if self._stack == "channels" else column)
 
-    def _seen(self, obs: Mapping[str, Any], camera: str) -> np.ndarray:
+    def _seen(self, obs: Observation, camera: str) -> np.ndarray:
         try:
             return self.view(get_image(obs, camera))
         except NativeError as error:
@@ -172,7 +175,7 @@ def shape_after(kind: str, how: Any, shape: tuple[int, int]) -> tuple[int, int]:
     return (shape[1], shape[0]) if kind == "rotate" and (how // 90) % 2 else shape
 
 
-def _cropped(how: Mapping[str, Any], shape: tuple[int, int]) -> tuple[int, int]:
+def _cropped(how: Entry, shape: tuple[int, int]) -> tuple[int, int]:
     if "to" in how:
         height, width = how["to"]
     else:
@@ -186,16 +189,16 @@ def _cropped(how: Mapping[str, Any], shape: tuple[int, int]) -> tuple[int, int]:
     return int(height), int(width)
 
 
-def _resized(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
+def _resized(values: np.ndarray, how: Entry) -> np.ndarray:
     return _resampled(values, how, *how["to"])
 
 
-def _resampled(values: np.ndarray, how: Mapping[str, Any], height: int, width: int) -> np.ndarray:
+def _resampled(values: np.ndarray, how: Entry, height: int, width: int) -> np.ndarray:
     as_bytes = how.get("as", "uint8") == "uint8"
     return resize(values, (height, width), how["filter"], antialias=how.get("antialias", False), as_bytes=as_bytes)
 
 
-def _letterboxed(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
+def _letterboxed(values: np.ndarray, how: Entry) -> np.ndarray:
     height, width = how["to"]
     rows, columns, top, left = _frame(values.shape[:2], how)
     frame = np.full((height, width, values.shape[2]), how.get("fill", 0), np.float32)
@@ -204,7 +207,7 @@ def _letterboxed(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
     return frame.astype(inside.dtype)
 
 
-def _frame(shape: tuple[int, ...], how: Mapping[str, Any]) -> tuple[int, int, int, int]:
+def _frame(shape: tuple[int, ...], how: Entry) -> tuple[int, int, int, int]:
     """Return height, width, first row and first column of the image in its frame."""
     (height, width), anchor = how["to"], how.get("anchor", "center")
     # As written by the authors: multiplied by the inverse, one pixel is lost for other sizes than for them.
@@ -218,7 +221,7 @@ def _frame(shape: tuple[int, ...], how: Mapping[str, Any]) -> tuple[int, int, in
     return (rows, columns, *free) if anchor == "bottom_right" else (rows, columns, 0, 0)
 
 
-def _crop(values: np.ndarray, how: Mapping[str, Any]) -> np.ndarray:
+def _crop(values: np.ndarray, how: Entry) -> np.ndarray:
     height, width = _cropped(how, values.shape[:2])
     top, left = (values.shape[0] - height) // 2, (values.shape[1] - width) // 2
     return values[top : top + height, left : left + width]
@@ -239,7 +242,7 @@ def _uncropped(values: np.ndarray, _how: Any, before: tuple[int, int]) -> np.nda
     return result
 
 
-def _unboxed(values: np.ndarray, how: Mapping[str, Any], before: tuple[int, int]) -> np.ndarray:
+def _unboxed(values: np.ndarray, how: Entry, before: tuple[int, int]) -> np.ndarray:
     rows, columns, top, left = _frame(before, how)
     return _resampled(values[top : top + rows, left : left + columns], {**how, "as": "uint8"}, *before)
 

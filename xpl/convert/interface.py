@@ -19,6 +19,7 @@ from xpl.convert.vectors import Vector
 from xpl.observation import ObservationError, get_image, get_instruction
 
 if TYPE_CHECKING:
+    from xpl.contract import Entry, Observation, State
     from xpl.embodiment import Embodiment
 
 __all__ = ["Interface", "Memory", "NativeError", "compile_interface"]
@@ -27,7 +28,7 @@ _PLACE = "{instruction}"
 
 
 def compile_interface(
-    native: Mapping[str, Any],
+    native: Entry,
     embodiment: Embodiment,
     action_type: str,
     folders: Sequence[Path] = (),
@@ -63,7 +64,7 @@ class Interface:
 
     def __init__(
         self,
-        native: Mapping[str, Any],
+        native: Entry,
         embodiment: Embodiment,
         action_type: str,
         folders: Sequence[Path],
@@ -100,7 +101,7 @@ class Interface:
         if twice:
             raise NativeError(f"native: an input is named twice: {', '.join(twice)}; each has a name of its own")
 
-    def encode(self, obs: Mapping[str, Any], memory: Memory | None = None) -> dict[str, Any]:
+    def encode(self, obs: Observation, memory: Memory | None = None) -> dict[str, Any]:
         """Return the inputs that one observation makes, under the model's names, without axes of batch and time.
 
         Args:
@@ -152,11 +153,11 @@ class Interface:
         """Tell whether an input has an axis of history; texts never have one."""
         return self.history > 1 and name not in self._untimed and name not in self._text()
 
-    def decode(self, raw: Any, obs: Mapping[str, Any], memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
+    def decode(self, raw: Any, obs: Observation, memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
         """Return the action steps of one environment's answer (H, D); `obs` is the newest observation."""
         return self.action.decode(np.asarray(raw), obs[spec.Obs.STATE], memory)
 
-    def observe(self, inputs: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:
+    def observe(self, inputs: Mapping[str, Any], like: Observation) -> dict[str, Any]:
         """Return the observation that the model would see as these inputs: the inverse of `encode`.
 
         Args:
@@ -197,7 +198,7 @@ class Interface:
     def _real(self, count: int) -> np.ndarray:
         return np.array([age < count for age in self.ages], np.float32)
 
-    def _read(self, item: Any, state: Mapping[str, Any], name: str, memory: Memory | None) -> np.ndarray:
+    def _read(self, item: Any, state: State, name: str, memory: Memory | None) -> np.ndarray:
         values: np.ndarray = item.read(state)
         if not isinstance(item, Rotation) or not item.follows:
             return values
@@ -212,7 +213,7 @@ class Interface:
         memory[label] = values
         return values
 
-    def _text(self, obs: Mapping[str, Any] | None = None) -> dict[str, str]:
+    def _text(self, obs: Observation | None = None) -> dict[str, str]:
         """Return the instruction as the model gets it, under its name; {} if it reads none."""
         how = self._instruction
         if how is None:

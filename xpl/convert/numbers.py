@@ -5,14 +5,17 @@ Source: spec/v1/native.schema.json#/$defs/normalize. The numbers come from the m
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl.convert import tables
 from xpl.convert.errors import NativeError
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry
 
 _NAMES = {"mean_std": ("mean", "std"), "min_max": ("min", "max"), "quantiles": ("low", "high")}
 _CONSTANT = {
@@ -37,7 +40,7 @@ class Normalization:
     """
 
     def __init__(
-        self, entry: Mapping[str, Any] | None, width: int, folders: Sequence[Path] = (), padded: int | None = None
+        self, entry: Entry | None, width: int, folders: Sequence[Path] = (), padded: int | None = None
     ) -> None:
         self._clip = (entry or {}).get("clip")
         self._to, self._back = _Line(width), _Line(width)
@@ -89,9 +92,7 @@ class _Line:
         self.scale, self.shift = np.where(where, scale, self.scale), np.where(where, shift, self.shift)
 
 
-def _numbers(
-    entry: Mapping[str, Any], name: str, folders: Sequence[Path], width: int, padded: int | None
-) -> np.ndarray:
+def _numbers(entry: Entry, name: str, folders: Sequence[Path], width: int, padded: int | None) -> np.ndarray:
     if "values" in entry:
         found = entry["values"].get(name)
     else:

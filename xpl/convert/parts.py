@@ -20,6 +20,7 @@ from xpl.convert.frames import Frame, side_index
 from xpl.observation import ObservationError
 
 if TYPE_CHECKING:
+    from xpl.contract import Entry
     from xpl.embodiment import Arm, Embodiment
 
 _UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
@@ -73,7 +74,7 @@ class Joints(Part):
 
     kind = "joints"
 
-    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+    def __init__(self, entry: Entry, embodiment: Embodiment) -> None:
         is_hand = self.kind == "hand"
         super().__init__(f"{self.kind} {entry['arm']}")
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
@@ -106,7 +107,7 @@ class Gripper(Part):
 
     kind = "gripper"
 
-    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+    def __init__(self, entry: Entry, embodiment: Embodiment) -> None:
         super().__init__(f"gripper {entry['arm']}")
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
         if arm.gripper != "parallel_gripper":
@@ -142,7 +143,7 @@ class Gripper(Part):
 class _OfPose(Part):
     """A part of the pose of an arm's point."""
 
-    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+    def __init__(self, entry: Entry, embodiment: Embodiment) -> None:
         super().__init__(f"{self.kind} {entry['arm']}")
         arm = embodiment.arms[side_index(embodiment, entry["arm"])]
         self.key = arm.prefix + spec.State.EE_POSE
@@ -157,7 +158,7 @@ class Position(_OfPose):
     kind = "position"
     width = spec.POSITION_DIM
 
-    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+    def __init__(self, entry: Entry, embodiment: Embodiment) -> None:
         super().__init__(entry, embodiment)
         self.unit = _UNITS[entry.get("unit", "m")]
 
@@ -179,7 +180,7 @@ class Rotation(_OfPose):
 
     kind = "rotation"
 
-    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment) -> None:
+    def __init__(self, entry: Entry, embodiment: Embodiment) -> None:
         super().__init__(entry, embodiment)
         self.form: str = entry["form"]
         self._euler = entry.get("euler")
@@ -242,7 +243,7 @@ class Fill(Part):
 
     kind = "fill"
 
-    def __init__(self, entry: Mapping[str, Any]) -> None:
+    def __init__(self, entry: Entry) -> None:
         super().__init__("fill")
         self.width = entry["width"]
         self.reference = "absolute"
@@ -263,7 +264,7 @@ _MADE: dict[str, type[Joints | Gripper | Position | Rotation]] = {
 }
 
 
-def part(entry: Mapping[str, Any], embodiment: Embodiment) -> Part:
+def part(entry: Entry, embodiment: Embodiment) -> Part:
     """Return a part of a vector from its entry in the block.
 
     Raises:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from xpl.convert.parts import part
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from xpl.contract import Entry
     from xpl.convert.parts import Part
     from xpl.embodiment import Embodiment
 
@@ -33,7 +34,7 @@ class Vector:
         padded: numbers of the model's vector.
     """
 
-    def __init__(self, entry: Mapping[str, Any], embodiment: Embodiment, folders: Sequence[Path], where: str) -> None:
+    def __init__(self, entry: Entry, embodiment: Embodiment, folders: Sequence[Path], where: str) -> None:
         self._where = where
         try:
             self.parts = [part(item, embodiment) for item in entry["parts"]]

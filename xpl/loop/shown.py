@@ -44,7 +44,7 @@ class Shown:
                     return number, index
         return None
 
-    def find(self, number: Any, index: Any, dtype: np.dtype[Any], shape: Any) -> np.ndarray:
+    def find(self, number: Any, index: Any, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
         """Return the array at a place.
 
         Raises:

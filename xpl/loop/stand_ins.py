@@ -18,6 +18,7 @@ from xpl.process import link
 from xpl.wire import packed
 
 if TYPE_CHECKING:
+    from xpl.contract import Action, ObservationDict, Result
     from xpl.process.link import Channel
 
 TASK_ENV, CLIENT = "task_env", "client"
@@ -135,26 +136,26 @@ class TaskEnv:
             f"an evaluation loop may not use TASK_ENV.{name}: it is offered {', '.join(ENV_OPERATIONS)}"
         )
 
-    def get_obs(self) -> dict[str, Any]:
+    def get_obs(self) -> ObservationDict:
         """Return the observation of the only environment."""
-        obs: dict[str, Any] = self._judge.ask(TASK_ENV, "get_obs")
+        obs: ObservationDict = self._judge.ask(TASK_ENV, "get_obs")
         return obs
 
     def get_obs_batch(
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
-    ) -> list[dict[str, Any]]:
+    ) -> list[ObservationDict]:
         """Return the observations of some environments, of all running ones by default."""
         wanted = None if env_idx_list is None else list(env_idx_list)
-        observations: list[dict[str, Any]] = self._judge.ask(TASK_ENV, "get_obs_batch", wanted, last_frame)
+        observations: list[ObservationDict] = self._judge.ask(TASK_ENV, "get_obs_batch", wanted, last_frame)
         return observations
 
-    def take_action(self, action: Mapping[str, Any]) -> Any:
+    def take_action(self, action: Action) -> Any:
         """Execute one action step in the only environment; return its report."""
         return self._judge.ask(TASK_ENV, "take_action", action)
 
-    def take_action_batch(self, actions: Sequence[Mapping[str, Any]], env_idx_list: Sequence[int]) -> Any:
+    def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> Any:
         """Execute one action step in each of some environments; return their reports."""
         return self._judge.ask(TASK_ENV, "take_action_batch", list(actions), list(env_idx_list))
 
@@ -170,7 +171,7 @@ class TaskEnv:
         running: list[int] = self._judge.ask(TASK_ENV, "get_running_env_idx_list")
         return running
 
-    def results(self) -> list[dict[str, Any]]:
+    def results(self) -> list[Result]:
         """Return the outcome of every environment's episode so far."""
         told: list[dict[str, Any]] = self._judge.ask(TASK_ENV, "results")
         return told

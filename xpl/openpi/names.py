@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from xpl.manifest import Manifest
 from xpl.observation import ObservationError, get_image, get_instruction, offered_inputs, pack_state
 from xpl.openpi.settings import KEY, LAYOUTS, gripper_ends, read
 from xpl.policy import ConfigError
+
+if TYPE_CHECKING:
+    from xpl.contract import Action, Config, Observation, ObservationDict
 
 ACTIONS = spec.Payload.ACTIONS  # named alike
 """Where an answer holds its chunk, (H, D)."""
@@ -51,7 +54,7 @@ class Names:
     images: str = LAYOUTS[0]
 
     @classmethod
-    def of(cls, config: Mapping[str, Any]) -> Names:
+    def of(cls, config: Config) -> Names:
         """Return the mapping of a configuration: deploy.yml's values and `manifest`, the parsed policy.yml.
 
         Raises:
@@ -78,7 +81,7 @@ class Names:
 
     # -- from openpi ---------------------------------------------------------------------------------------------------
 
-    def observation(self, values: Any) -> dict[str, Any]:
+    def observation(self, values: Any) -> ObservationDict:
         """Return the standard's observation of an openpi observation.
 
         Raises:
@@ -93,7 +96,7 @@ class Names:
                 f"the observation has {', '.join(unknown)}, which stands for nothing here; it holds "
                 f"{', '.join(came)}; known are {', '.join(self.names)} ({KEY}.names of deploy.yml says what they mean)"
             )
-        obs: dict[str, Any] = {}
+        obs: ObservationDict = {}
         for name, value in came.items():
             target = self.names[name]
             if target == _INSTRUCTION:
@@ -135,7 +138,7 @@ class Names:
 
     # -- to openpi -----------------------------------------------------------------------------------------------------
 
-    def values(self, obs: Mapping[str, Any]) -> dict[str, Any]:
+    def values(self, obs: Observation) -> dict[str, Any]:
         """Return the openpi observation of a standard's; an input that is neither there nor required is left out.
 
         Raises:
@@ -157,7 +160,7 @@ class Names:
             place[last] = self._value(obs, target)
         return result
 
-    def actions(self, steps: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    def actions(self, steps: Sequence[Action]) -> np.ndarray:
         """Return an action chunk as openpi's `actions`: (H, D) float32 in the embodiment's order."""
         rows = np.stack([pack(step, self.embodiment, self.action_type) for step in steps])
         for column in self._grippers():
@@ -197,7 +200,7 @@ class Names:
         targets = [target for target in self.names.values() if target is not None and target not in spare]
         return set().union(*(_bare(target, self) for target in targets))
 
-    def _value(self, obs: Mapping[str, Any], target: str) -> Any:
+    def _value(self, obs: Observation, target: str) -> Any:
         if target == _INSTRUCTION:
             return get_instruction(obs)
         if target == _STATE:

@@ -7,7 +7,7 @@ reset: a connection is an episode.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.client.codec import Actions, Codec, Failure, Infer, Message, Reply, Request, Reset
@@ -16,13 +16,16 @@ from xpl.openpi import codec
 from xpl.openpi.names import ACTIONS, Names
 from xpl.wire.codec import WireError
 
+if TYPE_CHECKING:
+    from xpl.contract import Config
+
 
 class OpenpiCodec(Codec):
     """Messages of openpi, whose names a configuration explains (`openpi` of deploy.yml)."""
 
     greets = True
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
+    def __init__(self, config: Config) -> None:
         super().__init__(config)
         self._names = Names.of(config)
 

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ARMS = tuple([prefix.rstrip("_") or "single" for prefix in prefixes] for prefixes in spec.ARM_PREFIXES.values())
 _KINDS = ("parallel_gripper", "hand")
 
 
-def inherit(base: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]:
+def inherit(base: Entry, entry: Entry) -> dict[str, Any]:
     """Return an entry with everything besides names and words that it does not say itself from another one."""
     own = {key: value for key, value in entry.items() if key != "like"}
     inherited = {key: value for key, value in base.items() if key not in ("name", "aliases", "description")}
     return _merged(inherited, {"aliases": [], **own})
 
 
-def has_frames(entry: Mapping[str, Any]) -> bool:
+def has_frames(entry: Entry) -> bool:
     """Tell whether an entry gives the frame, axis and limits of every joint, so that there is kinematics for it."""
     joints = entry["arm"]["joints"]
     return bool(joints) and all(joint.get(key) is not None for joint in joints for key in ("limits", "origin", "axis"))
@@ -50,7 +53,7 @@ def faults(robot: Any) -> Iterator[str]:
         yield f"end_effector needs kind ({' or '.join(_KINDS)}), dim and stroke (m, or null)"
 
 
-def _arm_faults(arm: Mapping[str, Any]) -> Iterator[str]:
+def _arm_faults(arm: Entry) -> Iterator[str]:
     dof, joints, home = arm.get("dof"), arm.get("joints"), arm.get("home")
     if not _is_count(dof):
         yield f"arm.dof must be a whole number of joints, got {dof!r}"
@@ -63,7 +66,7 @@ def _arm_faults(arm: Mapping[str, Any]) -> Iterator[str]:
             yield f"arm.joints[{place}] needs a name and limits ([from, to] in rad, or null)"
 
 
-def _merged(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(base: Entry, own: Entry) -> dict[str, Any]:
     both = (key for key in own if isinstance(base.get(key), Mapping) and isinstance(own[key], Mapping))
     return {**base, **own, **{key: _merged(base[key], own[key]) for key in both}}
 

@@ -7,11 +7,14 @@ import os
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import registry
 from xpl.robots import shipped
 from xpl.robots.entry import faults, inherit
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry
 
 OURS = registry.OURS
 """Where a robot comes from that no file of a project or package describes."""
@@ -29,7 +32,7 @@ class RobotError(ValueError):
     """An entry is none of a robot, or its name is taken."""
 
 
-def entries() -> dict[str, Mapping[str, Any]]:
+def entries() -> dict[str, Entry]:
     """Return what is known of every robot, by name: ours first, then a project's."""
     _listen()
     return {**shipped.entries(), **{name: entry for name, (_, entry) in _offered.items()}}
@@ -64,7 +67,7 @@ def origin(name: str) -> str:
     return _offered[name][0]
 
 
-def offer(entry: Mapping[str, Any], origin: str) -> str:
+def offer(entry: Entry, origin: str) -> str:
     """Make a robot known in this process and those that it starts; return its name.
 
     Args:
@@ -148,7 +151,7 @@ def _problem(path: Path, source: registry.Entry) -> registry.EntryPointError | N
     return None
 
 
-def whole(entry: Mapping[str, Any]) -> dict[str, Any]:
+def whole(entry: Entry) -> dict[str, Any]:
     """Return an entry with what it has from the robot that it is `like`: map by map, and its own words first.
 
     Raises:
@@ -189,7 +192,7 @@ def _fixed() -> dict[str, str]:
     return {**shipped.words(), **own}
 
 
-def _words(name: str, entry: Mapping[str, Any]) -> tuple[str, ...]:
+def _words(name: str, entry: Entry) -> tuple[str, ...]:
     return (name, *(entry.get("aliases") or ()))
 
 

@@ -7,13 +7,16 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl import variants
 from xpl.manifest import Manifest
 from xpl.policy import Policy
 from xpl.worker.loading import load_model_class
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
 
 MANIFEST_VARIABLE = "XPL_MANIFEST"
 """Environment variable by which `xpl prepare` and `xpl train` hand policy.yml to a script, as JSON."""
@@ -25,7 +28,7 @@ class TrainingError(ValueError):
 
 def without_model(
     folder: str | os.PathLike[str],
-    config: Mapping[str, Any],
+    config: Config,
     *,
     normalized: bool = True,
     images: bool = True,
@@ -65,11 +68,11 @@ def without_model(
     return made
 
 
-def _no_load(_self: Policy, _config: Mapping[str, Any]) -> None:
+def _no_load(_self: Policy, _config: Config) -> None:
     """Stand for an adapter's `load`."""
 
 
-def manifest_of(folder: str | os.PathLike[str], config: Mapping[str, Any]) -> Mapping[str, Any]:
+def manifest_of(folder: str | os.PathLike[str], config: Config) -> Mapping[str, Any]:
     """Return a package's manifest: of the configuration, of `$XPL_MANIFEST`, or from its file."""
     told: Mapping[str, Any] = config.get("manifest") or _manifest(Path(folder), config.get(spec.Deploy.VARIANT))
     return told

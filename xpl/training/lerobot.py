@@ -29,6 +29,7 @@ from xpl.training.reading import windows
 from xpl.trajectory import Folder, open_files, open_folder
 
 if TYPE_CHECKING:
+    from xpl.contract import Config
     from xpl.training.windows import Windows
 
 STILL = 1e-4
@@ -125,14 +126,14 @@ def train(package: Path) -> None:
     print(f"{run.step} steps in {run.spent:.0f} s on {device.type}: {target / 'model.safetensors'}")  # noqa: T201
 
 
-def demonstrations(config: Mapping[str, Any]) -> Folder:
+def demonstrations(config: Config) -> Folder:
     """Return the set, or the sets as one, that `demonstrations` of deploy.yml names."""
     given = config.get("demonstrations") or "../../demos"
     folders = [open_folder(Path(one).expanduser()) for one in ([given] if isinstance(given, str) else given)]
     return open_files([one.path for folder in folders for one in folder][: config.get("episodes")])
 
 
-def place(package: Path, config: Mapping[str, Any]) -> Path:
+def place(package: Path, config: Config) -> Path:
     """Return the checkpoint's folder, where the adapter looks for it."""
     return package / spec.CHECKPOINT_DIRECTORY / str(config["run_name"] or config[spec.Deploy.CKPT_NAME])
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from xpl.training.adapters import without_model
 from xpl.training.reading import Shown, is_told_secrets, read_all
 
 if TYPE_CHECKING:
+    from xpl.contract import Config
     from xpl.trajectory import Folder
 
 ACTION = "action"
@@ -20,7 +20,7 @@ ACTION = "action"
 
 def statistics(
     folder: str | os.PathLike[str],
-    config: Mapping[str, Any],
+    config: Config,
     demonstrations: Folder,
     *,
     horizon: int | None = None,

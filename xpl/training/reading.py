@@ -16,13 +16,14 @@ from xpl.training.adapters import TrainingError, manifest_of, without_model
 from xpl.training.windows import Pixels, Values, Windows
 
 if TYPE_CHECKING:
+    from xpl.contract import Action, Config, ObservationDict
     from xpl.convert import Interface
     from xpl.trajectory import Folder, Trajectory
 
 
 def windows(
     folder: str | os.PathLike[str],
-    config: Mapping[str, Any],
+    config: Config,
     demonstrations: Folder,
     *,
     horizon: int | None = None,
@@ -68,7 +69,7 @@ class Shown:
     demonstrations: Folder
     secrets: bool
 
-    def observation(self, episode: Trajectory, step: int) -> dict[str, Any]:
+    def observation(self, episode: Trajectory, step: int) -> ObservationDict:
         """Return an observation as the adapter would get it."""
         obs = episode.observation(step, _cameras(self.policy))
         if not self.secrets:
@@ -76,7 +77,7 @@ class Shown:
         return {**obs, spec.Obs.ENV_IDX: 0}
 
 
-def is_told_secrets(folder: str | os.PathLike[str], config: Mapping[str, Any]) -> bool:
+def is_told_secrets(folder: str | os.PathLike[str], config: Config) -> bool:
     """Tell whether an adapter's manifest asks for what only a simulator knows; else it is not served with it."""
     inputs = Manifest.parse(manifest_of(folder, config)).inputs
     return inputs is not None and spec.Obs.PRIVILEGED in (*inputs.required, *inputs.optional)
@@ -149,7 +150,7 @@ def _played(
     policy = asked.policy
     keys = policy.embodiment.dims(policy.action_type)
     shown: list[tuple[Mapping[str, Any], Mapping[str, Any]]] = []
-    actions: list[Mapping[str, Any]] = []
+    actions: list[Action] = []
     policy.reset()
     for step in range(len(episode)):
         obs = asked.observation(episode, step)
@@ -179,9 +180,7 @@ def _cameras(policy: Policy) -> list[str] | None:
     return [camera for item in policy.interface.images for camera in item.cameras]
 
 
-def _answers(
-    interface: Interface, actions: Sequence[Mapping[str, Any]], states: Sequence[Any], wanted: np.ndarray
-) -> np.ndarray:
+def _answers(interface: Interface, actions: Sequence[Action], states: Sequence[Any], wanted: np.ndarray) -> np.ndarray:
     """Return the answers (T, H, D) that mean the wanted (T, H) of these actions, each asked for at its own state."""
     output = interface.action
     if not output.is_relative:

@@ -55,7 +55,7 @@ def data_of(array: np.ndarray) -> Data:
     return array.reshape(-1).view(np.uint8).data if array.size else b""
 
 
-def from_data(data: Data, dtype: np.dtype[Any], shape: Any) -> np.ndarray:
+def from_data(data: Data, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
     """Return the read-only array of some bytes, a view of them.
 
     Raises:
@@ -81,7 +81,7 @@ def describe_dtype(dtype: np.dtype[Any]) -> Any:
     return [[name, *_describe_field(dtype[name])] for name in dtype.names]
 
 
-def parse_dtype(description: Any) -> np.dtype[Any]:
+def parse_dtype(description: Any) -> np.dtype[np.generic]:
     """Return the dtype that a text or a list stands for; text may be bytes.
 
     Raises:
@@ -95,15 +95,15 @@ def parse_dtype(description: Any) -> np.dtype[Any]:
 
 
 @functools.lru_cache(maxsize=512)
-def _named_dtype(name: str) -> np.dtype[Any]:
+def _named_dtype(name: str) -> np.dtype[np.generic]:
     if not _NAME.fullmatch(name):
         raise ArrayError(f"unknown array type {name!r:.80}")
     return _dtype(name, name)
 
 
-def _dtype(known: Any, description: Any) -> np.dtype[Any]:
+def _dtype(known: Any, description: Any) -> np.dtype[np.generic]:
     try:
-        dtype: np.dtype[Any] = np.dtype(known)
+        dtype: np.dtype[np.generic] = np.dtype(known)
     # A warning, too, where those are errors: numpy calls some names old.
     except (TypeError, ValueError, OverflowError, DeprecationWarning) as error:
         raise ArrayError(f"unknown array type {description!r:.80}: {error}") from None
@@ -111,7 +111,7 @@ def _dtype(known: Any, description: Any) -> np.dtype[Any]:
     return dtype
 
 
-def _describe_field(dtype: np.dtype[Any]) -> list[Any]:
+def _describe_field(dtype: np.dtype[np.generic]) -> list[Any]:
     if dtype.subdtype is None:
         return [describe_dtype(dtype)]
     base, shape = dtype.subdtype
@@ -135,7 +135,7 @@ def _text(value: Any) -> str:
     return value
 
 
-def check_dtype(dtype: np.dtype[Any]) -> None:
+def check_dtype(dtype: np.dtype[np.generic]) -> None:
     """Check that arrays of a type may travel.
 
     Raises:
@@ -157,6 +157,6 @@ def check_dtype(dtype: np.dtype[Any]) -> None:
 
 
 @functools.lru_cache(maxsize=512)  # not of structures: a peer can make up as many as it likes, each as large as a frame
-def _check_plain(dtype: np.dtype[Any]) -> None:
+def _check_plain(dtype: np.dtype[np.generic]) -> None:
     if dtype.kind not in _KINDS or dtype.hasobject or dtype.itemsize == 0:
         raise ArrayError(f"arrays of type {dtype!s:.80} are refused: only numbers, flags and text travel")

@@ -13,7 +13,7 @@ import itertools
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from xpl.wire.arrays import ArrayError, Data, as_array, data_of, describe_dtype,
 from xpl.wire.packed import PackingError, map_key
 from xpl.wire.packed import decode as unpack
 from xpl.wire.packed import lengths as packed_lengths
+
+if TYPE_CHECKING:
+    from xpl.contract import Payload
 
 _K = spec.ARRAY_KEYS
 _ND, _TYPE, _KIND, _SHAPE, _DATA, _COMPLEX = (_K[name] for name in ("nd", "type", "kind", "shape", "data", "complex"))
@@ -84,7 +87,7 @@ class Frame:
 
     message_type: str
     evaluation_id: str
-    payload: dict[str, Any] = field(default_factory=dict)
+    payload: Payload = field(default_factory=dict)
     message_id: str = field(default_factory=_new_id)
     action_case_id: str | None = None
     trial_id: str | None = None
@@ -92,7 +95,7 @@ class Frame:
     step: int = 0
     sent_at: str = field(default_factory=_now)
 
-    def answer(self, message_type: str, payload: dict[str, Any]) -> Frame:
+    def answer(self, message_type: str, payload: Payload) -> Frame:
         """Return an answer that repeats this request's identifiers."""
         return Frame(
             **{
@@ -132,7 +135,7 @@ def encode(frame: Frame, pieces: Sequence[Data] = ()) -> bytes:
     return packed
 
 
-def unpacked(payload: dict[str, Any]) -> dict[str, Any]:
+def unpacked(payload: Payload) -> Payload:
     """Return a payload with the entries that it carries packed among the others.
 
     Raises:

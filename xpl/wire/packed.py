@@ -68,7 +68,7 @@ _NO_LIMITS = Limits(1 << 62, BODY_LIMIT)
 
 Place = Callable[[np.ndarray], Optional[tuple[int, int]]]
 """Puts an array into shared memory and returns its block and offset, or None if it must travel in the message."""
-Find = Callable[[int, int, "np.dtype[Any]", Any], np.ndarray]
+Find = Callable[[int, int, "np.dtype[np.generic]", Any], np.ndarray]
 """Returns the array of a block, an offset, a dtype and a shape in shared memory."""
 
 

@@ -245,7 +245,7 @@ class Window:
         # Views outlive this object: an adapter may keep an observation after its client has gone.
         self._data = memoryview(self._map).toreadonly()
 
-    def find(self, block: Any, offset: Any, dtype: np.dtype[Any], shape: Any) -> np.ndarray:
+    def find(self, block: Any, offset: Any, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
         """Return the read-only array at a block and an offset, and take the block until its last view is gone.
 
         Raises:

@@ -24,9 +24,11 @@ LENGTH = struct.Struct("<Q")
 FAILURES = (Exception, SystemExit)
 """What counts as an error of the code that is run. SystemExit, too: see `xpl.worker.main`."""
 ERROR = "error"
+Order = Mapping[str, Any]
+"""What an errand is asked: the keys stand in its module."""
 
 
-def carry_out(asked: str, answers: str, play: Callable[[Mapping[str, Any]], Iterator[bytes]]) -> NoReturn:
+def carry_out(asked: str, answers: str, play: Callable[[Order], Iterator[bytes]]) -> NoReturn:
     """Do what the file `asked` says, write the answers to the file `answers`, and end the process.
 
     Args:

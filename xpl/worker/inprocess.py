@@ -13,19 +13,19 @@ Observations are handed over as a simulator makes them: arrays of their own that
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
 from xpl.manifest import Manifest
 from xpl.policy import Policy
 from xpl.worker.copies import own
-from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
 from xpl.worker.lacking import ShadowError
 from xpl.worker.loading import load_model_class
 
 
-def load(order: Mapping[str, Any]) -> Any:
+def load(order: Order) -> Any:
     """Return an adapter's model.
 
     Args:
@@ -72,7 +72,7 @@ def main(asked: str, answers: str) -> NoReturn:
     carry_out(asked, answers, _all)
 
 
-def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+def _all(order: Order) -> Iterator[bytes]:
     def script(model: Any) -> Iterator[bytes]:
         yield result(None)
         yield from play(model, order["script"])
@@ -80,7 +80,7 @@ def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
     return on_model(order, script)
 
 
-def on_model(order: Mapping[str, Any], errand: Callable[[Any], Iterator[bytes]]) -> Iterator[bytes]:
+def on_model(order: Order, errand: Callable[[Any], Iterator[bytes]]) -> Iterator[bytes]:
     """Load an adapter's model and yield what an errand says of it; only the error, if it cannot be loaded.
 
     Args:

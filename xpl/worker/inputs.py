@@ -17,7 +17,7 @@ import numpy as np
 from xpl.policy import Policy
 from xpl.wire import packed
 from xpl.worker.copies import own
-from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
 from xpl.worker.inprocess import on_model
 from xpl.worker.loading import LoadError
 
@@ -29,7 +29,7 @@ def main(asked: str, answers: str) -> NoReturn:
     carry_out(asked, answers, _all)
 
 
-def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+def _all(order: Order) -> Iterator[bytes]:
     def play(model: Any) -> Iterator[bytes]:
         if not isinstance(model, Policy):
             yield failed(LoadError("the model is no xpl.Policy: it has no predict whose inputs could be shown"))

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
 from xpl import checkpoint
 from xpl.checkpoint import CheckpointError
 from xpl.ecosystem import checkout
 from xpl.worker.belonging import is_third_party
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
 
 _OPEN_LIBRARY = "cannot open shared object file"  # the dynamic linker's words
 _LONGEST = 300
@@ -64,7 +67,7 @@ class ShadowError(RuntimeError):
     kind = "shadow"
 
 
-def lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -> dict[str, str] | None:
+def lacking(error: BaseException, policy_dir: Path, config: Config) -> dict[str, str] | None:
     """Return what the failure of a load says that this machine lacks, or None if the adapter itself is at fault.
 
     Args:
@@ -84,7 +87,7 @@ def lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -
     return None
 
 
-def _lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -> tuple[str, str] | None:
+def _lacking(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
     found: tuple[str, str] | None = None
     if isinstance(error, ShadowError):
         found = error.kind, str(error)
@@ -103,7 +106,7 @@ def _lacking(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) 
     return found
 
 
-def _file(error: FileNotFoundError, policy_dir: Path, config: Mapping[str, Any]) -> tuple[str, str] | None:
+def _file(error: FileNotFoundError, policy_dir: Path, config: Config) -> tuple[str, str] | None:
     """Return what a file is that is not there; None if it is one that the adapter itself would have to have."""
     if not isinstance(error.filename, (str, os.PathLike)):
         text = _brief(error)
@@ -121,7 +124,7 @@ def _file(error: FileNotFoundError, policy_dir: Path, config: Mapping[str, Any])
     return None if path.parent.is_dir() else ("upstream", where)
 
 
-def _said(error: BaseException, policy_dir: Path, config: Mapping[str, Any]) -> tuple[str, str] | None:
+def _said(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
     """Return what an exception says in words, its own or a library's."""
     names = {kind.__name__ for kind in type(error).__mro__}
     text = _brief(error)
@@ -164,13 +167,13 @@ def _causes(error: BaseException) -> Iterator[BaseException]:
         cause = cause.__cause__ or handled
 
 
-def _in_checkpoint(path: Path, policy_dir: Path, config: Mapping[str, Any]) -> bool:
+def _in_checkpoint(path: Path, policy_dir: Path, config: Config) -> bool:
     named = [config.get(key) for key in (*spec.CHECKPOINT_KEYS, spec.Deploy.CKPT_NAME)]
     roots = [spec.CHECKPOINT_DIRECTORY, *(name for name in named if isinstance(name, str) and name)]
     return any(root == path or root in path.parents for root in (policy_dir / name for name in roots))
 
 
-def _has_checkpoint(policy_dir: Path, config: Mapping[str, Any]) -> bool:
+def _has_checkpoint(policy_dir: Path, config: Config) -> bool:
     return len(checkpoint.folders(config, policy_dir)) > 1
 
 

@@ -19,12 +19,12 @@ import importlib.util
 import platform
 import sys
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Callable, NoReturn
+from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 import numpy as np
 
@@ -34,8 +34,11 @@ from xpl.action import check_chunk
 from xpl.embodiment import Embodiment, get_embodiment
 from xpl.episodes import own_index
 from xpl.worker.copies import own
-from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
 from xpl.worker.loading import LoadError
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
 
 _SDK = "xpl"
 _MOST_LIBRARIES = 64
@@ -67,7 +70,7 @@ class Episode:
         self.number = number
 
 
-def load(folder: Path, file: str, function: str, config: Mapping[str, Any]) -> Answer:
+def load(folder: Path, file: str, function: str, config: Config) -> Answer:
     """Import native.py of a package and return what answers.
 
     Raises:
@@ -99,7 +102,7 @@ def load(folder: Path, file: str, function: str, config: Mapping[str, Any]) -> A
     return made
 
 
-def play(answer: Answer, order: Mapping[str, Any]) -> Iterator[bytes]:
+def play(answer: Answer, order: Order) -> Iterator[bytes]:
     """Show and ask as the order says, and yield the answers of each question, packed."""
     robot = get_embodiment(order["embodiment"])
     for _ in range(order["rounds"]):
@@ -115,7 +118,7 @@ def play(answer: Answer, order: Mapping[str, Any]) -> Iterator[bytes]:
                 yield _asked(answer, [episodes[env] for env in call["ask"]], robot, order)
 
 
-def _asked(answer: Answer, episodes: Sequence[Episode], robot: Embodiment, order: Mapping[str, Any]) -> bytes:
+def _asked(answer: Answer, episodes: Sequence[Episode], robot: Embodiment, order: Order) -> bytes:
     try:
         told = []
         for episode in episodes:
@@ -220,7 +223,7 @@ def main(asked: str, answers: str) -> NoReturn:
     carry_out(asked, answers, _all)
 
 
-def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+def _all(order: Order) -> Iterator[bytes]:
     folder = Path(order["policy_dir"])
     try:
         answer = load(folder, order["file"], order["function"], order["config"])

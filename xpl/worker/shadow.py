@@ -20,12 +20,13 @@ from xpl import checkpoint
 from xpl.action import action_dim
 from xpl.decoding import decode_rows
 from xpl.manifest import Manifest
-from xpl.policy import Observation, Policy
+from xpl.policy import Policy
 from xpl.worker.answers import Answers
 from xpl.worker.lacking import ShadowError
 from xpl.worker.loading import load_model_class
 
 if TYPE_CHECKING:
+    from xpl.contract import Config, Entry, Observation
     from xpl.convert import Interface
 
 _STEPS = 4  # of a chunk, where nothing declares how many
@@ -80,7 +81,7 @@ def shadow_of(model_class: type) -> type[Policy]:
 class _Shadow(Policy):
     """What stands before the adapter's class in the order of resolution."""
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
+    def __init__(self, config: Config) -> None:
         manifest = Manifest.parse(config.get("manifest"))
         declared = manifest.shadow
         if not self._encodes and manifest.native is None:
@@ -95,7 +96,7 @@ class _Shadow(Policy):
         self._shadow_converts = not declared.shape
         self._shadow_answers = Answers(shape, *_ranges(self, shape[1], declared.range or None))
 
-    def load(self, config: Mapping[str, Any]) -> None:
+    def load(self, config: Config) -> None:
         """Load nothing."""
 
     def encode(self, obs: Observation, env: int) -> Any:
@@ -143,7 +144,7 @@ class _Shadow(Policy):
     def _encodes(self) -> bool:
         return super(_Shadow, type(self)).encode is not Policy.encode
 
-    def _compiled(self, native: Mapping[str, Any] | None) -> Interface | None:
+    def _compiled(self, native: Entry | None) -> Interface | None:
         """Compile a block native with plain values where it is open, or where statistics are not there."""
         if native is None:
             return None

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl.episodes import CLIENT_ENVS, shared_index
 from xpl.observation import ObservationError, env_index, env_indices
 from xpl.policy import PolicyStateError
+
+if TYPE_CHECKING:
+    from xpl.contract import Observation
 
 _FAILURES = (BaseException,)
 """What belongs to the client whose request raised it: anything (`xpl.worker.main`)."""
@@ -104,7 +107,7 @@ class SharedModel:
             raise PolicyStateError(f"get_action answers one environment, but the last batch held {envs}")
         return client.order
 
-    def _update(self, client: _Client, observations: Sequence[Mapping[str, Any]], envs: Sequence[Any]) -> None:
+    def _update(self, client: _Client, observations: Sequence[Observation], envs: Sequence[Any]) -> None:
         numbers = client.numbers(envs)
         if any(number >= client.first + CLIENT_ENVS for number in numbers):
             raise ObservationError(f"env_idx must be below {CLIENT_ENVS} where clients share a model, got {list(envs)}")

@@ -14,7 +14,7 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Callable, NoReturn
+from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 import numpy as np
 
@@ -23,8 +23,11 @@ from xpl import checkpoint
 from xpl.convert import Interface, compile_interface
 from xpl.episodes import EpisodeCounter
 from xpl.policy import Policy
-from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
 from xpl.worker.inprocess import on_model
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry
 
 _MOST_BYTES = 256 << 20
 """What remembered answers and pictures may hold, each."""
@@ -38,7 +41,7 @@ def unfit(model: Any) -> str | None:
     return f"the adapter converts in code: {', '.join(own)}" if own else None
 
 
-def variants(model: Policy, blocks: Sequence[Mapping[str, Any]], order: Mapping[str, Any]) -> Iterator[bytes]:
+def variants(model: Policy, blocks: Sequence[Entry], order: Order) -> Iterator[bytes]:
     """Yield the answers under each block, packed.
 
     Args:
@@ -135,12 +138,12 @@ def _digest(inputs: Mapping[str, Any]) -> str:
 class _Pictures:
     """Model pictures of the first block, for the many blocks that change something else."""
 
-    def __init__(self, block: Mapping[str, Any]) -> None:
+    def __init__(self, block: Entry) -> None:
         self._entries = [json.dumps(entry, sort_keys=True) for entry in block.get("images", ())]
         self._made: dict[tuple[str, int], np.ndarray] = {}
         self._held = 0
 
-    def take_over(self, interface: Interface, block: Mapping[str, Any]) -> None:
+    def take_over(self, interface: Interface, block: Entry) -> None:
         """Have inputs of an interface that are as in the first block look here first."""
         for item, entry in zip(interface.images, block.get("images", ())):
             text = json.dumps(entry, sort_keys=True)
@@ -166,7 +169,7 @@ def main(asked: str, answers: str) -> NoReturn:
     carry_out(asked, answers, _all)
 
 
-def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+def _all(order: Order) -> Iterator[bytes]:
     def play(model: Any) -> Iterator[bytes]:
         why = unfit(model)
         yield result(why)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
 from xpl import checkpoint
 from xpl.checkpoint import CheckpointError
+
+if TYPE_CHECKING:
+    from xpl.contract import Config
 
 DEFAULT_EXPLICIT_KEYS = tuple(spec.CHECKPOINT_KEYS)
 
@@ -20,7 +23,7 @@ def ckpt_name_is_path(ckpt_name: Any) -> bool:
     return "/" in text or os.sep in text or text.startswith("~")
 
 
-def build_run_dir_name(model_cfg: Mapping[str, Any], *, include_seed: bool = True) -> str | None:
+def build_run_dir_name(model_cfg: Config, *, include_seed: bool = True) -> str | None:
     """Return the conventional name of a run, None where a part of it is not configured."""
     if include_seed:
         return checkpoint.run_name(model_cfg)
@@ -29,7 +32,7 @@ def build_run_dir_name(model_cfg: Mapping[str, Any], *, include_seed: bool = Tru
 
 
 def candidate_checkpoint_roots(  # noqa: PLR0913 - as adapters call it
-    model_cfg: Mapping[str, Any],
+    model_cfg: Config,
     checkpoints_dir: Any,
     *,
     policy_dir: Any = None,
@@ -51,7 +54,7 @@ def candidate_checkpoint_roots(  # noqa: PLR0913 - as adapters call it
 
 
 def resolve_checkpoint_root(  # noqa: PLR0913 - as adapters call it
-    model_cfg: Mapping[str, Any],
+    model_cfg: Config,
     checkpoints_dir: Any,
     *,
     policy_dir: Any = None,

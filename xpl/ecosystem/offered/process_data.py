@@ -7,13 +7,16 @@ arm, the left one first. With `action_type` "ee" an arm is its pose, seven value
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl import images
 from xpl.embodiment import get_embodiment
+
+if TYPE_CHECKING:
+    from xpl.contract import Observation
 
 _OBS = spec.Payload.OBS
 _SOURCES = (_OBS, "dataset")
@@ -42,7 +45,7 @@ def get_batch_size(env_cfg_type: str) -> int:
 
 
 def pack_robot_state(
-    obs: Mapping[str, Any],
+    obs: Observation,
     action_type: str,
     robot_action_dim_info: Mapping[str, Any],
     source_type: str = _OBS,

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Callable
+from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry
 
 _DRAWN = {
     "standard_normal": "standard_normal",
@@ -36,7 +39,7 @@ class Drawn:
         how: `as`: own, or single or double for another precision.
     """
 
-    def __init__(self, model: Any, how: Mapping[str, Any]) -> None:
+    def __init__(self, model: Any, how: Entry) -> None:
         self._model, self._predict, self._rng = model, model.predict, model.rng
         self._type = {"single": np.float32, "double": np.float64}.get(how["as"])
         self._envs: Sequence[int] = ()

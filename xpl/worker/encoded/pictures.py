@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from xpl import _spec as spec
 from xpl.convert.images import ImageInput
 from xpl.observation import get_image
 from xpl.worker.encoded.walk import UnfitError, changed, leaves
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry, Observation
 
 _LEAST = 12
 """Pixels that a side of a picture has at least."""
@@ -28,7 +31,7 @@ def channel_axis(array: Any) -> int | None:
     return -3 if height == 3 and min(width, last) >= _LEAST else None
 
 
-def scaled(value: Any, how: Mapping[str, Any]) -> Any:
+def scaled(value: Any, how: Entry) -> Any:
     """Return pictures whose black and white are others.
 
     Args:
@@ -53,7 +56,7 @@ def scaled(value: Any, how: Mapping[str, Any]) -> Any:
     return changed(value, change)
 
 
-def colours(value: Any, _how: Mapping[str, Any]) -> Any:
+def colours(value: Any, _how: Entry) -> Any:
     """Return pictures whose colours are in the other order."""
 
     def change(array: Any) -> Any:
@@ -63,7 +66,7 @@ def colours(value: Any, _how: Mapping[str, Any]) -> Any:
     return changed(value, change)
 
 
-def layout(value: Any, how: Mapping[str, Any]) -> Any:
+def layout(value: Any, how: Entry) -> Any:
     """Return pictures whose axes are in another order: `to` is hwc, chw, or turned for height and width exchanged."""
 
     def change(array: Any) -> Any:
@@ -79,7 +82,7 @@ def layout(value: Any, how: Mapping[str, Any]) -> Any:
     return changed(value, change)
 
 
-def beside(value: Any, _how: Mapping[str, Any]) -> Any:
+def beside(value: Any, _how: Entry) -> Any:
     """Return two pictures in one that lie beside each other below each other instead, or the other way round."""
 
     def change(array: Any) -> Any:
@@ -108,7 +111,7 @@ def sizes(value: Any) -> list[tuple[int, int]]:
     return list(dict.fromkeys(found))
 
 
-def whole(steps: Sequence[Mapping[str, Any]], size: Sequence[int], shape: Sequence[int]) -> list[dict[str, Any]]:
+def whole(steps: Sequence[Entry], size: Sequence[int], shape: Sequence[int]) -> list[dict[str, Any]]:
     """Return steps of a geometry with the sizes that a picture of a shape gets; `square` cuts out its middle."""
     found = []
     for step in steps:
@@ -131,7 +134,7 @@ class Resized:
         UnfitError: if it does not see through to the adapter's pictures: other sizes, other ways to cut them.
     """
 
-    def __init__(self, encode: Any, sample: Mapping[str, Any]) -> None:
+    def __init__(self, encode: Any, sample: Observation) -> None:
         made = encode(sample)
         found = sizes(made)
         if not found:
@@ -142,7 +145,7 @@ class Resized:
                     return
         raise UnfitError("the adapter changes pictures that have the model's size")
 
-    def __call__(self, obs: Mapping[str, Any], steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    def __call__(self, obs: Observation, steps: Sequence[Entry]) -> dict[str, Any]:
         """Return an observation with such pictures; steps are a geometry in words of a native block, without `to`."""
         vision = obs[spec.Obs.VISION]
         entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8"}
@@ -163,7 +166,7 @@ class Resized:
         frame[top : top + size[0], left : left + size[1]] = view
         return frame
 
-    def _is_seen_through(self, encode: Any, sample: Mapping[str, Any]) -> bool:
+    def _is_seen_through(self, encode: Any, sample: Observation) -> bool:
         """Tell whether the encoded pictures have the very pixels that were shown, scaled and in whatever place."""
         height, width = self._size
         levels = np.arange(height * width) * 256 // (height * width)

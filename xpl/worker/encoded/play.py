@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Callable, NoReturn
+from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 from xpl import _spec as spec
 from xpl.policy import Policy
@@ -24,9 +24,12 @@ from xpl.worker.encoded.draws import Drawn
 from xpl.worker.encoded.rebuilt import Rebuilt
 from xpl.worker.encoded.segments import Segments
 from xpl.worker.encoded.walk import UnfitError, changed, leaves
-from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
 from xpl.worker.inprocess import on_model
 from xpl.worker.variants import renewed
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry, Observation
 
 _MOST_KEPT = 64
 """Observations whose inputs are kept."""
@@ -45,7 +48,7 @@ _CHANGES: dict[str, Callable[[Any, Mapping[str, Any]], Any]] = {
 }
 
 
-def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Mapping[str, Any]) -> Iterator[bytes]:
+def changes(model: Policy, wanted: Sequence[Mapping[str, Any]], order: Order) -> Iterator[bytes]:
     """Yield the answers under each change, packed.
 
     Args:
@@ -84,7 +87,7 @@ def _remembering(encode: Encode) -> Encode:
     """Return an `encode` that makes the inputs of an observation once; what it returns may be written to."""
     known: dict[tuple[int, int], tuple[Any, Any]] = {}
 
-    def remembered(obs: Mapping[str, Any], env: int) -> Any:
+    def remembered(obs: Observation, env: int) -> Any:
         key = (id(obs), env)
         if key not in known or known[key][0] is not obs:
             made = encode(obs, env)
@@ -96,7 +99,7 @@ def _remembering(encode: Encode) -> Encode:
     return remembered
 
 
-def _drawn(model: Policy, how: Mapping[str, Any], calls: Sequence[Mapping[str, Any]]) -> bytes:
+def _drawn(model: Policy, how: Entry, calls: Sequence[Mapping[str, Any]]) -> bytes:
     """Return the answers with other draws, packed."""
     drawn = Drawn(model, how)
     model.predict = drawn.predict  # type: ignore[method-assign]
@@ -104,7 +107,7 @@ def _drawn(model: Policy, how: Mapping[str, Any], calls: Sequence[Mapping[str, A
     return result({"answers": answers, **drawn.told})
 
 
-def _answering(predicts: Callable[..., Any], how: Mapping[str, Any]) -> Callable[..., Any]:
+def _answering(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
     """Return the model with its answers changed."""
 
     def predict(inputs: Any, envs: list[int]) -> Any:
@@ -114,7 +117,7 @@ def _answering(predicts: Callable[..., Any], how: Mapping[str, Any]) -> Callable
 
 
 def _wrapped(
-    model: Policy, own: Encode, how: Mapping[str, Any], samples: Sequence[Mapping[str, Any]], known: dict[str, Any]
+    model: Policy, own: Encode, how: Entry, samples: Sequence[Observation], known: dict[str, Any]
 ) -> tuple[Encode, dict[str, Any]]:
     """Return an `encode` with a change, and what is to be told of it.
 
@@ -123,7 +126,7 @@ def _wrapped(
     """
     sample = samples[0]
 
-    def encode(obs: Mapping[str, Any]) -> Any:
+    def encode(obs: Observation) -> Any:
         made = known["kept"] if any(obs is one for one in samples) else own
         return made(obs, obs.get(spec.Obs.ENV_IDX) or 0)
 
@@ -151,7 +154,7 @@ def _wrapped(
 
 
 def _resized(
-    own: Encode, encode: Callable[[Any], Any], how: Mapping[str, Any], sample: Mapping[str, Any], known: dict[str, Any]
+    own: Encode, encode: Callable[[Any], Any], how: Entry, sample: Observation, known: dict[str, Any]
 ) -> tuple[Encode, dict[str, Any]]:
     """Return an `encode` whose pictures got their size otherwise: shown in that size, or made again.
 
@@ -195,7 +198,7 @@ def main(asked: str, answers: str) -> NoReturn:
     carry_out(asked, answers, _all)
 
 
-def _all(order: Mapping[str, Any]) -> Iterator[bytes]:
+def _all(order: Order) -> Iterator[bytes]:
     def play(model: Any) -> Iterator[bytes]:
         if not isinstance(model, Policy):
             yield result("the adapter does not derive from xpl.Policy")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Callable
+from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from xpl.convert.images import ImageInput
 from xpl.observation import get_image
 from xpl.worker.encoded.pictures import channel_axis, whole
 from xpl.worker.encoded.walk import UnfitError, changed, leaves
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry, Observation
 
 _MOST_CAMERAS = 8
 _SEEN = 1e-6
@@ -61,7 +64,7 @@ class Rebuilt:
         UnfitError: if that cannot be seen.
     """
 
-    def __init__(self, encode: Callable[[Any], Any], sample: Mapping[str, Any]) -> None:
+    def __init__(self, encode: Callable[[Any], Any], sample: Observation) -> None:
         self._encode, self._sample = encode, sample
         self._cameras = [name for name, one in sample[spec.Obs.VISION].items() if spec.Camera.COLOR in one]
         black = self._planes({})
@@ -76,9 +79,7 @@ class Rebuilt:
         if not self._places:
             raise UnfitError("no camera is seen")
 
-    def __call__(
-        self, value: Any, obs: Mapping[str, Any], steps: Sequence[Mapping[str, Any]], *, exchanged: bool = False
-    ) -> Any:
+    def __call__(self, value: Any, obs: Observation, steps: Sequence[Entry], *, exchanged: bool = False) -> Any:
         """Return encoded inputs whose pictures got their size otherwise.
 
         Args:
@@ -204,7 +205,7 @@ def _slopes(picture: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
     return float(by_row), float(by_column)
 
 
-def _made(image: np.ndarray, place: _Place, steps: Sequence[Mapping[str, Any]], size: Sequence[int]) -> np.ndarray:
+def _made(image: np.ndarray, place: _Place, steps: Sequence[Entry], size: Sequence[int]) -> np.ndarray:
     """Return a camera's picture in the numbers of the encoded ones."""
     wanted = tuple(size)[::-1] if place.is_turned else tuple(size)
     entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8", "cameras": [""]}

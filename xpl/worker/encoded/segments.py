@@ -6,7 +6,7 @@ import itertools
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Callable
+from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from xpl import _spec as spec
 from xpl.worker.encoded.pictures import channel_axis
 from xpl.worker.encoded.vectors import is_vector, lines, of_width
 from xpl.worker.encoded.walk import UnfitError, changed, leaves
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry, Observation
 
 _WIDTHS = range(3, 10)
 """Of a position, and of an arm's joints."""
@@ -46,7 +49,7 @@ class Segments:
         samples: observations by which parts are known.
     """
 
-    def __init__(self, model: Any, encode: Callable[[Any], Any], samples: Sequence[Mapping[str, Any]]) -> None:
+    def __init__(self, model: Any, encode: Callable[[Any], Any], samples: Sequence[Observation]) -> None:
         self._lines = {width: list(_turned(_arrays(model, width))) for width in _WIDTHS}
         self._found: dict[int, list[_Segment]] = {}
         vectors = [[leaf for leaf in leaves(encode(one)) if _is_one(leaf)] for one in samples]
@@ -58,7 +61,7 @@ class Segments:
         used = [segment for segments in self._found.values() for segment in segments]
         self._changes = list(dict.fromkeys((one.width, one.line) for one in used))
 
-    def change(self, value: Any, how: Mapping[str, Any]) -> tuple[Any, str]:
+    def change(self, value: Any, how: Entry) -> tuple[Any, str]:
         """Return encoded inputs with parts normalised otherwise, and how.
 
         Raises:
@@ -116,7 +119,7 @@ def _are_near(one: np.ndarray, other: np.ndarray, free: np.ndarray) -> bool:
     return bool(near[free].all() and 2 * free.sum() >= free.size)
 
 
-def _fields(obs: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _fields(obs: Observation) -> dict[str, np.ndarray]:
     state = obs[spec.Obs.STATE]
     return {name: np.ravel(np.asarray(value, np.float64)) for name, value in state.items() if np.ndim(value) == 1}
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Callable
+from typing import TYPE_CHECKING, Any, Callable
 
 from xpl.observation import get_instruction
 from xpl.worker.encoded.walk import UnfitError, changed
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry, Observation
 
 _DONE: tuple[Callable[[str], str], ...] = (
     str,
@@ -22,7 +24,7 @@ _DONE: tuple[Callable[[str], str], ...] = (
 """What adapters do to an instruction."""
 
 
-def text(value: Any, how: Mapping[str, Any], obs: Mapping[str, Any]) -> Any:
+def text(value: Any, how: Entry, obs: Observation) -> Any:
     """Return encoded inputs whose texts have the instruction otherwise.
 
     Args:

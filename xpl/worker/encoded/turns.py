@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Callable
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
 from xpl.worker.encoded.pictures import channel_axis
 from xpl.worker.encoded.vectors import is_vector
 from xpl.worker.encoded.walk import UnfitError, changed, leaves
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry
 
 _NEAR = 1e-4
 _QUATERNION, _VECTORS = 4, 6
@@ -28,7 +31,7 @@ class Turned:
         UnfitError: if there is none.
     """
 
-    def __init__(self, samples: Sequence[Any], how: Mapping[str, Any]) -> None:
+    def __init__(self, samples: Sequence[Any], how: Entry) -> None:
         self._width, found, self._turn = _TURNS[how["turn"]]
         vectors: dict[int, list[np.ndarray]] = {}
         for sample in samples:

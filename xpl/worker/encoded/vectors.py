@@ -5,13 +5,16 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Callable
+from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
 from xpl import _spec as spec
 from xpl.worker.encoded.pictures import channel_axis
 from xpl.worker.encoded.walk import UnfitError, changed, leaves
+
+if TYPE_CHECKING:
+    from xpl.contract import Entry, Observation
 
 _MOST_ARRAYS = 12
 _NEAR = 1e-4
@@ -26,7 +29,7 @@ def is_vector(leaf: Any) -> bool:
     return not isinstance(leaf, str) and leaf.dtype.kind == "f" and leaf.ndim in (1, 2) and leaf.shape[-1] > 3
 
 
-def ordered(value: Any, how: Mapping[str, Any]) -> Any:
+def ordered(value: Any, how: Entry) -> Any:
     """Return vectors in another order.
 
     Args:
@@ -51,7 +54,7 @@ def ordered(value: Any, how: Mapping[str, Any]) -> Any:
     return result
 
 
-def linear(value: Any, how: Mapping[str, Any]) -> Any:
+def linear(value: Any, how: Entry) -> Any:
     """Return vectors with some numbers scaled and moved.
 
     Args:
@@ -87,7 +90,7 @@ class Normalized:
         sample: an observation.
     """
 
-    def __init__(self, model: Any, encode: Any, sample: Mapping[str, Any]) -> None:
+    def __init__(self, model: Any, encode: Any, sample: Observation) -> None:
         widths = [leaf.shape[-1] for leaf in leaves(encode(sample)) if channel_axis(leaf) is None and is_vector(leaf)]
         self._width = widths[0] if len(set(widths)) == 1 else 0
         self._lines = list(lines(_arrays(model, self._width))) if self._width else []
@@ -96,7 +99,7 @@ class Normalized:
     def __len__(self) -> int:
         return len(self._lines)
 
-    def change(self, value: Any, how: Mapping[str, Any]) -> tuple[Any, str]:
+    def change(self, value: Any, how: Entry) -> tuple[Any, str]:
         """Return encoded inputs with vectors normalised otherwise, and how.
 
         Raises:
@@ -113,7 +116,7 @@ class Normalized:
 
         return changed(value, change), f"normalize: {words}, not {self._lines[self._now][0]}"
 
-    def _told(self, value: Any, sample: Mapping[str, Any]) -> int | None:
+    def _told(self, value: Any, sample: Observation) -> int | None:
         """Return by which numbers the vectors are normalised now: undone, most of them are those of the state."""
         state = np.concatenate([np.ravel(item) for item in sample[spec.Obs.STATE].values() if _is_numbers(item)])
         vector = next((leaf for leaf in leaves(value) if channel_axis(leaf) is None and is_vector(leaf)), None)
