@@ -22,10 +22,12 @@ from typing import Any, NamedTuple, Self
 
 from xpl_cli.evaluation.lanes.backend import Job, Room
 from xpl_cli.evaluation.lanes.backends import make
+from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import evaluate, plan, runner
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.evaluation.runs.schedule import Schedule
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments, package
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -71,7 +73,7 @@ class _Suite:
         self.episodes = episodes
         self._folder = folder
         self._runs = 0
-        orders = evaluate.orders(evaluate.Request(adapter, ENVIRONMENT, folder, None), environment, self.plan)
+        orders = evaluate.orders(adapter, environment, self.plan, Runtime(), Bounds())
         self._backends = {lanes: make(Room(lanes=lanes), *orders, episodes) for lanes in (1, 2)}
 
     def __enter__(self) -> Self:

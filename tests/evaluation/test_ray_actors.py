@@ -14,9 +14,11 @@ from tests.support.adapters import drill
 from tests.support.peer import xpl
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.lanes.backend import Job, Outcome
+from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.lanes.ray_actors import Player, Post, Refusal
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import evaluate, plan
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:
@@ -32,9 +34,8 @@ JOB = Job(0, 1, "hold", "clean", 0)
 def orders(tmp_path: Path) -> tuple[Orders, ServerOrders]:
     """Return what lanes and servers of a run are told."""
     environment, adapter = drill.environment(tmp_path), package.load(drill.adapter(tmp_path))
-    request = evaluate.Request(adapter, str(environment), tmp_path / "run", None)
     line = plan.make(adapter, environment, adapter.config({}), plan.Wishes()).plan
-    return evaluate.orders(request, environment, line)
+    return evaluate.orders(adapter, environment, line, Runtime(), Bounds())
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from xpl_cli.audit.engine.engine import audit
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.options import Options
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.fingerprints import Checkpoint
 from xpl_cli.evaluation.runs import evaluate
@@ -221,7 +222,7 @@ class TestReplay:
     @pytest.mark.slow
     def test_an_adapter_that_is_isolated_plays_alike(self, run: Run) -> None:
         """Neither its server nor its loop sees the one who judges, and states repeat bit by bit."""
-        player = Player(EXPERT, isolate=True)
+        player = Player(EXPERT, runtime=Runtime(isolate=True))
         try:
             lanes, servers = player._orders(run)
         except UserError as error:

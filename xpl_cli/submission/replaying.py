@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -13,9 +12,11 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.evaluation.lanes.backend import Job
 from xpl_cli.evaluation.lanes.local import LocalBackend, shared
+from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import fingerprints
 from xpl_cli.evaluation.records.cells import INFRASTRUCTURE
 from xpl_cli.evaluation.runs import evaluate, runner
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.lifecycle.checkpoints import fetch, specification
 from xpl_cli.packages import environments, package, robots
 from xpl_cli.submission import claims
@@ -23,6 +24,7 @@ from xpl_cli.submission.replay import Pair
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from xpl_cli.evaluation.lanes.orders import Orders
     from xpl_cli.evaluation.lanes.servers import ServerOrders
@@ -40,22 +42,14 @@ class Player:
         policy: its folder.
         variant: of it that the runs are of; None for the policy itself.
         is_ours: whether that is not the bundle's own: then it has its weights itself.
-        python: interpreter of the adapter.
-        env: environment of the adapter, as for `xpl serve`.
-        gpu: device of the adapter.
-        eval_env: interpreter of the environment.
-        isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
+        runtime: of adapter and environment.
         progress: where to say what is being done.
     """
 
     policy: Path
     variant: str | None = None
     is_ours: bool = False
-    python: str | None = None
-    env: str | None = None
-    gpu: str | None = None
-    eval_env: str | None = None
-    isolate: bool = False
+    runtime: Runtime = field(default_factory=Runtime)
     progress: Progress = field(default_factory=Progress)
 
     @cached_property
@@ -119,18 +113,8 @@ class Player:
             raise UserError(f"{folder.name} does not wait for the policy: no episode repeats", code=ExitCode.NOT_RUN)
         if fingerprints.package_digest(folder) != plan.environment.digest:
             raise UserError(f"{folder.name} here is another version than the run's", code=ExitCode.NOT_RUN)
-        request = evaluate.Request(
-            adapter,
-            None,
-            Path(),
-            None,
-            python=self.python,
-            env=self.env,
-            gpu=self.gpu,
-            eval_env=self.eval_env,
-            isolate=self.isolate,
-        )
-        return evaluate.orders(request, folder, plan)
+        bounds = Bounds.here(adapter.path.parent, isolate=self.runtime.isolate)
+        return evaluate.orders(adapter, folder, plan, self.runtime, bounds)
 
     def _find_weights(self, config: Mapping[str, Any], loaded: Checkpoint | None) -> None:
         """See to it that the adapter loads the checkpoint of the run.

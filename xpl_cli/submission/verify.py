@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
+from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.standard import spec
 from xpl_cli.submission import bundle, inspection, replay
 from xpl_cli.submission.replaying import Player
@@ -40,9 +41,7 @@ class Request:
         policy: adapter to play instead of the one in the bundle; it must have the same files.
         folder: new folder to unpack into and leave; a temporary one by default.
         limit: most bytes that are unpacked.
-        python, env, gpu: interpreter and device of the adapter.
-        eval_env: interpreter of the environment.
-        isolate: keep the adapter from the network and from writing while it is played.
+        runtime: of adapter and environment, where episodes are played.
         progress: where to say what is being done.
     """
 
@@ -52,11 +51,7 @@ class Request:
     policy: Path | None = None
     folder: Path | None = None
     limit: int = 10**10
-    python: str | None = None
-    env: str | None = None
-    gpu: str | None = None
-    eval_env: str | None = None
-    isolate: bool = False
+    runtime: Runtime = field(default_factory=Runtime)
     progress: Progress = field(default_factory=Progress)
 
 
@@ -154,11 +149,7 @@ def _replayed(request: Request, found: Bundle, report: Report, runs: Sequence[Ru
         request.policy or found.adapter,
         variant=found.manifest.policy.variant,
         is_ours=request.policy is not None,
-        python=request.python,
-        env=request.env,
-        gpu=request.gpu,
-        eval_env=request.eval_env,
-        isolate=request.isolate,
+        runtime=request.runtime,
         progress=request.progress,
     )
     try:

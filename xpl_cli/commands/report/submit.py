@@ -100,6 +100,7 @@ def verify(
     from xpl_cli.basics import console
     from xpl_cli.basics.progress import progress
     from xpl_cli.basics.sizes import parse_size
+    from xpl_cli.evaluation.lanes.orders import Runtime
     from xpl_cli.submission import unproven
     from xpl_cli.submission import verify as verification
 
@@ -112,11 +113,7 @@ def verify(
                 policy=policy,
                 folder=unpack,
                 limit=parse_size(max_size, "--max-size"),
-                python=python,
-                env=policy_env,
-                gpu=policy_gpu,
-                eval_env=eval_env,
-                isolate=isolate,
+                runtime=Runtime(python, policy_env, policy_gpu, eval_env, isolate),
                 progress=say,
             )
         )

@@ -134,7 +134,7 @@ def evaluate(
     from xpl import _spec as spec
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import UserError
-    from xpl_cli.evaluation.lanes import recorder
+    from xpl_cli.evaluation.lanes import orders, recorder
     from xpl_cli.evaluation.runs import look, remote
     from xpl_cli.evaluation.runs.settings import environment_for, with_robot
     from xpl_cli.packages import package
@@ -209,11 +209,7 @@ def evaluate(
                 room=Room(backend, 1 if is_batch else backends.lanes_of(workers), servers, policy_gpus),
                 films=film,
                 overrides=overrides if env is None else with_robot(adapter, env, overrides),
-                python=python,
-                env=policy_env,
-                gpu=policy_gpu,
-                eval_env=eval_env,
-                isolate=isolate,
+                runtime=orders.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
                 remote=reached,
                 announced=told,
                 num_envs=num_envs,
@@ -244,11 +240,7 @@ def evaluate(
             connect=connect,
             token=token,
             ssl_context=None if ca_file is None else client_tls_context(ca_file),
-            python=python,
-            env=policy_env,
-            gpu=policy_gpu,
-            eval_env=eval_env,
-            isolate=isolate,
+            runtime=orders.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
             demos=demos,
         ),
         policy,

@@ -107,11 +107,7 @@ def record(
         workers=backends.lanes_of(workers),
         resume=resume,
         overrides=package.parse_overrides(settings),
-        python=python,
-        env=policy_env,
-        gpu=policy_gpu,
-        eval_env=eval_env,
-        isolate=isolate,
+        runtime=orders.Runtime(python, policy_env, policy_gpu, eval_env, isolate),
     )
     with desk(env), progress() as say:
         told = collect.collect(request, say)

@@ -40,6 +40,23 @@ class Demos:
 
 
 @dataclass(frozen=True)
+class Runtime:
+    """In which Python, and how apart, an adapter and an environment run.
+
+    Attributes:
+        python, env, gpu: interpreter and device of the adapter, as for `xpl serve`.
+        eval_env: Python of the environment, as `interpreter.resolve` takes it; None is env.yml's, or ours.
+        isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
+    """
+
+    python: str | None = None
+    env: str | None = None
+    gpu: str | None = None
+    eval_env: str | None = None
+    isolate: bool = False
+
+
+@dataclass(frozen=True)
 class Settings:
     """How an environment is configured for an adapter.
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,10 +21,12 @@ from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.environments import play
 from xpl_cli.evaluation.lanes import backends, recorder
 from xpl_cli.evaluation.lanes.backend import LOCAL, Room
+from xpl_cli.evaluation.lanes.orders import Runtime
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs import evaluate, plan, runner
 from xpl_cli.evaluation.runs.plan import Wishes
 from xpl_cli.evaluation.runs.schedule import Schedule
+from xpl_cli.isolation.bounds import Bounds
 from xpl_cli.packages import environments, package
 
 if TYPE_CHECKING:
@@ -62,9 +64,7 @@ class Request:
         workers: episodes at a time; None is as many as there are cores.
         resume: whether a set that is there is continued.
         overrides: keys of deploy.yml.
-        python, env, gpu: interpreter and device of the policy.
-        eval_env: interpreter of the environment.
-        isolate: keep the policy from the network and from writing.
+        runtime: of policy and environment.
     """
 
     environment: str
@@ -82,11 +82,7 @@ class Request:
     workers: int | None = 1
     resume: bool = False
     overrides: dict[str, Any] | None = None
-    python: str | None = None
-    env: str | None = None
-    gpu: str | None = None
-    eval_env: str | None = None
-    isolate: bool = False
+    runtime: Runtime = field(default_factory=Runtime)
 
 
 @dataclass(frozen=True)
@@ -168,12 +164,13 @@ def collect(request: Request, progress: Progress) -> Demonstrations:
         raise UserError(
             f"{folder} holds demonstrations already", hint="continue with --resume, or choose another --out"
         )
-    asked, wishes = _asked(request, adapter, run)
+    overrides, wishes = _asked(request)
     place = environments.find(request.environment)
-    planned = plan.make(adapter, place, adapter.config(asked.overrides), wishes).plan
-    lane_orders, server_orders = evaluate.orders(asked, place, planned)
+    planned = plan.make(adapter, place, adapter.config(overrides), wishes).plan
+    bounds = Bounds.here(adapter.path.parent, isolate=request.runtime.isolate)
+    lane_orders, server_orders = evaluate.orders(adapter, place, planned, request.runtime, bounds, demos=request.demos)
     wanted = request.size if request.size is not None else lane_orders.settings.cameras or True
-    lane_orders = replace(lane_orders, settings=replace(lane_orders.settings, cameras=wanted), demos=request.demos)
+    lane_orders = replace(lane_orders, settings=replace(lane_orders.settings, cameras=wanted))
     _return_surplus(folder)
     began = time.monotonic()
     with records.Writer(run, planned) as writer:
@@ -187,7 +184,8 @@ def collect(request: Request, progress: Progress) -> Demonstrations:
         )
         before = sum(map(len, _kept(writer.run, request)))
         if not schedule.is_done:
-            with contextlib.closing(backends.make(asked.room, lane_orders, server_orders, schedule.left)) as backend:
+            room = Room(LOCAL, request.workers)
+            with contextlib.closing(backends.make(room, lane_orders, server_orders, schedule.left)) as backend:
                 shown = _View(writer.run, request, before, progress)
                 runner.play(writer, backend, schedule, shown, ahead=False)
     return _summary(records.read(run), request, adapter.name, time.monotonic() - began)
@@ -209,8 +207,8 @@ def _player(request: Request) -> Package:
     )
 
 
-def _asked(request: Request, adapter: Package, run: Path) -> tuple[evaluate.Request, Wishes]:
-    """Return what the evaluation engine is asked, and what is to be played."""
+def _asked(request: Request) -> tuple[dict[str, Any], Wishes]:
+    """Return the keys of deploy.yml that the policy is given, and what is to be played."""
     first = None if request.tasks in (None, plan.ALL) else request.tasks.partition(",")[0]
     facts = environments.manifest(environments.find(request.environment))
     task = play.expanded(facts, [first])[0] if first else None
@@ -234,20 +232,7 @@ def _asked(request: Request, adapter: Package, run: Path) -> tuple[evaluate.Requ
         request.horizon,
         is_practice=True,
     )
-    asked = evaluate.Request(
-        package=adapter,
-        environment=request.environment,
-        out=run,
-        wishes=wishes,
-        room=Room(LOCAL, request.workers),
-        overrides=overrides,
-        python=request.python,
-        env=request.env,
-        gpu=request.gpu,
-        eval_env=request.eval_env,
-        isolate=request.isolate,
-    )
-    return asked, wishes
+    return overrides, wishes
 
 
 def _enough(wanted: int) -> Callable[[Sequence[bool | None]], bool]:

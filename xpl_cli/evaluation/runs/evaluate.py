@@ -13,7 +13,7 @@ from xpl_cli.evaluation.lanes import backends
 from xpl_cli.evaluation.lanes.backend import LOCAL, Room
 from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
 from xpl_cli.evaluation.lanes.local import LocalBackend
-from xpl_cli.evaluation.lanes.orders import Access, Orders
+from xpl_cli.evaluation.lanes.orders import Access, Orders, Runtime
 from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
 from xpl_cli.evaluation.records import manner, records
 from xpl_cli.evaluation.records.manner import Manner
@@ -50,9 +50,7 @@ class Request:
         room: where it is played.
         films: episodes of each cell that are filmed.
         overrides: keys of deploy.yml.
-        python, env, gpu: interpreter and device of the adapter.
-        eval_env: interpreter of the environment.
-        isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
+        runtime: of adapter and environment.
         remote: a policy server that somebody else runs; one is started otherwise.
         announced: what it said.
         num_envs: episodes at once, in one batch; None on resuming: the record's, or 1.
@@ -69,11 +67,7 @@ class Request:
     room: Room = field(default_factory=Room)
     films: int = 1
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    python: str | None = None
-    env: str | None = None
-    gpu: str | None = None
-    eval_env: str | None = None
-    isolate: bool = False
+    runtime: Runtime = field(default_factory=Runtime)
     remote: Remote | None = None
     announced: Mapping[str, Any] | None = None
     num_envs: int | None = None
@@ -98,7 +92,15 @@ def evaluate(request: Request) -> Run:
             f"{request.out} holds a recorded run already", hint="continue it with --resume, or choose another --out"
         )
     folder, planned = _planned(request)
-    lane_orders, server_orders = orders(request, folder, planned)
+    lane_orders, server_orders = orders(
+        request.package,
+        folder,
+        planned,
+        request.runtime,
+        _bounds(request),
+        env_workers=request.env_workers,
+        demos=request.demos,
+    )
     with records.Writer(request.out, planned) as writer:
         run, is_batch = writer.run, lane_orders.num_envs > 1
         # What is seen of a batch is not told apart by its episodes: it has neither films nor curves.
@@ -167,21 +169,33 @@ def _backend(request: Request, lane_orders: Orders, server_orders: ServerOrders,
     return LocalBackend(lane_orders, [(server, access)] * lanes)
 
 
-def orders(request: Request, folder: Path, planned: Plan) -> tuple[Orders, ServerOrders]:
+def orders(  # noqa: PLR0913 - all that travels with a run
+    package: Package,
+    folder: Path,
+    planned: Plan,
+    runtime: Runtime,
+    bounds: Bounds,
+    *,
+    env_workers: int = 1,
+    demos: Demos | None = None,
+) -> tuple[Orders, ServerOrders]:
     """Return what lanes and servers are told.
 
     Args:
-        request: which policy, and in which interpreters.
+        package: the adapter.
         folder: of the environment package.
         planned: what is played.
+        runtime: of adapter and environment.
+        bounds: what the adapter is kept from.
+        env_workers: processes that share a batch, as far as there is one.
+        demos: where episodes are kept as trajectories, and how.
 
     Raises:
         UserError: the environment does not have what the plan asks for.
     """
-    package, config, how = request.package, manner.without(planned.policy.config), manner.of(planned)
+    config, how = manner.without(planned.policy.config), manner.of(planned)
     cell, checkpoint = planned.cells[0], planned.policy.checkpoint
     settings = environment_settings(package, str(folder), config, task=cell.task, setting=cell.setting)
-    bounds = _bounds(request)
     lane_orders = Orders(
         policy=str(package.path),
         policy_digest=planned.policy.digest,
@@ -190,11 +204,11 @@ def orders(request: Request, folder: Path, planned: Plan) -> tuple[Orders, Serve
         config=config,
         settings=settings,
         horizon=planned.control.horizon,
-        eval_env=request.eval_env,
+        eval_env=runtime.eval_env,
         num_envs=how.num_envs,
-        env_workers=min(request.env_workers, how.num_envs),
+        env_workers=min(env_workers, how.num_envs),
         bounds=bounds,
-        demos=request.demos,
+        demos=demos,
         instruction=how.instruction,
     )
     server_orders = ServerOrders(
@@ -202,9 +216,9 @@ def orders(request: Request, folder: Path, planned: Plan) -> tuple[Orders, Serve
         policy_digest=planned.policy.digest,
         checkpoint_digest=None if checkpoint is None else checkpoint.digest,
         overrides=config,
-        python=request.python,
-        env=request.env,
-        gpu=request.gpu,
+        python=runtime.python,
+        env=runtime.env,
+        gpu=runtime.gpu,
         bounds=bounds,
     )
     return lane_orders, server_orders
@@ -213,8 +227,8 @@ def orders(request: Request, folder: Path, planned: Plan) -> tuple[Orders, Serve
 def _bounds(request: Request) -> Bounds:
     """Return what the adapter is kept from; on a cluster only what was asked for, for each machine has its own."""
     if request.room.backend != LOCAL:
-        return Bounds(isolate=request.isolate)
-    return Bounds.here(request.package.path.parent, isolate=request.isolate)
+        return Bounds(isolate=request.runtime.isolate)
+    return Bounds.here(request.package.path.parent, isolate=request.runtime.isolate)
 
 
 def check(run: Run) -> None:

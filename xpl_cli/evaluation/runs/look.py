@@ -12,19 +12,20 @@ import os
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from xpl import _spec as sdk
 from xpl import get_embodiment
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.lanes.here import Elsewhere, HereBackend
-from xpl_cli.evaluation.lanes.orders import Access, Orders, Settings
-from xpl_cli.evaluation.lanes.servers import Server, ServerOrders
+from xpl_cli.evaluation.lanes.orders import Access, Runtime
+from xpl_cli.evaluation.lanes.servers import Server
 from xpl_cli.evaluation.records.failures import POLICY_DIED, POLICY_ERROR
 from xpl_cli.evaluation.records.fingerprints import package_digest
+from xpl_cli.evaluation.records.manner import Manner
 from xpl_cli.evaluation.records.model import Control, Plan, PlannedCell, PlannedEnvironment, PlannedPolicy
 from xpl_cli.evaluation.records.records import Unwritten
+from xpl_cli.evaluation.runs import evaluate as suite
 from xpl_cli.evaluation.runs import outcome, runner
 from xpl_cli.evaluation.runs.outcome import Evaluation, Played
 from xpl_cli.evaluation.runs.plan import ALL, ATTEMPTS, tasks_of
@@ -40,11 +41,12 @@ _DIGITS = 10
 if TYPE_CHECKING:
     import ssl
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from xpl.manifest import EnvManifest
     from xpl_cli.basics.progress import Progress
-    from xpl_cli.evaluation.lanes.orders import Demos
-    from xpl_cli.evaluation.records.model import Episode
+    from xpl_cli.evaluation.lanes.orders import Demos, Settings
+    from xpl_cli.evaluation.records.model import Episode, Place
     from xpl_cli.evaluation.records.records import Run
     from xpl_cli.packages.package import Package
 
@@ -65,9 +67,8 @@ class Request:
         overrides: keys of deploy.yml.
         connect: address of a server that already runs; one is started otherwise.
         token, ssl_context: what a server that already runs asks for.
-        python, env, gpu: interpreter and device of the adapter.
-        eval_env: interpreter of the environment, as `interpreter.resolve` takes it; env.yml's or ours by default.
-        isolate: keep the adapter from the network and from writing. Other processes it never sees, if that can be had.
+        runtime: of adapter and environment.
+        demos: where episodes are kept as trajectories, too, and how.
     """
 
     package: Package
@@ -82,11 +83,7 @@ class Request:
     connect: str | None = None
     token: str | None = None
     ssl_context: ssl.SSLContext | None = None
-    python: str | None = None
-    env: str | None = None
-    gpu: str | None = None
-    eval_env: str | None = None
-    isolate: bool = False
+    runtime: Runtime = field(default_factory=Runtime)
     demos: Demos | None = None
 
 
@@ -123,20 +120,13 @@ def evaluate(request: Request, progress: Progress) -> Evaluation:
     folder = environments.find(request.environment)
     facts = environments.manifest(folder)
     tasks = _several(request.task, facts, str(config[sdk.Deploy.ENV_CFG_TYPE]))
-    settings = environment_settings(
-        request.package,
-        request.environment,
-        config,
-        task=tasks[0] if tasks else request.task,
-        setting=request.setting,
-        num_envs=request.num_envs,
-    )
+    task = tasks[0] if tasks else request.task
+    settings = environment_settings(request.package, request.environment, config, task=task, setting=request.setting)
     setting = request.setting or facts.settings[0]
-    first = int(config[sdk.Deploy.SEED])
     tasks = tasks or [cast("str", settings.task)]  # None in the offline environment, and in its report
-    sink = Unwritten(_plan(request, settings, tasks, range(first, first + request.episodes), facts))
+    sink = Unwritten(_plan(request, folder, config, settings, [(task, setting) for task in tasks]))
     schedule = Schedule(sink.run, 0, lambda _outcomes: False, traced=False)
-    with contextlib.closing(_backend(request, str(folder), config, settings, progress)) as backend:
+    with contextlib.closing(_backend(request, folder, sink.run.plan, progress)) as backend:
         backend.prepare(tasks[0], setting)
         runner.play(sink, backend, schedule, _View(sink.run, request.episodes * len(tasks), progress))
     played = Played(
@@ -190,47 +180,35 @@ def _several(wanted: str | None, facts: EnvManifest, embodiment: str) -> list[st
     return tasks_of(facts, wanted, get_embodiment(embodiment).name)[0] if is_list else []
 
 
-def _plan(request: Request, settings: Settings, tasks: Sequence[str], seeds: range, facts: EnvManifest) -> Plan:
-    """Return what a schedule and a runner read of a plan; nobody writes it down, and so it has no digests."""
-    setting = request.setting or facts.settings[0]
+def _plan(
+    request: Request, folder: Path, config: Mapping[str, Any], settings: Settings, places: Sequence[Place]
+) -> Plan:
+    """Return the plan of what nobody writes down; it has digests where trajectories say who played."""
+    policy = environment = ""
+    if request.demos is not None:
+        policy, environment = package_digest(request.package.path), package_digest(folder)
+    first = int(config[sdk.Deploy.SEED])
+    seeds = range(first, first + request.episodes)
+    told = Manner(request.num_envs).written_in(config)
     return Plan(
-        policy=PlannedPolicy(request.package.name, spec.VERSION, "", {}),
-        environment=PlannedEnvironment(facts.name, spec.VERSION, ""),
+        policy=PlannedPolicy(request.package.name, spec.VERSION, policy, told),
+        environment=PlannedEnvironment(environments.manifest(folder).name, spec.VERSION, environment),
         embodiment=settings.embodiment,
         action_type=settings.action_type,
         control=Control(request.horizon, ATTEMPTS),
-        cells=[PlannedCell(task, setting, None, seeds, frozen=False) for task in tasks],
+        cells=[PlannedCell(task, setting, None, seeds, frozen=False) for task, setting in places],
     )
 
 
-def _backend(
-    request: Request, folder: str, config: Mapping[str, Any], settings: Settings, progress: Progress
-) -> HereBackend:
-    policy = str(request.package.path)
-    bounds = Bounds.here(request.package.path.parent, isolate=request.isolate)
-    is_told = request.demos is not None  # whoever reads a trajectory wants to know who played
-    orders = Orders(
-        policy=policy,
-        policy_digest=package_digest(request.package.path) if is_told else "",
-        environment=folder,
-        environment_digest=package_digest(Path(folder)) if is_told else "",
-        config=config,
-        settings=settings,
-        horizon=request.horizon,
-        eval_env=request.eval_env,
-        num_envs=request.num_envs,
+def _backend(request: Request, folder: Path, planned: Plan, progress: Progress) -> HereBackend:
+    orders, ours = suite.orders(
+        request.package,
+        folder,
+        planned,
+        request.runtime,
+        Bounds.here(request.package.path.parent, isolate=request.runtime.isolate),
         env_workers=request.workers,
-        bounds=bounds,
         demos=request.demos,
-    )
-    ours = ServerOrders(
-        policy,
-        "",
-        overrides=request.overrides,
-        python=request.python,
-        env=request.env,
-        gpu=request.gpu,
-        bounds=bounds,
     )
     server = Server(ours, 1) if request.connect is None else Elsewhere(request.connect, request.token)
     access = Access(
