@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.adapters.rules import made_adapter
+from tests.support.commands import xpl
 from tests.support.examples import examples
-from tests.support.peer import xpl
 from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.yaml import text as yaml_text
@@ -48,7 +48,6 @@ def broken(adapter: Path) -> list[tuple[int, str]]:
     return sorted((number, key) for key, number in numbers.items())
 
 
-@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "command",
     [
@@ -57,63 +56,50 @@ def broken(adapter: Path) -> list[tuple[int, str]]:
         ("install", "Foo"),
         ("prepare", "Foo"),
         ("train", "Foo"),
-        ("audit", "Foo", "--gate", "offline"),
+        ("adopt", "Foo", "--merge"),
+        ("spec", "validate", "Foo/policy.yml"),
     ],
 )
 def test_every_command_lists_every_problem_with_its_place(adapter: Path, command: tuple[str, ...]) -> None:
-    """Nothing is started, and the person mends all at once."""
+    """Nothing is started; file, line, column, key, what was expected, what came, the nearest name and the page."""
     places = broken(adapter)
-    assert len(places) == 4
-    done = xpl(*command, cwd=adapter.parent)
-    assert done.returncode != ExitCode.CLEAN
-    assert "Traceback" not in done.stderr + done.stdout
-    told = done.stderr + done.stdout
-    for line, key in places:
-        assert f"policy.yml:{line}:" in told, (key, told)
-        assert f" {key}: " in told
-    for meant in ("did you mean family?", "did you mean 16?", "did you mean joint?"):
-        assert meant in told
-
-
-def test_the_same_as_json(adapter: Path) -> None:
-    """A program gets file, line, column, key, what was expected, what came, the nearest name and the page."""
-    places = broken(adapter)
-    done = xpl("adopt", "Foo", "--merge", "--json", cwd=adapter.parent)
-    assert done.returncode == ExitCode.USAGE
-    answer = json.loads(done.stdout)
-    assert answer["schema"] == "xpl.error/1"
-    assert [(problem["line"], problem["key"]) for problem in answer["problems"]] == places
-    first = next(problem for problem in answer["problems"] if problem["key"] == "temporal.chunk")
-    assert first["file"] == "Foo/policy.yml"
-    assert first["expected"] == "an integer"
-    assert first["got"] == "the text '16'"
-    assert first["nearest"] == "16"
+    ended = xpl(*command, "--json", folder=adapter.parent)
+    is_check = command[0] == "spec"
+    assert ended.code == (ExitCode.FINDINGS if is_check else ExitCode.USAGE), ended.stderr
+    answer = json.loads(ended.stdout)
+    assert answer["schema"] == ("xpl.spec-validate/1" if is_check else "xpl.error/1")
+    problems = [problem for problem in answer["problems"] if problem["missing"] is None]
+    assert [(problem["line"], problem["key"]) for problem in problems] == places
+    meant = {problem["key"]: problem["nearest"] for problem in problems}
+    assert meant == {"famly": "family", "temporal.chunk": "16", "action_types[0]": "joint", "deterministic": None}
+    first = next(problem for problem in problems if problem["key"] == "temporal.chunk")
+    assert (first["file"], first["expected"], first["got"]) == ("Foo/policy.yml", "an integer", "the text '16'")
     page, _, anchor = first["page"].partition("#")
     assert (ROOT / page).is_file()
     assert anchor == "temporal"
-    checked = xpl("spec", "validate", "Foo/policy.yml", "--json", cwd=adapter.parent)
-    assert checked.returncode == ExitCode.FINDINGS
-    keys = [problem["key"] for problem in json.loads(checked.stdout)["problems"] if problem["missing"] is None]
-    assert keys == [key for _, key in places]
 
 
-def test_the_static_gate_reports_the_same_places(adapter: Path) -> None:
-    """As findings of the rule about manifests."""
+def test_an_audit_reports_the_same_places(adapter: Path) -> None:
+    """The static gate as findings of the rule about manifests, the offline gate as why nothing was served."""
     places = broken(adapter)
-    done = xpl("audit", "Foo", "--gate", "static", "--select", "manifest", "--json", cwd=adapter.parent)
-    (result,) = json.loads(done.stdout)["targets"][0]["gates"][0]["results"]
-    lines = [finding["line"] for finding in result["findings"]]
-    assert set(lines) >= {line for line, _ in places}
+    gates = {}
+    for gate, rule in (("static", "manifest"), ("offline", "XPL201")):
+        ended = xpl("audit", "Foo", "--gate", gate, "--select", rule, "--json", folder=adapter.parent)
+        assert ended.code != ExitCode.CLEAN
+        gates[gate] = json.loads(ended.stdout)["targets"][0]["gates"][0]
+    (result,) = gates["static"]["results"]
+    assert {finding["line"] for finding in result["findings"]} >= {line for line, _ in places}
+    told = json.dumps(gates["offline"])
+    assert [line for line, _ in places if f"policy.yml:{line}:" not in told] == []
 
 
 def test_a_wrong_deploy_yml_is_told_too_and_missing_keys_are_not(adapter: Path) -> None:
     """They have defaults; the audit asks for them."""
     (adapter / "deploy.yml").write_text("port: 70000\nseed: first\n")
-    done = xpl("serve", "Foo", cwd=adapter.parent)
-    assert done.returncode == ExitCode.USAGE
-    assert "deploy.yml has 2 problems" in done.stderr
-    assert "deploy.yml:1:1 port: expected at most 65535, got 70000" in done.stderr
-    assert "deploy.yml:2:1 seed: expected an integer or null" in done.stderr
+    with pytest.raises(manifests.ManifestError) as caught:
+        package.load(adapter)
+    assert caught.value.code == ExitCode.USAGE
+    assert [(one.line, one.column, one.path) for one in caught.value.problems] == [(1, 1, ("port",)), (2, 1, ("seed",))]
     (adapter / "deploy.yml").write_text("seed: 3\n")
     assert package.load(adapter).config()["seed"] == 3
 
@@ -207,45 +193,9 @@ def test_what_was_meant_is_named(text: str, meant: str | None) -> None:
     assert [problem.nearest for problem in problems] == [meant]
 
 
-PIECES = [
-    "\t",
-    ":",
-    "- ",
-    "{",
-    "}",
-    "[",
-    "]",
-    "&a ",
-    "*a",
-    "<<: *a",
-    "'",
-    '"',
-    "\n",
-    "!!int ",
-    "!!set ",
-    "? ",
-    "| ",
-    "---\n",
-    "\x00",
-]
-PIECES += [
-    "\xff",
-    "1e400",
-    ".nan",
-    "null",
-    "2024-99-99",
-    "0x",
-    "~",
-    "#",
-    "%",
-    "@",
-    "`",
-    "    ",
-    "\ufeff",
-    "\u2028",
-    "9" * 500,
-    "{{",
-]
+PIECES = ["\t", ":", "- ", "{", "}", "[", "]", "&a ", "*a", "<<: *a", "'", '"', "\n", "!!int ", "!!set ", "? ", "| "]
+PIECES += ["---\n", "\x00", "\xff", "1e400", ".nan", "null", "2024-99-99", "0x", "~", "#", "%", "@", "`", "    "]
+PIECES += ["\ufeff", "\u2028", "9" * 500, "{{"]
 
 
 @settings(max_examples=examples(250), deadline=None, derandomize=True)
