@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,8 @@ import yaml
 from tests.support.adapters.rules import made_adapter
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from xpl_cli.audit.physics.claims import claims
-from xpl_cli.audit.physics.simulation import Simulation
-from xpl_cli.audit.rules.figures import Course
-from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.options import Options
-from xpl_cli.audit.served.probe import Probe
+from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.basics.formats import REPORTS
 from xpl_cli.standard.validate import validate
 
 PAGE = (ROOT / "docs" / "audit.md").read_text(encoding="utf-8")
@@ -86,23 +79,9 @@ def test_the_waiver_of_the_page_waives(workspace: Path) -> None:
 
 def test_the_claim_of_the_page_is_one(workspace: Path) -> None:
     (example,) = (block for block in blocks("yaml") if "claims" in block)
-    folder = workspace / "policy" / "Bar"
-    shutil.copytree(workspace / "policy" / "Foo", folder)
-    with (folder / "policy.yml").open("a") as manifest:
-        manifest.write(example)
-    assert validate(yaml.safe_load((folder / "policy.yml").read_text()), "policy") == []
-    with Probe.start(folder, Options(gates=(Gate.MUJOCO,))) as probe:
-        (claim,) = claims(Simulation(probe))
-    assert (claim.course, claim.success_rate) == (Course("lift_cube", "arx_x5", "joint", "randomized"), 0.85)
-
-
-def test_the_page_knows_every_format_option_and_code(tmp_path: Path) -> None:
-    assert set(re.findall(r"^\| `([a-z]+)` \|", PAGE, flags=re.MULTILINE)) >= set(REPORTS)
-    assert {int(code) for code in re.findall(r"^\| (\d+) \|", PAGE, flags=re.MULTILINE)} == set(ExitCode)
-    told = set(re.findall(r"--[a-z][a-z-]+", PAGE))
-    offered = set(re.findall(r"--[a-z][a-z-]+", xpl("audit", "--help", cwd=tmp_path).stdout))
-    assert told - offered == {"--schema", "--out"}
-    assert offered - told <= {"--json", "--env", "--help"}
+    manifest = (workspace / "policy" / "Foo" / "policy.yml").read_text()
+    assert validate(yaml.safe_load(manifest + example), "policy") == []
+    assert Manifest.parse(yaml.safe_load(example)).claims
 
 
 def test_the_page_on_integration_uses_the_action_that_is_there() -> None:

@@ -28,20 +28,6 @@ def test_nothing_tells_to_install_a_name_that_is_on_no_index() -> None:
     assert told == []
 
 
-@pytest.mark.parametrize(
-    ("line", "is_bare"),
-    [
-        ("pip install xpl-cli", True),
-        ("pip install --upgrade 'xpl-cli[hub]'", True),
-        ("pip install dist/xpl_cli-0.1.0-py3-none-any.whl", False),
-        ("pip install '.[hub]'", False),
-        ("python -m pip install ./xpl", False),
-    ],
-)
-def test_a_bare_name_is_told_from_a_file(line: str, *, is_bare: bool) -> None:
-    assert bool(_BY_NAME.search(line)) is is_bare
-
-
 @pytest.mark.parametrize(("extra", "library"), [("hub", "huggingface"), ("ray", "ray")])
 def test_a_missing_extra_is_told_by_its_libraries(extra: str, library: str) -> None:
     assert re.fullmatch(rf"pip install '{library}[-_\w]*[<>=][^ ]+'", how_to_install(extra))

@@ -12,7 +12,6 @@ import yaml
 
 from tests.support.peer import xpl
 from tests.support.places import ROOT
-from xpl_cli.audit.rules import registry
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.standard.validate import validate
 
@@ -59,9 +58,3 @@ def test_the_manifest_of_the_page_is_valid(tmp_path: Path) -> None:
     manifest = yaml.safe_load((tmp_path / "envs" / "Table" / "env.yml").read_text(encoding="utf-8"))
     (example,) = _blocks("yaml")
     assert validate(manifest | yaml.safe_load(example), "env") == []
-
-
-def test_every_rule_about_environments_is_in_the_table() -> None:
-    for rule in (rule for rule in registry.rules() if rule.target == "env"):
-        assert rule.code in PAGE
-        assert rule.gate == "static" or f"{rule.code} `{rule.slug}`" in PAGE

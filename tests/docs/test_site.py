@@ -5,20 +5,15 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
 
-import xpl
 from tests.support import pages
 from tests.support.places import ROOT, copy
-from xpl_cli.audit.rules.gates import Gate
 
-SVG = "{http://www.w3.org/2000/svg}"
-PICTURE = ROOT / "docs" / "assets" / "architecture.svg"
+pytestmark = pytest.mark.slow
 
 
 def _build(config: Path, out: Path) -> subprocess.CompletedProcess[str]:
@@ -59,7 +54,6 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
         assert not re.search(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet
 
 
-@pytest.mark.slow
 def test_a_broken_site_is_not_built(tmp_path: Path) -> None:
     (tmp_path / "docs").mkdir()
     broken = "# Page\n\n[link](none.md) [anchor](other.md#none) ![picture](none.png) [outside](../README.md)\n"
@@ -73,22 +67,3 @@ def test_a_broken_site_is_not_built(tmp_path: Path) -> None:
     assert done.returncode != 0
     for named in ("none.md", "#none", "none.png", "../README.md", "forgotten.md", "too-much.md"):
         assert named in done.stderr
-
-
-def _texts(kind: str) -> list[str]:
-    """Return the texts of a class in the picture of the architecture."""
-    texts: Any = ET.parse(PICTURE).iter(f"{SVG}text")  # noqa: S314 - our own file
-    return [text.text for text in texts if text.get("class") == kind]
-
-
-def test_the_picture_names_what_there_is() -> None:
-    for name in _texts("name"):
-        if name.endswith("/"):
-            assert any((ROOT / inside / name).is_dir() for inside in ("", "xpl", "xpl_cli")), name
-        elif name.startswith("xpl."):
-            assert hasattr(xpl, name.removeprefix("xpl.")), name
-        elif name.startswith("xpl "):
-            assert pages.unknown(name.split()[1:]) == [], name
-        else:
-            assert name in set(Gate)
-    assert set(Gate) <= set(_texts("name"))
