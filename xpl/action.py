@@ -57,7 +57,7 @@ def pack(values: Mapping[str, Any], embodiment: Embodiment, action_type: str, *,
     return np.concatenate(parts)
 
 
-def unpack(flat: Any, embodiment: Embodiment, action_type: str) -> dict[str, np.ndarray]:
+def unpack(flat: object, embodiment: Embodiment, action_type: str) -> dict[str, np.ndarray]:
     """Return the action step of a flat vector; the inverse of `pack`.
 
     Args:
@@ -79,7 +79,7 @@ def unpack(flat: Any, embodiment: Embodiment, action_type: str) -> dict[str, np.
     return step
 
 
-def check_form(step: Any, embodiment: Embodiment, action_type: str) -> np.ndarray:
+def check_form(step: object, embodiment: Embodiment, action_type: str) -> np.ndarray:
     """Check that a step is one of this robot at all: exact keys, dimensions, numbers; any values.
 
     Returns:
@@ -114,7 +114,7 @@ def check_step(step: Any, embodiment: Embodiment, action_type: str) -> None:
         _check_arm(step, arm.prefix, parallel=arm.gripper == "parallel_gripper")
 
 
-def check_chunk(chunk: Any, embodiment: Embodiment, action_type: str) -> None:
+def check_chunk(chunk: object, embodiment: Embodiment, action_type: str) -> None:
     """Check an action chunk: a non-empty list whose steps all pass `check_step`.
 
     Raises:
@@ -174,7 +174,7 @@ def _check_arm(step: Action, prefix: str, *, parallel: bool) -> None:
             raise ActionError(f"{ee_key} must lie between 0 (closed) and 1 (open), got {value:.4g}")
 
 
-def _vector(value: Any, dim: int, what: str) -> np.ndarray:
+def _vector(value: object, dim: int, what: str) -> np.ndarray:
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):  # nested lists of unequal lengths, for example

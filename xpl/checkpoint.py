@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
 
@@ -113,7 +113,7 @@ def resolve_step(root: str | Path, step: int | None, pattern: str = r"(?:step_|c
     return entries[0]
 
 
-def _given(value: Any) -> bool:
+def _given(value: object) -> bool:
     return value is not None and value != ""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from xpl.embodiment import Embodiment
 
 
-def decode_rows(raw: Any, embodiment: Embodiment, action_type: str) -> list[dict[str, np.ndarray]]:
+def decode_rows(raw: object, embodiment: Embodiment, action_type: str) -> list[dict[str, np.ndarray]]:
     """Return the action steps of flat absolute actions.
 
     Regressed values are never exact: quaternions are normalised, and a gripper command a little outside 0..1 is
@@ -92,7 +92,7 @@ def _gripper(values: np.ndarray, key: str) -> np.ndarray:
 
 def ensemble(
     predictions: dict[int, np.ndarray],
-    newest: Any,
+    newest: object,
     step: int,
     decay: float,
     quaternions: Sequence[slice] = (),

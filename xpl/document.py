@@ -25,7 +25,7 @@ class Document:
         return cls(**values)
 
 
-def one(kind: type, default: Any = None) -> Any:
+def one(kind: type, default: object = None) -> Any:
     """Declare a value of one type; true and false are no numbers, and a whole number may stand for a float."""
     return field(default=default, metadata={_READER: _reader(kind)})
 

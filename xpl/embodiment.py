@@ -175,7 +175,7 @@ def _column(joints: list[dict[str, Any]], key: str) -> np.ndarray | None:
     return None if not values or any(value is None for value in values) else _frozen(values)
 
 
-def _frozen(values: Any) -> np.ndarray:
+def _frozen(values: object) -> np.ndarray:
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array

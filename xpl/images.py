@@ -117,7 +117,7 @@ def _segments(jpeg: bytes) -> Iterator[tuple[int, bytes]]:
         position += 2 + length
 
 
-def pixels_of(value: Any) -> int:
+def pixels_of(value: object) -> int:
     """Return how many pixels the encoded colour images of an observation have, or those of a list of them, in all.
 
     Raises:
@@ -131,7 +131,7 @@ def pixels_of(value: Any) -> int:
     return sum(width * height for width, height in sizes)
 
 
-def has_encoded(value: Any) -> bool:
+def has_encoded(value: object) -> bool:
     """Tell whether an observation, or one of a list of them, has encoded colour images."""
     if isinstance(value, list):
         return any(map(has_encoded, value))
@@ -139,7 +139,7 @@ def has_encoded(value: Any) -> bool:
     return isinstance(vision, Mapping) and any(is_encoded(color_of(camera)) for camera in vision.values())
 
 
-def decode_observation(obs: Any) -> Any:
+def decode_observation(obs: object) -> Any:
     """Return the observation with every encoded colour image replaced by its RGB array; nothing is changed in place."""
     if not isinstance(obs, Mapping) or not isinstance(obs.get(spec.Obs.VISION), Mapping):
         return obs
@@ -147,7 +147,7 @@ def decode_observation(obs: Any) -> Any:
     return {**obs, spec.Obs.VISION: vision}
 
 
-def _decoded_camera(camera: Any) -> Any:
+def _decoded_camera(camera: object) -> Any:
     color = color_of(camera)
     if not is_encoded(color):
         return camera

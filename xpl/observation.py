@@ -67,14 +67,14 @@ def get_image(obs: Observation, camera: str) -> np.ndarray:
     return array
 
 
-def is_encoded(image: Any) -> bool:
+def is_encoded(image: object) -> bool:
     """Tell whether a colour entry is an encoded image: bytes, or a one-dimensional uint8 array."""
     return isinstance(image, (bytes, bytearray, memoryview)) or (
         isinstance(image, np.ndarray) and image.ndim == 1 and image.dtype == np.uint8
     )
 
 
-def color_of(camera: Any) -> Any:
+def color_of(camera: object) -> Any:
     """Return the colour entry of one camera under any spelling the field uses, or None.
 
     Readers meet `color`, its aliases, and an image placed directly under the camera's name.
@@ -140,7 +140,7 @@ def env_indices(observations: Sequence[Observation]) -> list[int]:
     return indices
 
 
-def env_index(value: Any) -> int:
+def env_index(value: object) -> int:
     """Return one environment index as an int.
 
     Raises:
@@ -151,7 +151,7 @@ def env_index(value: Any) -> int:
     return int(value)
 
 
-def _from_lists(image: Any) -> np.ndarray:
+def _from_lists(image: object) -> np.ndarray:
     """Return the array of nested lists; whole numbers from 0 to 255 become uint8, and nothing else is converted."""
     try:
         array = np.asarray(image)
@@ -161,5 +161,5 @@ def _from_lists(image: Any) -> np.ndarray:
     return array.astype(np.uint8) if colour else array
 
 
-def _names(value: Any) -> str:
+def _names(value: object) -> str:
     return ", ".join(map(str, value)) or "nothing" if isinstance(value, Mapping) else "nothing"

@@ -35,7 +35,7 @@ def chosen(manifest: Mapping[str, Any], name: str | None) -> tuple[Mapping[str, 
     return merged(manifest, {**patch, _VARIANTS: None}), known[name].get(_DEPLOY) or {}
 
 
-def merged(document: Any, patch: Any) -> Any:
+def merged(document: object, patch: object) -> Any:
     """Return a document after a JSON merge patch (RFC 7396); neither is changed."""
     if not isinstance(patch, Mapping):
         return patch

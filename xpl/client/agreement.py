@@ -57,7 +57,7 @@ def needs(manifest: Manifest, config: Config) -> Announcement:
     }
 
 
-def checked(announced: Any) -> dict[str, Any]:
+def checked(announced: object) -> dict[str, Any]:
     """Return what a side announced of what is compared, in plain Python; who announced it may have sent anything.
 
     Raises:
@@ -153,37 +153,37 @@ def sentence(found: list[dict[str, Any]]) -> str:
     return "policy and environment do not fit: " + "; ".join(str(one["message"]) for one in found)
 
 
-def _text(given: Any) -> str:
+def _text(given: object) -> str:
     if not isinstance(given, str):
         raise TypeError
     return str(given)
 
 
-def _number(given: Any) -> float | int:
+def _number(given: object) -> float | int:
     if isinstance(given, bool) or not isinstance(given, numbers.Real):
         raise TypeError
     return int(given) if isinstance(given, numbers.Integral) else float(given)
 
 
-def _flag(given: Any) -> bool:
+def _flag(given: object) -> bool:
     if type(given) is not bool:
         raise TypeError
     return given
 
 
-def _texts(given: Any) -> list[str]:
+def _texts(given: object) -> list[str]:
     if not isinstance(given, (list, tuple)):
         raise TypeError
     return [_text(item) for item in given]
 
 
-def _sizes(given: Any) -> dict[str, dict[str, Any]]:
+def _sizes(given: object) -> dict[str, dict[str, Any]]:
     if not isinstance(given, Mapping):
         raise TypeError
     return {_text(camera): _size(image) for camera, image in given.items()}
 
 
-def _size(given: Any) -> dict[str, Any]:
+def _size(given: object) -> dict[str, Any]:
     if not isinstance(given, Mapping):
         raise TypeError
     sides = {side: _number(given[side]) for side in _SIDES if given.get(side) is not None}
@@ -203,9 +203,9 @@ _ENTRIES: dict[str, tuple[str, Callable[[Any], Any]]] = {
 }
 
 
-def _all_canonical(names: Any) -> Any:
+def _all_canonical(names: object) -> Any:
     return [_canonical(name) or name for name in names] if isinstance(names, list) else names
 
 
-def _canonical(name: Any) -> str | None:
+def _canonical(name: object) -> str | None:
     return robots.canonical(name)

@@ -47,7 +47,7 @@ class Encoder:
             return None  # another machine, another user, another system: arrays travel in the message
         return self._arena.token.hex()
 
-    def confirm(self, proof: Any) -> None:
+    def confirm(self, proof: object) -> None:
         """Use the memory if the server read there what we wrote; let go of it otherwise."""
         if self._arena is not None and proof != self._arena.answer.hex():
             self.forget()
@@ -122,7 +122,7 @@ def _with(frame: codec.Frame, payload: Payload) -> codec.Frame:
     return codec.Frame(**{**vars(frame), spec.Frame.PAYLOAD: payload})
 
 
-def _each(value: Any, change: Callable[[Mapping[str, Any]], Any]) -> Any:
+def _each(value: object, change: Callable[[Mapping[str, Any]], Any]) -> Any:
     """Return an observation, or each of a list of them, changed; anything else stays as it is."""
     if isinstance(value, list):
         return [_each(item, change) for item in value]

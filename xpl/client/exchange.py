@@ -170,7 +170,7 @@ class Exchange:
             details = {"reason": spec.ErrorReason.MISMATCH, "differences": found}
             raise EnvironmentMismatchError(spec.ErrorCode.INVALID_FRAME, agreement.sentence(found), details)
 
-    async def _share(self, offer: Any) -> None:
+    async def _share(self, offer: object) -> None:
         """Use the memory that the server offers, once both sides have read there what the other one wrote."""
         proof = self._encoder.share(offer) if isinstance(offer, Mapping) and self._wishes.shared_memory else None
         if proof is not None:
@@ -373,7 +373,7 @@ class Exchange:
         await self._transport.close()
 
 
-def _map(value: Any) -> Mapping[str, Any]:
+def _map(value: object) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,7 @@ def assembled(parts: Sequence[Part], columns: Mapping[str, np.ndarray], state: S
     return made
 
 
-def _poses(parts: Sequence[Part], columns: Mapping[str, np.ndarray], now: Any) -> np.ndarray:
+def _poses(parts: Sequence[Part], columns: Mapping[str, np.ndarray], now: object) -> np.ndarray:
     """Return the flange's poses (H, 7) of one arm."""
     place = next((item for item in parts if isinstance(item, Position)), None)
     turn = next((item for item in parts if isinstance(item, Rotation)), None)

@@ -61,7 +61,7 @@ class Gap:
         return written(self.path)
 
 
-def gaps(native: Any) -> list[Gap]:
+def gaps(native: object) -> list[Gap]:
     """Return every value of a native block that is open, in the block's order."""
     return list(_gaps(native, ()))
 
@@ -119,7 +119,7 @@ def _normalize(vector: Entry) -> Mapping[str, Any]:
     return entry
 
 
-def _is_open(value: Any) -> bool:
+def _is_open(value: object) -> bool:
     return isinstance(value, Mapping) and set(value) == {_OPEN}
 
 
@@ -134,7 +134,7 @@ def _gaps(value: Any, path: Place) -> Iterator[Gap]:
             yield from _gaps(item, (*path, index))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Return a part of a block with a plain value for each gap, or without it."""
     if isinstance(value, list):
         return [_plain(item) for item in value]
@@ -165,7 +165,7 @@ def _gripper(entry: Entry) -> dict[str, Any]:
     return made
 
 
-def _agree(given: Any, made: Sequence[Mapping[str, Any]]) -> None:
+def _agree(given: object, made: Sequence[Mapping[str, Any]]) -> None:
     """Leave out point and frame of all of an arm's pose where one of its parts leaves them open."""
     for gap in gaps(given):
         if gap.path and gap.path[-1] in ("point", "frame"):

@@ -235,7 +235,7 @@ def _mirrored(values: np.ndarray, how: str) -> np.ndarray:
     return values[:, ::-1] if how == "left_right" else values[::-1]
 
 
-def _uncropped(values: np.ndarray, _how: Any, before: tuple[int, int]) -> np.ndarray:
+def _uncropped(values: np.ndarray, _how: object, before: tuple[int, int]) -> np.ndarray:
     result = np.zeros((*before, values.shape[2]), values.dtype)
     top, left = (before[0] - values.shape[0]) // 2, (before[1] - values.shape[1]) // 2
     result[top : top + values.shape[0], left : left + values.shape[1]] = values

@@ -153,7 +153,7 @@ class Interface:
         """Tell whether an input has an axis of history; texts never have one."""
         return self.history > 1 and name not in self._untimed and name not in self._text()
 
-    def decode(self, raw: Any, obs: Observation, memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
+    def decode(self, raw: object, obs: Observation, memory: Memory | None = None) -> list[dict[str, np.ndarray]]:
         """Return the action steps of one environment's answer (H, D); `obs` is the newest observation."""
         return self.action.decode(np.asarray(raw), obs[spec.Obs.STATE], memory)
 

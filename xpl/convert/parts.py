@@ -291,7 +291,7 @@ def _order(names: list[str] | None, arm: Arm, width: int) -> Numbers:
     return np.array([known.index(name) for name in names])
 
 
-def _column(values: Any, width: int, default: float, word: str) -> Numbers:
+def _column(values: object, width: int, default: float, word: str) -> Numbers:
     column = np.full(width, default) if values is None else np.asarray(values, np.float64)
     if column.shape != (width,):
         raise NativeError(f"{word} has {column.size} entries, expected {width}: one for each joint")

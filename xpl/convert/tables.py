@@ -92,7 +92,7 @@ def _document(path: Path) -> Any:
         raise NativeError(f"{path} is not JSON: {error}") from None
 
 
-def _entry(document: Any, words: Sequence[str], path: Path) -> Any:
+def _entry(document: object, words: Sequence[str], path: Path) -> Any:
     for word in words:
         if not isinstance(document, Mapping) or word not in document:
             there = ", ".join(map(str, document)) if isinstance(document, Mapping) else type(document).__name__

@@ -83,7 +83,7 @@ def _led(real: Callable[..., Any]) -> Callable[..., Any]:
     return instead
 
 
-def _place(path: Any) -> Any:
+def _place(path: object) -> Any:
     """Return where a path leads: into our folder if it lies in an absent one."""
     if not isinstance(path, (str, os.PathLike)):
         return path

@@ -27,7 +27,7 @@ class Shown:
         self._kept: deque[tuple[int, list[np.ndarray]]] = deque(maxlen=_KEPT)
         self._count = 0
 
-    def add(self, value: Any) -> None:
+    def add(self, value: object) -> None:
         """Take note of a value that was shown."""
         arrays = list(_arrays(value))
         if arrays:
@@ -58,7 +58,7 @@ class Shown:
         raise PackingError("an array is named that was not shown lately")
 
 
-def _arrays(value: Any) -> Iterator[np.ndarray]:
+def _arrays(value: object) -> Iterator[np.ndarray]:
     """Yield the large arrays in a value."""
     if isinstance(value, np.ndarray):
         if value.nbytes >= spec.LIMITS["shared_array"]:

@@ -21,7 +21,7 @@ _UNKNOWN = "Vc"
 """Kinds of arrays that openpi has no form for: structures and complex numbers."""
 
 
-def pack(value: Any) -> bytes:
+def pack(value: object) -> bytes:
     """Return the message of a value: maps, lists, text, numbers, flags and arrays.
 
     Raises:
@@ -65,7 +65,7 @@ def unpack(data: Data) -> Any:
     return value
 
 
-def _outgoing(value: Any) -> Any:
+def _outgoing(value: object) -> Any:
     array = as_array(value)
     if array.dtype.kind in _UNKNOWN:
         raise ValueError(f"openpi knows no arrays of type {array.dtype}")

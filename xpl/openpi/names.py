@@ -81,7 +81,7 @@ class Names:
 
     # -- from openpi ---------------------------------------------------------------------------------------------------
 
-    def observation(self, values: Any) -> ObservationDict:
+    def observation(self, values: object) -> ObservationDict:
         """Return the standard's observation of an openpi observation.
 
         Raises:
@@ -118,7 +118,7 @@ class Names:
             )
         return obs
 
-    def steps(self, answer: Any) -> list[dict[str, np.ndarray]]:
+    def steps(self, answer: object) -> list[dict[str, np.ndarray]]:
         """Return the action chunk of an openpi answer.
 
         Raises:
@@ -217,7 +217,7 @@ class Names:
         value = self._sized(key, obs[_STATE][key], target)
         return _theirs(value, self.gripper) if self._is_gripper(key) else value
 
-    def _state(self, value: Any, name: str) -> dict[str, np.ndarray]:
+    def _state(self, value: object, name: str) -> dict[str, np.ndarray]:
         flat = _vector(value, name)
         try:
             parts = unpack(flat, self.embodiment, self.action_type)
@@ -225,11 +225,11 @@ class Names:
             raise ObservationError(f"{name}: {error}") from None
         return {key: _ours(part, self.gripper) if self._is_gripper(key) else part for key, part in parts.items()}
 
-    def _part(self, key: str, value: Any, name: str) -> np.ndarray:
+    def _part(self, key: str, value: object, name: str) -> np.ndarray:
         vector = self._sized(key, value, name)
         return _ours(vector, self.gripper) if self._is_gripper(key) else vector
 
-    def _sized(self, key: str, value: Any, name: str) -> np.ndarray:
+    def _sized(self, key: str, value: object, name: str) -> np.ndarray:
         """Return the vector of one key of the state; an error calls it by the given name."""
         vector = _vector(value, name)
         dims = {name: dim for kind in spec.ACTION_TYPES for name, dim in self.embodiment.dims(kind).items()}
@@ -299,7 +299,7 @@ def _flat(values: Mapping[Any, Any], above: str = "") -> Iterator[tuple[str, Any
             yield name, value
 
 
-def _vector(value: Any, name: str) -> np.ndarray:
+def _vector(value: object, name: str) -> np.ndarray:
     """Return one vector, (N,) float32; a scalar is one of length 1."""
     try:
         array = np.atleast_1d(np.asarray(value))
@@ -310,7 +310,7 @@ def _vector(value: Any, name: str) -> np.ndarray:
     return array.astype(np.float32)
 
 
-def _text(value: Any, name: str) -> str:
+def _text(value: object, name: str) -> str:
     text = value.decode(errors="replace") if isinstance(value, bytes) else value
     if not isinstance(text, str):
         raise ObservationError(f"{name} must be text, got {type(value).__name__}")

@@ -93,7 +93,7 @@ def read(given: Any) -> dict[str, Any]:
     return told
 
 
-def gripper_ends(given: Any) -> tuple[float, float]:
+def gripper_ends(given: object) -> tuple[float, float]:
     """Return what a gripper's value is when it is closed, and when it is open.
 
     Raises:

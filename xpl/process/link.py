@@ -21,7 +21,7 @@ _SCRATCH = 1 << 16
 _STEP = 1 << 26
 
 
-def _refuse(value: Any) -> Any:
+def _refuse(value: object) -> Any:
     raise TypeError(
         f"a {type(value).__module__}.{type(value).__qualname__} cannot be sent: use text, numbers, lists, maps"
     )
@@ -30,7 +30,7 @@ def _refuse(value: Any) -> Any:
 _to_json = json.JSONEncoder(separators=(",", ":"), default=_refuse).encode
 
 
-def encode(head: Any, buffers: Sequence[Data] = ()) -> list[Data]:
+def encode(head: object, buffers: Sequence[Data] = ()) -> list[Data]:
     """Return the pieces of one message; the buffers are not copied.
 
     Raises:
@@ -148,7 +148,7 @@ class Channel:
         self._inbox = Inbox()
         self._ready: list[Data] = []
 
-    def send(self, head: Any, buffers: Sequence[Data] = ()) -> None:
+    def send(self, head: object, buffers: Sequence[Data] = ()) -> None:
         """Send a message.
 
         Raises:

@@ -29,7 +29,7 @@ def has_frames(entry: Entry) -> bool:
     return bool(joints) and all(joint.get(key) is not None for joint in joints for key in ("limits", "origin", "axis"))
 
 
-def faults(robot: Any) -> Iterator[str]:
+def faults(robot: object) -> Iterator[str]:
     """Yield what makes an entry none of a robot, as far as code would stumble over it; the tool's schema says more."""
     if not isinstance(robot, Mapping):
         yield f"expected a map that describes a robot, got {type(robot).__name__}"
@@ -71,5 +71,5 @@ def _merged(base: Entry, own: Entry) -> dict[str, Any]:
     return {**base, **own, **{key: _merged(base[key], own[key]) for key in both}}
 
 
-def _is_count(value: Any) -> bool:
+def _is_count(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1

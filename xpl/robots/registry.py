@@ -44,7 +44,7 @@ def names() -> dict[str, str]:
     return {**_fixed(), **{word: name for name, (_, entry) in _offered.items() for word in _words(name, entry)}}
 
 
-def canonical(name: Any) -> str | None:
+def canonical(name: object) -> str | None:
     """Return the name of the robot that a word stands for; None where no robot is called so.
 
     Raises:
@@ -201,7 +201,7 @@ def _whose(name: str) -> str:
     return "comes with xpl" if where == OURS else f"{where} describes"
 
 
-def _map(told: Any, where: str) -> Mapping[str, Any]:
+def _map(told: object, where: str) -> Mapping[str, Any]:
     if not isinstance(told, Mapping):
         raise RobotError(f"{where}: expected a map that describes a robot, got {type(told).__name__}")
     return told

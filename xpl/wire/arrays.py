@@ -26,7 +26,7 @@ class ArrayError(ValueError):
     """A value is no array that may travel, or a description and its bytes do not make one."""
 
 
-def as_array(value: Any) -> np.ndarray:
+def as_array(value: object) -> np.ndarray:
     """Return a C-contiguous array of an array, numpy scalar or torch tensor (any device; bfloat16 becomes float32).
 
     Structured arrays lose their padding.
@@ -55,7 +55,7 @@ def data_of(array: np.ndarray) -> Data:
     return array.reshape(-1).view(np.uint8).data if array.size else b""
 
 
-def from_data(data: Data, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
+def from_data(data: Data, dtype: np.dtype[np.generic], shape: object) -> np.ndarray:
     """Return the read-only array of some bytes, a view of them.
 
     Raises:
@@ -81,7 +81,7 @@ def describe_dtype(dtype: np.dtype[Any]) -> Any:
     return [[name, *_describe_field(dtype[name])] for name in dtype.names]
 
 
-def parse_dtype(description: Any) -> np.dtype[np.generic]:
+def parse_dtype(description: object) -> np.dtype[np.generic]:
     """Return the dtype that a text or a list stands for; text may be bytes.
 
     Raises:
@@ -118,7 +118,7 @@ def _describe_field(dtype: np.dtype[np.generic]) -> list[Any]:
     return [describe_dtype(base), list(shape)]
 
 
-def _parse_field(entry: Any) -> tuple[Any, ...]:
+def _parse_field(entry: object) -> tuple[Any, ...]:
     if not isinstance(entry, list) or len(entry) not in (2, 3):
         raise ArrayError(f"a field of a structure must be [name, type] or [name, type, shape], got {entry!r:.80}")
     shape = entry[2] if len(entry) == 3 else []
@@ -127,7 +127,7 @@ def _parse_field(entry: Any) -> tuple[Any, ...]:
     return (_text(entry[0]), parse_dtype(entry[1]), tuple(shape))
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     if not isinstance(value, str):

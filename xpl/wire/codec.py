@@ -195,7 +195,7 @@ def _bytes_header(size: int) -> bytes:
     raise WireError(f"a byte string of {size} bytes is more than the wire can carry")
 
 
-def depth(value: Any) -> int:
+def depth(value: object) -> int:
     """Return how deeply maps and lists are nested in a value, 0 for a scalar; stops counting beyond the limit."""
     level = 0
     current = [value] if isinstance(value, (dict, list)) else []
@@ -223,7 +223,7 @@ def _identifiers(fields: Mapping[str, Any]) -> dict[str, Any]:
     return {name: fields[name] for name in _IDENTIFIERS if name in fields and _is(fields[name], _ENVELOPE[name])}
 
 
-def _is(value: Any, allowed: tuple[type, ...]) -> bool:
+def _is(value: object, allowed: tuple[type, ...]) -> bool:
     return isinstance(value, allowed) and not isinstance(value, bool)
 
 
@@ -249,7 +249,7 @@ def _salvaged(data: Data) -> dict[str, Any]:
 # -- writing -----------------------------------------------------------------------------------------------------------
 
 
-def _outgoing(value: Any, level: int) -> Any:
+def _outgoing(value: object, level: int) -> Any:
     """Return a value in types that msgpack knows: text keys only, arrays as maps."""
     if value is None or isinstance(value, (str, bytes, int, float)):
         return value
@@ -266,7 +266,7 @@ def _outgoing(value: Any, level: int) -> Any:
     return _array_map(value)
 
 
-def _array_map(value: Any) -> dict[bytes, Any]:
+def _array_map(value: object) -> dict[bytes, Any]:
     array = as_array(value)
     if isinstance(value, (np.number, np.bool_)):
         return {_ND: False, _TYPE: array.dtype.str, _DATA: array.tobytes()}

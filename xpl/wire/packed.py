@@ -72,7 +72,7 @@ Find = Callable[[int, int, "np.dtype[np.generic]", Any], np.ndarray]
 """Returns the array of a block, an offset, a dtype and a shape in shared memory."""
 
 
-def encode(value: Any, place: Place | None = None, limits: Limits = _NO_LIMITS) -> list[Data]:
+def encode(value: object, place: Place | None = None, limits: Limits = _NO_LIMITS) -> list[Data]:
     """Return the pieces of one message; arrays are not copied unless they are small or not contiguous.
 
     Args:
@@ -120,7 +120,7 @@ def decode(message: Data, find: Find | None = None) -> Any:
         raise PackingError(f"header and body of a packed value do not fit together: {error!s:.200}") from None
 
 
-def map_key(key: Any) -> str:
+def map_key(key: object) -> str:
     """Return the text that a map key travels as: text itself, or a whole number written out.
 
     Raises:
@@ -174,7 +174,7 @@ class _Writer:
         if self._left < 0:
             raise PackingError(f"it holds more than {self._limits.entries} list and map entries: use large arrays")
 
-    def _array(self, value: Any) -> Any:
+    def _array(self, value: object) -> Any:
         self._count(_ARRAY_ENTRIES)
         if self._place is not None and isinstance(value, np.ndarray) and value.nbytes >= spec.LIMITS["shared_array"]:
             array = as_array(value)
@@ -234,7 +234,7 @@ class _Reader:
         self._read_to = 0
         self._left = spec.LIMITS["elements"]
 
-    def value(self, tree: Any) -> Any:
+    def value(self, tree: object) -> Any:
         if isinstance(tree, list):
             return [self.value(item) for item in tree]
         if not isinstance(tree, dict):
@@ -272,11 +272,11 @@ class _Reader:
             raise PackingError(f"packed lists hold more than {spec.LIMITS['elements']} arrays: send larger ones")
         return [dict(zip(columns, row)) for row in zip(*columns.values())]
 
-    def _at(self, offset: Any, description: Any, shape: Any) -> np.ndarray:
+    def _at(self, offset: object, description: object, shape: object) -> np.ndarray:
         dtype = parse_dtype(description)
         return from_data(self._cut(offset, dtype.itemsize * size_of(shape)), dtype, shape)
 
-    def _cut(self, offset: Any, length: Any) -> memoryview:
+    def _cut(self, offset: object, length: object) -> memoryview:
         # In the order of the header and none twice: what a message makes is in proportion to its bytes.
         start, end = self._read_to, len(self._body)
         if type(offset) is not int or type(length) is not int or not start <= offset <= offset + length <= end:
@@ -301,7 +301,7 @@ def _joined(values: list[Any]) -> bytes | None:
         return b"".join([value.tobytes() for value in values])
 
 
-def size_of(shape: Any) -> int:
+def size_of(shape: object) -> int:
     """Return how many elements an array of this shape has.
 
     Raises:

@@ -34,7 +34,7 @@ def sendable(text: str, longest: int = SENTENCE) -> str:
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def text_of(value: Any) -> str:
+def text_of(value: object) -> str:
     """Return `str(value)`, also of an object that raises when it is asked for it."""
     try:
         return sendable(str(value))
@@ -42,13 +42,13 @@ def text_of(value: Any) -> str:
         return f"<a {sendable(name_of(value), 80)} whose text cannot be had: {name_of(error)}>"
 
 
-def name_of(value: Any) -> str:
+def name_of(value: object) -> str:
     """Return the name of an object's class, also of one that hides it."""
     name: str = type.__dict__["__name__"].__get__(type(value))
     return sendable(name, 200)
 
 
-def describe(error: BaseException, frames: Any = None) -> dict[str, str]:
+def describe(error: BaseException, frames: object = None) -> dict[str, str]:
     """Return type, message and traceback of an exception.
 
     Args:
@@ -113,7 +113,7 @@ def _hide_odd_sources(frames: TracebackType | None) -> None:
         frames = frames.tb_next
 
 
-def sendable_tree(value: Any, level: int = 0) -> Any:
+def sendable_tree(value: object, level: int = 0) -> Any:
     """Return a value of maps, lists, text and numbers with all its text sendable; anything else becomes text."""
     if value is None or isinstance(value, (bool, float)) or (type(value) is int and -(1 << 63) <= value < 1 << 63):
         return value
@@ -126,7 +126,7 @@ def sendable_tree(value: Any, level: int = 0) -> Any:
     return text_of(value)
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     try:
         return sendable(repr(value))
     except BaseException as error:  # noqa: BLE001 - as above

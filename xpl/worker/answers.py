@@ -38,7 +38,7 @@ class Answers:
         self._shape, self._low, self._high = shape, low, high
         self._known: tuple[Any, np.ndarray] = ((), np.empty(0))
 
-    def of(self, inputs: Any) -> np.ndarray:
+    def of(self, inputs: object) -> np.ndarray:
         """Return the chunk for inputs, (H, D) float32.
 
         Raises:
@@ -69,7 +69,7 @@ class Answers:
         return self._known[1]
 
 
-def _leaves(value: Any, path: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
+def _leaves(value: object, path: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
     """Yield every array, number and text of a value with its place; numbers by value, whatever holds them."""
     if depth > _DEPTH:
         raise ShadowError(f"encode returns a value that is nested more than {_DEPTH} deep, or holds itself")
@@ -86,7 +86,7 @@ def _leaves(value: Any, path: str, depth: int) -> Iterator[tuple[str, np.ndarray
         yield path, _canonical(_array(value))
 
 
-def _items(value: Any) -> list[tuple[Any, Any]] | None:
+def _items(value: object) -> list[tuple[Any, Any]] | None:
     """Return what a container holds, in an order of its own; None for what is none, and for a list of numbers."""
     if isinstance(value, Mapping):
         return [(repr(key), value[key]) for key in sorted(value, key=repr)]
@@ -109,7 +109,7 @@ def _are_numbers(value: Sequence[Any]) -> bool:
         return False
 
 
-def _array(value: Any) -> np.ndarray:
+def _array(value: object) -> np.ndarray:
     try:
         # Also what offers itself as an array: images, arrays of other libraries.
         return as_array(value if hasattr(value, "detach") and not isinstance(value, type) else np.asarray(value))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 
-def own(value: Any) -> Any:
+def own(value: object) -> Any:
     """Return a value with containers and arrays of its own; the arrays may be written to."""
     if isinstance(value, Mapping):
         return {key: own(item) for key, item in value.items()}

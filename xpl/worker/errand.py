@@ -45,7 +45,7 @@ def carry_out(asked: str, answers: str, play: Callable[[Order], Iterator[bytes]]
     os._exit(0)  # a model's threads may go on for ever
 
 
-def result(value: Any) -> bytes:
+def result(value: object) -> bytes:
     """Return an answer, packed."""
     return b"".join(packed.encode({spec.Payload.RESULT: value}))
 

@@ -48,7 +48,7 @@ def _seen(model: Any, observations: list[Any]) -> dict[str, Any]:
     told: dict[str, Any] = {}
     predict = model.predict
 
-    def watched(inputs: Any, envs: Any) -> Any:
+    def watched(inputs: object, envs: object) -> Any:
         told["inputs"] = plain(inputs)
         raw = predict(inputs, envs)
         told["raw"] = plain(raw)
@@ -66,7 +66,7 @@ def _seen(model: Any, observations: list[Any]) -> dict[str, Any]:
         return {"steps": [], "failed": f"{type(error).__name__}: {error}", **told}
 
 
-def plain(value: Any, depth: int = _DEEPEST) -> Any:
+def plain(value: object, depth: int = _DEEPEST) -> Any:
     """Return a value that can travel: maps, lists, texts, numbers and arrays as they are, all else by its type."""
     if isinstance(value, Mapping) and depth:
         return {str(key): plain(item, depth - 1) for key, item in value.items()}

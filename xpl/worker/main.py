@@ -210,7 +210,7 @@ class Worker:
             return operation()
         return operation(argument)
 
-    def _infer(self, observation: Any) -> Any:
+    def _infer(self, observation: object) -> Any:
         if spec.Method.UPDATE_OBS not in self._methods and spec.Method.INFER in self._methods:
             return self._model.infer(observation)
         self._model.update_obs(observation)
@@ -246,7 +246,7 @@ class Worker:
         return argument
 
 
-def _packed_answer(request: Request, result: Any) -> bytes:
+def _packed_answer(request: Request, result: object) -> bytes:
     """Return the entries of the answer to a request, packed."""
     entries: Any = {}
     if request.method == spec.Method.INFER:

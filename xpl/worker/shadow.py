@@ -187,7 +187,7 @@ def _ranges(policy: Policy, width: int, declared: Sequence[float] | None) -> tup
     return np.concatenate(lows), np.concatenate(highs)
 
 
-def _maps(value: Any, depth: int) -> Iterator[Mapping[Any, Any]]:
+def _maps(value: object, depth: int) -> Iterator[Mapping[Any, Any]]:
     if depth > _DEPTH:
         return
     if isinstance(value, Mapping):
@@ -199,7 +199,7 @@ def _maps(value: Any, depth: int) -> Iterator[Mapping[Any, Any]]:
             yield from _maps(item, depth + 1)
 
 
-def _is_copy(value: Mapping[Any, Any], given: Any) -> bool:
+def _is_copy(value: Mapping[Any, Any], given: object) -> bool:
     """Tell whether a map is a map of the observation, or holds all that this one does."""
     if value is given:
         return True

@@ -151,7 +151,7 @@ class _Pictures:
                 item.encode = self._remembering(text, item.encode)  # type: ignore[method-assign,assignment]
 
     def _remembering(self, text: str, encode: Callable[[Any], np.ndarray]) -> Callable[[Any], np.ndarray]:
-        def remembered(obs: Any) -> np.ndarray:
+        def remembered(obs: object) -> np.ndarray:
             key = (text, id(obs))  # all observations live as long as this process
             if key not in self._made:
                 made = encode(obs)

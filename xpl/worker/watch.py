@@ -105,7 +105,7 @@ class Watched:
 class _Seen:
     """An observation as the model has it, and what it held when it was shown."""
 
-    def __init__(self, obs: Any) -> None:
+    def __init__(self, obs: object) -> None:
         self._obs = obs
         self._held = _prints(obs)
 
@@ -134,7 +134,7 @@ def _parts(model: Any) -> Iterator[tuple[str, Any, str]]:
             yield from ((f"{attribute}.{name}", value, name) for name in _resets(value))
 
 
-def _resets(value: Any) -> list[str]:
+def _resets(value: object) -> list[str]:
     return [
         name
         for name in dir(value)
@@ -143,7 +143,7 @@ def _resets(value: Any) -> list[str]:
 
 
 @contextlib.contextmanager
-def _broken(owner: Any, name: str) -> Iterator[list[str]]:
+def _broken(owner: object, name: str) -> Iterator[list[str]]:
     """Have a method of one object raise for the length of a `with` block; yields a list of its calls."""
     calls: list[str] = []
 
@@ -166,7 +166,7 @@ def _broken(owner: Any, name: str) -> Iterator[list[str]]:
             delattr(owner, name)
 
 
-def _arrays(value: Any) -> Iterator[tuple[Place, np.ndarray]]:
+def _arrays(value: object) -> Iterator[tuple[Place, np.ndarray]]:
     """Yield every array in a value, and the memory of every tensor that lies where an array can see it."""
     for key, leaf in leaves(value):
         if isinstance(leaf, np.ndarray):
@@ -176,7 +176,7 @@ def _arrays(value: Any) -> Iterator[tuple[Place, np.ndarray]]:
                 yield key, leaf.detach().numpy()
 
 
-def _prints(obs: Any) -> dict[Place, str]:
+def _prints(obs: object) -> dict[Place, str]:
     """Return a short text for every value of an observation, equal as long as the value is."""
     return {
         key: f"{leaf.dtype.str}{leaf.shape}{hashlib.sha256(leaf.tobytes()).hexdigest()}"

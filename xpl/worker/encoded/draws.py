@@ -46,7 +46,7 @@ class Drawn:
         self._asked = 0
         self.count = 0
 
-    def predict(self, inputs: Any, envs: list[int]) -> Any:
+    def predict(self, inputs: object, envs: list[int]) -> Any:
         """Return what the model predicts with these draws."""
         self._envs, self._asked = envs, 0
         with self._instead():

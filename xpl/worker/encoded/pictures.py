@@ -98,7 +98,7 @@ def beside(value: Any, _how: Entry) -> Any:
     return changed(value, change)
 
 
-def sizes(value: Any) -> list[tuple[int, int]]:
+def sizes(value: object) -> list[tuple[int, int]]:
     """Return height and width of one camera's picture in encoded inputs, each once; two in one count by themselves."""
     found = []
     for array in leaves(value):
@@ -193,7 +193,7 @@ def _has_levels(array: np.ndarray, levels: np.ndarray) -> bool:
     return True
 
 
-def apart(one: Any, other: Any) -> float:
+def apart(one: object, other: object) -> float:
     """Return how far the pictures of two encoded values are apart: the mean of their differences, by their range."""
     first, second = ([array for array in leaves(value) if channel_axis(array) is not None] for value in (one, other))
     if [array.shape for array in first] != [array.shape for array in second]:

@@ -110,7 +110,7 @@ def _drawn(model: Policy, how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
 def _answering(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
     """Return the model with its answers changed."""
 
-    def predict(inputs: Any, envs: list[int]) -> Any:
+    def predict(inputs: object, envs: list[int]) -> Any:
         return [_CHANGES[how["kind"]](as_array(row), how) for row in predicts(inputs, envs)]
 
     return predict
@@ -182,7 +182,7 @@ def _tried(make: Callable[..., Any], *arguments: Any) -> Any:
         return error
 
 
-def _equal(one: Any, other: Any) -> bool:
+def _equal(one: object, other: object) -> bool:
     pairs = list(zip(leaves(one), leaves(other)))
     return all(_same(a, b) for a, b in pairs)
 

@@ -124,7 +124,7 @@ def _fields(obs: Observation) -> dict[str, np.ndarray]:
     return {name: np.ravel(np.asarray(value, np.float64)) for name, value in state.items() if np.ndim(value) == 1}
 
 
-def _is_one(leaf: Any) -> bool:
+def _is_one(leaf: object) -> bool:
     return channel_axis(leaf) is None and is_vector(leaf)
 
 

@@ -24,7 +24,7 @@ _DONE: tuple[Callable[[str], str], ...] = (
 """What adapters do to an instruction."""
 
 
-def text(value: Any, how: Entry, obs: Observation) -> Any:
+def text(value: object, how: Entry, obs: Observation) -> Any:
     """Return encoded inputs whose texts have the instruction otherwise.
 
     Args:
@@ -41,7 +41,7 @@ def text(value: Any, how: Entry, obs: Observation) -> Any:
     wanted = wanted.lower() if how.get("case") == "lower" else wanted
     seen = False
 
-    def change(leaf: Any) -> Any:
+    def change(leaf: object) -> Any:
         nonlocal seen
         if not isinstance(leaf, str):
             return None

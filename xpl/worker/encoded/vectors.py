@@ -99,7 +99,7 @@ class Normalized:
     def __len__(self) -> int:
         return len(self._lines)
 
-    def change(self, value: Any, how: Entry) -> tuple[Any, str]:
+    def change(self, value: object, how: Entry) -> tuple[Any, str]:
         """Return encoded inputs with vectors normalised otherwise, and how.
 
         Raises:
@@ -111,12 +111,12 @@ class Normalized:
         words, there, _ = self._lines[number]
         back = self._lines[self._now][2]
 
-        def change(leaf: Any) -> Any:
+        def change(leaf: object) -> Any:
             return there(back(leaf)) if channel_axis(leaf) is None and is_vector(leaf) else None
 
         return changed(value, change), f"normalize: {words}, not {self._lines[self._now][0]}"
 
-    def _told(self, value: Any, sample: Observation) -> int | None:
+    def _told(self, value: object, sample: Observation) -> int | None:
         """Return by which numbers the vectors are normalised now: undone, most of them are those of the state."""
         state = np.concatenate([np.ravel(item) for item in sample[spec.Obs.STATE].values() if _is_numbers(item)])
         vector = next((leaf for leaf in leaves(value) if channel_axis(leaf) is None and is_vector(leaf)), None)
@@ -129,7 +129,7 @@ class Normalized:
         return best[1] if best[0] * 2 >= self._width else None
 
 
-def _is_numbers(item: Any) -> bool:
+def _is_numbers(item: object) -> bool:
     return not isinstance(item, Mapping) and np.asarray(item).dtype.kind == "f"
 
 
@@ -146,11 +146,11 @@ def lines(arrays: Mapping[str, Any]) -> Iterator[Line]:
             yield f"mean {one}, std {other}", *_line(low, high)
 
 
-def _same(value: Any) -> Any:
+def _same(value: object) -> Any:
     return value
 
 
-def _line(shift: Any, scale: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+def _line(shift: object, scale: object) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     return lambda value: (value - shift) / scale, lambda value: value * scale + shift
 
 

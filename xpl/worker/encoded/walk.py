@@ -16,7 +16,7 @@ class UnfitError(ValueError):
     """A change has no meaning for what this adapter's model reads."""
 
 
-def leaves(value: Any, depth: int = _DEEPEST) -> Iterator[Any]:
+def leaves(value: object, depth: int = _DEEPEST) -> Iterator[Any]:
     """Yield the arrays and texts of a value, in their order; arrays as numpy's."""
     if isinstance(value, str):
         yield value
@@ -32,7 +32,7 @@ def leaves(value: Any, depth: int = _DEEPEST) -> Iterator[Any]:
             yield array
 
 
-def changed(value: Any, change: Callable[[Any], Any], depth: int = _DEEPEST) -> Any:
+def changed(value: object, change: Callable[[Any], Any], depth: int = _DEEPEST) -> Any:
     """Return a value with its arrays and texts changed.
 
     Args:
@@ -57,7 +57,7 @@ def _is_vector(value: Any) -> bool:
     return bool(value) and all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in value)
 
 
-def _array(value: Any) -> Any:
+def _array(value: object) -> Any:
     """Return an array of an array, a tensor or a list of numbers, or None."""
     if isinstance(value, (list, tuple)):
         return np.asarray(value, np.float64)
@@ -69,7 +69,7 @@ def _array(value: Any) -> Any:
         return None
 
 
-def _like(value: Any, array: np.ndarray) -> Any:
+def _like(value: object, array: np.ndarray) -> Any:
     """Return an array as what it came from: a tensor of the same device, an array, a list."""
     if isinstance(value, np.ndarray):
         return array if value.dtype.kind != "f" else array.astype(value.dtype, copy=False)
