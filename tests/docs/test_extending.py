@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support import commands
 from tests.support.distributions import forget
 from xpl import Client, get_embodiment
 from xpl.client import PolicyServerError
@@ -22,7 +23,7 @@ from xpl_cli.data.formats import open_set
 from xpl_cli.standard.validate import validate
 
 REPO = Path(__file__).parents[2]
-Run = Callable[..., subprocess.CompletedProcess[str]]
+Run = Callable[..., commands.Ended]
 PAGE = (REPO / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```\w+ title=\"(.+?)\"\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE))
 
@@ -41,26 +42,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def xpl(site: Path, tmp_path: Path) -> Run:
-    """Return a function that runs the command line where the package is installed, in an empty folder."""
-
-    def run(*arguments: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
-        done = subprocess.run(
-            [sys.executable, "-m", "xpl_cli", *map(str, arguments)],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": f"{site}:{REPO}"},
-            capture_output=True,
-            text=True,
-            timeout=200,
-            check=False,
-        )
-        assert done.returncode == code, done.stdout + done.stderr
-        return done
-
-    return run
-
-
-@pytest.fixture
 def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Have the package in this process, too."""
     monkeypatch.syspath_prepend(site)
@@ -68,6 +49,18 @@ def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
     monkeypatch.undo()
     forget()
+
+
+@pytest.fixture
+def xpl(installed: None, tmp_path: Path) -> Run:
+    """Return a function that runs the command line where the package is installed, in an empty folder."""
+
+    def run(*arguments: str | Path, code: int = 0) -> commands.Ended:
+        done = commands.xpl(*arguments, folder=tmp_path)
+        assert done.code == code, done.stdout + done.stderr
+        return done
+
+    return run
 
 
 # -- a wire ------------------------------------------------------------------------------------------------------------
@@ -159,36 +152,33 @@ def test_a_rule_of_a_package_is_listed_explained_and_run(xpl: Run, write_adapter
 
 
 def test_a_rule_of_a_package_changes_no_digest(xpl: Run, write_adapter: Callable[..., Path]) -> None:
+    """Others need not have it."""
     folder = write_adapter("")
     (folder / "README.md").write_text("# Subject\n")
-    digests = []
-    for more in ((), ("--ignore", "TINY")):
-        done = xpl("audit", folder, "--gate", "static", "--format", "json", *more, code=1)
-        digests.append(json.loads(done.stdout)["targets"][0]["gates"][0]["digest"])
+    chosen = ("--gate", "static", "--select", "XPL10", "--format", "json")
+    told = [json.loads(xpl("audit", folder, *chosen, *more, code=1).stdout) for more in ((), ("--select", "TINY"))]
+    digests = [one["targets"][0]["gates"][0]["digest"] for one in told]
     assert digests[0] == digests[1] is not None
 
 
 # -- a robot, and an environment ---------------------------------------------------------------------------------------
 
 
-def test_a_robot_of_a_package_is_shown_and_scaffolded_and_its_environment_played(xpl: Run, tmp_path: Path) -> None:
+def test_a_robot_of_a_package_is_shown_and_scaffolded_and_its_environment_played(
+    site: Path, xpl: Run, tmp_path: Path
+) -> None:
+    """By name, in an empty folder: the policy is told of the robot, and so is the environment's process."""
     assert "of xpl-tiny 1.0" in xpl("spec", "show").stdout
-    assert "tiny_arm" in xpl("spec", "show", "tiny_arm").stdout
-    offered = json.loads(xpl("env", "list", "tiny_desk", "--json").stdout)
-    assert "tiny_desk" in xpl("env", "list").stdout
-    assert "hold_still" in json.dumps(offered)
+    assert "hold_still" in xpl("env", "list", "tiny_desk", "--json").stdout
     told = json.loads(xpl("audit", "tiny_desk", "--gate", "static", "--format", "json").stdout)
     assert told["targets"][0]["kind"] == "env"
-    xpl("new-policy", "Desk", "--embodiment", "tiny_arm", "--action-type", "joint")
-    out = tmp_path / "run"
-    xpl("eval", "policy/Desk", "--env", "tiny_desk", "--episodes", "1", "--out", out)
-    lines = [json.loads(line) for line in (out / "records.jsonl").read_text().splitlines()]
-    assert any('"tiny_arm"' in json.dumps(line) for line in lines)
-
-
-@pytest.mark.usefixtures("installed")
-def test_a_robot_of_a_package_is_known_to_programs() -> None:
     assert get_embodiment("tiny_arm").arms[0].dof == 2
+    xpl("new-policy", "Desk", "--embodiment", "tiny_arm", "--action-type", "joint")
+    played = ["eval", "policy/Desk", "--env", "tiny_desk", "--episodes", "1", "--out", "run"]
+    environment = {**os.environ, "PYTHONPATH": f"{site}:{REPO}"}
+    subprocess.run([sys.executable, "-m", "xpl_cli", *played], cwd=tmp_path, env=environment, check=True)
+    lines = (tmp_path / "run" / "records.jsonl").read_text().splitlines()
+    assert any('"tiny_arm"' in line for line in lines)
 
 
 # -- formats -----------------------------------------------------------------------------------------------------------
